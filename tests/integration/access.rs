@@ -1,4 +1,4 @@
-//! Who may reach the server and who may ask.
+//! Access to the server: which addresses it may listen on and which routes require a key.
 
 use crate::server::{Process, TestServer, command};
 use camino::Utf8Path;
@@ -8,7 +8,7 @@ use std::process::Stdio;
 use uniground_client::Client;
 
 const KEY: &str = "ug_0123456789abcdef";
-/// What everybody may ask.
+/// Routes that need no key.
 const PUBLIC: [&str; 2] = ["/healthz", "/readyz"];
 
 #[test]

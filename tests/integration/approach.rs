@@ -1,4 +1,4 @@
-//! From a question to a place to stand, and the map of the floor.
+//! The approach endpoint: where a robot should stand for a target, and the map of the floor.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, post_raw, problem};
@@ -53,7 +53,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
         "{told:?}"
     );
 
-    // The map is where map_server puts it: its lower left corner at the origin, its first row the
+    // The map follows map_server: the origin is its lower left corner, and its first row has the
     // greatest y.
     let map = client.floor(&scene.id, ROBOT.height_m).await.unwrap();
     let png = client
@@ -73,7 +73,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     }
     assert_eq!(shade(target.aabb.center.x, target.aabb.center.y), 0, "a table stands there");
 
-    // By its id it is the same; an arm that is too short is told of.
+    // A target given by id yields the same poses. An arm that is too short is reported.
     let by_id = ApproachRequest { instance_id: Some(target.id), query: None, ..asking("") };
     let again = client.approach(&scene.id, &by_id).await.unwrap();
     assert_eq!(
@@ -94,7 +94,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
         "{none:?}"
     );
 
-    // What people have said counts.
+    // Corrections are applied.
     client
         .correct(
             &scene.id,
@@ -175,7 +175,7 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
             "{placed:?}"
         );
     }
-    // Maps far from their origin, as surveyors have them, lose nothing.
+    // Map coordinates far from their origin, as surveyors use them, lose no precision.
     let far =
         SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [500_000.3, 5_000_000.2, 0.0] };
     client
@@ -196,7 +196,7 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
         .await
         .unwrap();
     assert_eq!(far.poses, here.poses);
-    // What several are meant by is driven to by none.
+    // An ambiguous question yields no pose.
     let several = client.approach(&scene.id, &asking("all the chairs")).await.unwrap();
     assert!(
         several.status == ApproachStatus::NotGrounded && several.detail.contains("things"),

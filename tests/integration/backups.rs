@@ -1,4 +1,4 @@
-//! Backups of servers that run, and what comes of them.
+//! Backups of running and stopped servers, and restoring them.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, finished};
@@ -27,7 +27,7 @@ fn said(output: &Output) -> String {
     )
 }
 
-/// The same room under other bytes.
+/// Returns the same room with different bytes.
 fn another(number: usize) -> Vec<u8> {
     Scan::neutral().with("note.txt", number.to_string()).zip()
 }
@@ -54,7 +54,7 @@ async fn backed_up(data: &Utf8Path, to: &Utf8Path) -> BackupReport {
     done
 }
 
-/// A server on a restored backup.
+/// Starts a server on a restored backup.
 async fn restored(from: &Utf8Path) -> TestServer {
     let data = tempfile::tempdir().unwrap();
     restore(BackupSource::of(from), Utf8Path::from_path(data.path()).unwrap()).await.unwrap();
@@ -67,7 +67,7 @@ async fn restored(from: &Utf8Path) -> TestServer {
     .await
 }
 
-/// Asks, uploads and deletes until it is told to stop.
+/// Sends questions, uploads and deletions until `stop` is set.
 async fn keep_busy(client: Client, scene: String, stop: Arc<AtomicBool>) -> usize {
     let mut rounds = 0;
     while !stop.load(Ordering::Relaxed) {
@@ -94,7 +94,7 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
         scene.id.clone(),
         stop.clone(),
     ));
-    // Whatever is under way then, each of them is one whole.
+    // Each backup is consistent, whatever is in progress while it is made.
     for round in 0..5 {
         backed_up(server.data(), &folders.at("backup")).await;
         check(BackupSource::of(&folders.at("backup")))
@@ -154,7 +154,7 @@ async fn only_what_is_new_is_copied() {
     let scene = server.parsed(another(2)).await;
     let third = backed_up(server.data(), &to).await;
     assert_eq!((third.scenes, third.folders, third.new_folders), (2, 4, 2));
-    // What is gone is gone from the next backup, and what was damaged there is mended.
+    // A deleted scene is missing from the next backup, and a damaged file there is repaired.
     server.client.delete_scene(&scene.id).await.unwrap();
     let parse = to.join("blobs/parses").join(&server.stored("blobs/parses")[0]);
     fs::remove_file(parse.join("cloud.ply")).unwrap();
@@ -162,7 +162,7 @@ async fn only_what_is_new_is_copied() {
     assert_eq!((last.scenes, last.folders, last.new_folders), (1, 2, 1));
     assert_eq!(to.join("blobs/contents").read_dir_utf8().unwrap().count(), 1);
     check(BackupSource::of(&to)).await.unwrap();
-    // A server that is stopped is backed up like one that runs.
+    // A stopped server's folder is backed up in the same way.
     let data = server.give_back().await;
     let stopped = uniground(&["backup", to.as_str(), "--data-dir", data.path().to_str().unwrap()]);
     assert!(
@@ -214,7 +214,7 @@ async fn a_damaged_backup_is_named_and_nothing_is_restored() {
     }
     fs::remove_file(to.join(&files[0].0)).unwrap();
     assert!(refused(&to).contains("cloud.ply missing"));
-    // An archive that is cut off, or has a bit that fell over.
+    // An archive that is truncated or has a flipped bit.
     let whole = fs::read(&archive).unwrap();
     fs::write(&archive, &whole[..whole.len() / 2]).unwrap();
     refused(&archive);
@@ -224,7 +224,7 @@ async fn a_damaged_backup_is_named_and_nothing_is_restored() {
     fs::write(&archive, flipped).unwrap();
     assert!(refused(&archive).contains("damaged"));
     fs::write(&archive, whole).unwrap();
-    // Nor is anything written over.
+    // Restoring never overwrites existing data.
     let full = folders.at("full");
     fs::create_dir(&full).unwrap();
     fs::write(full.join("thesis.tex"), "x").unwrap();
@@ -255,7 +255,7 @@ async fn a_damaged_backup_is_named_and_nothing_is_restored() {
     server.stop().await;
 }
 
-/// What was lost before is told, and the rest is there.
+/// A backup reports files that were already lost and contains everything else.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_was_damaged_before_is_left_out_and_told() {
     let (folders, server) = (Folders::new(), TestServer::start().await);
@@ -274,7 +274,7 @@ async fn what_was_damaged_before_is_left_out_and_told() {
         said(&told)
     );
     server.stop().await;
-    // The scan is there: its parse is made again.
+    // The scan is there, so its parse is made again.
     let again = restored(&folders.at("backup")).await;
     let job = again.client.parse(&scene.id, &serde_json::json!({})).await.unwrap();
     assert_eq!(finished(&again.client, &job.id).await.error, None);

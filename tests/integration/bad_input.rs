@@ -1,5 +1,5 @@
-//! Archives that can not become a scene: each is refused with a stable code and a message that
-//! names the culprit, and nothing of it is stored.
+//! Archives that cannot become a scene. Each is refused with a stable code and a message that names
+//! the faulty file, and nothing of it is stored.
 
 use crate::archives::{Scan, ply_header};
 use crate::server::{TestServer, ask, finished, problem};
@@ -16,7 +16,7 @@ fn zip_with_entry(name: &str) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// What it is, its media type and bytes; status, code and words of the refusal.
+/// Description, media type and bytes of an upload; status, code and words of the refusal.
 type Case = (&'static str, &'static str, Vec<u8>, u16, &'static str, &'static str);
 
 fn refused() -> Vec<Case> {
@@ -376,12 +376,12 @@ async fn broken_archives_are_refused_by_name_and_leave_nothing_behind() {
     server.stop().await;
 }
 
-/// What only shows when pictures and clouds are decoded fails the job, with the same care.
+/// Errors that appear only when images and clouds are decoded fail the job with the same detail.
 #[tokio::test]
 async fn what_shows_only_while_parsing_fails_the_job_by_name() {
     let server = TestServer::start().await;
     let png = &Scan::frames_only().0["depth/6.png"];
-    // Whole to look at, from its first bytes to its end mark.
+    // The file looks whole: its first bytes and its end marker are intact.
     let mut broken_png = png.clone();
     broken_png[60..].iter_mut().rev().skip(12).for_each(|byte| *byte = 0);
     let no_depth = (0..8)
@@ -444,8 +444,8 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
     server.stop().await;
 }
 
-/// Poses the wrong way round are read the right way, with a warning that names it: with a cloud to
-/// tell by, and without.
+/// Inverted poses are detected and read correctly, with a warning that names them, with and without
+/// a cloud.
 #[tokio::test]
 async fn the_reading_that_fits_is_used() {
     let server = TestServer::start().await;
@@ -502,7 +502,7 @@ fn blank_depth() -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// World-to-camera where the layout promises camera-to-world.
+/// Writes world-to-camera poses where the layout specifies camera-to-world.
 fn invert_pose(scan: Scan, i: usize) -> Scan {
     let name = format!("pose/{i}.txt");
     let text = String::from_utf8(scan.0[&name].clone()).unwrap();

@@ -1,4 +1,5 @@
-//! Fields that the items of a batch share: stored once, whatever the items are asked for and told.
+//! Defaults that the items of a batch share. They are stored once, and the items behave as if each
+//! contained them.
 
 use crate::archives::Scan;
 use crate::batches::{ended, results};
@@ -22,7 +23,7 @@ const OF_ITEMS: &str =
     "SELECT CAST(sum(length(request)) AS bigint) FROM batch_items WHERE batch_id = $1";
 const OF_DEFAULTS: &str = "SELECT CAST(length(defaults) AS bigint) FROM batches WHERE id = $1";
 
-/// What a result tells, but for what two answers to the same question differ in.
+/// Returns a result without the fields that differ between two answers to the same question.
 fn told(result: &BatchResult) -> Value {
     let answer = result.answer.as_ref().map(|answer| {
         json!([answer["query"], answer["answer"], answer["candidates"], answer["confidence"]])
@@ -34,7 +35,7 @@ async fn all_told(client: &Client, batch: &str) -> Vec<Value> {
     results(client, batch, 0, false).await.iter().map(told).collect()
 }
 
-/// A batch of 50 kB becomes one of 50 kB, however many items share its defaults.
+/// A request of 50 kB is stored as 50 kB, however many items share its defaults.
 #[tokio::test(flavor = "multi_thread")]
 async fn defaults_are_stored_once() {
     let server = TestServer::start().await;
@@ -67,7 +68,7 @@ async fn defaults_are_stored_once() {
     server.stop().await;
 }
 
-/// Nor are they repeated with what is told about every item that fails for them.
+/// An item's stored error does not repeat the defaults either.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_failure_does_not_repeat_all_that_was_asked() {
     let server = TestServer::start().await;
@@ -90,8 +91,8 @@ async fn a_failure_does_not_repeat_all_that_was_asked() {
     server.stop().await;
 }
 
-/// A batch that an earlier version has stored is asked, told and known again by its key as one of
-/// today.
+/// A batch stored by an earlier version returns the same results and matches the same idempotency
+/// key.
 #[tokio::test(flavor = "multi_thread")]
 async fn items_that_were_stored_whole_come_to_the_same() {
     let server = TestServer::start().await;
@@ -117,7 +118,7 @@ async fn items_that_were_stored_whole_come_to_the_same() {
     assert_eq!(of_today.len(), 9);
     assert_eq!(client.create_batch(&request, Some("monday")).await.unwrap().id, batch.id);
 
-    // The same as it was stored before: whole questions, and the digest of them.
+    // The earlier format: whole requests, and a digest over them.
     let mut database = rows(server.data()).await;
     let mut digest = Sha256::new();
     digest.update(serde_json::to_vec(&(Some("monday"), None::<u32>, None::<f64>)).unwrap());
@@ -158,7 +159,7 @@ async fn items_that_were_stored_whole_come_to_the_same() {
     server.stop().await;
 }
 
-/// What is too large for a batch is refused whole, with the place named, and leaves no row.
+/// A batch that is too large is refused as a whole. The error names the place, and no row is left.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_too_large_is_refused_and_leaves_nothing() {
     let server = TestServer::start().await;
@@ -186,7 +187,7 @@ async fn what_is_too_large_is_refused_and_leaves_nothing() {
             format!("{}\n{{}}\n", json!({"defaults": {"scene_id": "a".repeat(100)}})),
             "/defaults/scene_id",
         ),
-        // Enough items before it that some have been written.
+        // Enough items before it that some have already been written.
         ("application/jsonl", format!("{small_items}{}\n", json!({"query": long})), "/items/600"),
         (
             "application/jsonl",

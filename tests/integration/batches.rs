@@ -1,4 +1,4 @@
-//! Lists of questions, asked in the background.
+//! Batches: lists of questions answered in the background.
 
 use crate::archives::Scan;
 use crate::scripted_model::{Script, says};
@@ -17,7 +17,7 @@ use uniground_types::job::JobState;
 const QUERIES: [&str; 4] =
     ["the red sofa", "the fridge", "all the things on the table", "the sofa closest to the table"];
 
-/// `number` questions about a scene, a line each.
+/// Returns `number` questions about a scene, one per line.
 fn lines(scene: &str, number: usize) -> String {
     (0..number)
         .map(|i| json!({"scene_id": scene, "query": QUERIES[i % QUERIES.len()]}).to_string() + "\n")
@@ -86,7 +86,7 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
         "{:?}",
         results_told[4].error
     );
-    // Each answer is one like any other: what a question alone gets, and kept under its id.
+    // Each answer equals the answer to the same single question and is stored under its id.
     let alone = client.ground(&scene, &ask("the red sofa")).await.unwrap();
     let of_batch = results_told[0].answer.as_ref().unwrap();
     assert_eq!(of_batch["answer"], serde_json::to_value(&alone.answer).unwrap());
@@ -106,7 +106,7 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
         JobState::Succeeded
     );
     assert_eq!(client.batches(10, None).await.unwrap().batches, std::slice::from_ref(&batch));
-    // Whoever was cut off goes on.
+    // A client that lost its connection resumes.
     assert_eq!(results(client, &batch.id, 6, false).await, results_told[6..]);
     let table = String::from_utf8(
         client.bytes(&format!("v1/batches/{}/results?format=csv", batch.id)).await.unwrap(),
@@ -119,12 +119,12 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
             && rows[1].contains("the red sofa,grounded"),
         "{table}"
     );
-    // Defaults in the first line leave the address's scene in place.
+    // Defaults in the first line leave the scene of the URL in place.
     let lines = "{\"defaults\": {\"top_k\": 3}}\n{\"query\": \"the red sofa\"}\n";
     let id =
         client.create_batch_of_lines(lines, &[("scene_id", scene.clone())], None).await.unwrap().id;
     assert_eq!(results(client, &id, 0, true).await[0].status, "grounded");
-    // An answer that was deleted with its scene is missed, not invented.
+    // An answer that was deleted with its scene is reported as missing.
     client.delete_scene(&scene).await.unwrap();
     let left = results(client, &batch.id, 0, false).await;
     assert_eq!((left[0].status.as_str(), &left[0].answer), ("grounded", &None));
@@ -199,7 +199,7 @@ async fn a_batch_pauses_goes_on_and_stops() {
     let batch = client.create_batch_of_lines(lines(&scene, 1500), &options, None).await.unwrap();
     let paused = client.tell_batch(&batch.id, "pause").await.unwrap();
     assert_eq!((paused.state, paused.reason), (BatchState::Paused, None));
-    // What was under way ends; then nothing moves.
+    // The item in progress finishes; then nothing changes.
     client.follow_job(paused.job_id.as_deref().unwrap(), |_| {}).await.unwrap();
     let before = client.batch(&batch.id).await.unwrap().done;
     assert!(before < 1500, "{before}");
@@ -213,7 +213,7 @@ async fn a_batch_pauses_goes_on_and_stops() {
     let over = ended(client, &batch.id).await;
     assert_eq!((over.state, over.finished_at.is_some()), (BatchState::Cancelled, true));
     assert_eq!(problem(client.tell_batch(&batch.id, "resume").await).code, "batch_over");
-    // A job that somebody stops leaves a batch that can go on.
+    // Cancelling the job leaves a batch that can be resumed.
     let batch = client.create_batch_of_lines(lines(&scene, 1500), &options, None).await.unwrap();
     let job = client.cancel_job(batch.job_id.as_deref().unwrap()).await.unwrap();
     client.follow_job(&job.id, |_| {}).await.unwrap();
@@ -265,7 +265,7 @@ async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     );
     let for_the_last = script.calls() - calls - calls_of_one * batch.done as usize;
     assert!(for_the_last < calls_of_one, "each item was asked once, and the last perhaps begun");
-    // Nothing at all may be spent: nothing is asked, and nothing else answers.
+    // With a budget of zero no item is sent to the model, and nothing else answers.
     let items = json!({"scene_id": scene, "query": "the red sofa"}).to_string();
     let calls = script.calls();
     let batch = client
@@ -277,8 +277,8 @@ async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     server.stop().await;
 }
 
-/// Killed again and again: every item is answered once, under the id it was given, as an
-/// undisturbed run answers it.
+/// After several kills every item has exactly one answer, under its assigned id, equal to that of
+/// an undisturbed run.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
     const ITEMS: usize = 2000;
@@ -303,7 +303,7 @@ async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
     let told = results(&server.client, &batch.id, 0, false).await;
     assert!(told.iter().zip(0..).all(|(result, i)| result.item == i));
     assert_eq!(told.iter().map(|result| &result.answer_id).collect::<HashSet<_>>().len(), ITEMS);
-    // The same question, the same answer, whichever server gave it.
+    // The same question gets the same answer from every server.
     let core = |result: &BatchResult| {
         let answer = result.answer.as_ref().unwrap();
         [
@@ -351,7 +351,7 @@ async fn the_command_goes_on_where_it_was_cut_off() {
         "{}",
         String::from_utf8_lossy(&done.stderr)
     );
-    // Cut in the middle of a line.
+    // The output file is cut in the middle of a line.
     std::fs::write(&out, &whole[..whole.len() / 2]).unwrap();
     assert!(run().await.status.success());
     assert_eq!(

@@ -1,4 +1,4 @@
-//! A chat model reads the questions: a scripted OpenAI-compatible server on loopback plays the
+//! A chat model parses the questions. A scripted OpenAI-compatible server on loopback plays the
 //! model.
 
 use crate::scripted_model::{Script, Scripted, fails, says};
@@ -56,7 +56,7 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     assert_eq!((reply.text.as_str(), reply.attempts, reply.prompt_tokens), ("fine", 3, 700));
     assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-secret-key"));
 
-    // Five attempts, no more.
+    // At most five attempts are made.
     let script = Script::default();
     let url = script.serve(vec![busy()]).await;
     let error = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
@@ -66,7 +66,7 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     );
     assert_eq!(script.calls(), 5);
 
-    // A wrong key is wrong at once, and is not repeated in the message.
+    // A wrong key fails at once, and the message does not contain it.
     let script = Script::default();
     let url = script.serve(vec![fails(401, "bad key: sk-secret-key")]).await;
     let error = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
@@ -77,7 +77,7 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     assert!(error.to_string().contains("bad key: <key>"), "{error}");
 }
 
-/// Prompts and pictures go where the operator said and nowhere else.
+/// Prompts and images are sent only to the configured host.
 #[tokio::test]
 async fn a_redirect_to_another_host_is_not_followed() {
     let (script, elsewhere) = (Script::default(), Script::default());
@@ -86,7 +86,7 @@ async fn a_redirect_to_another_host_is_not_followed() {
     let error = client(url.clone(), ReplayCache::Off).ask(&question("a")).await.unwrap_err();
     assert!(matches!(&error.error, ChatError::Refused { status: 308, .. }), "{error:?}");
     assert_eq!((script.calls(), elsewhere.calls()), (1, 0));
-    // At the same place it may have moved.
+    // A redirect within the same host is followed.
     script.next(vec![Scripted::Redirect(format!("{url}/chat/completions")), says("fine")]);
     assert_eq!(client(url, ReplayCache::Off).ask(&question("a")).await.unwrap().text, "fine");
 }
@@ -157,7 +157,7 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
         ..ask(query)
     };
 
-    // The words mean nothing to the grammar; the model has read them.
+    // The grammar cannot parse these words; the model can.
     let answer = server
         .client
         .ground(&scene.id, &with_model("der Becher auf dem Couchtisch"))
@@ -185,8 +185,8 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     );
     assert_eq!((plain.usage.vlm_calls, plain.usage.cost_usd), (0, 0.0));
 
-    // A refusal and an error: the grammar answers, and the trace says why. What was paid for is
-    // counted.
+    // After a refusal or an error the grammar parses the question, and the trace gives the reason.
+    // Paid tokens are counted.
     for (calls, expected) in [(1, "no JSON object"), (0, "400 Bad Request: no")] {
         let answer = server
             .client
@@ -198,7 +198,7 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
         let corrections = answer.trace.unwrap().corrections;
         assert!(corrections.len() == 1 && corrections[0].contains(expected), "{corrections:?}");
     }
-    // Nothing may be spent: nobody is asked.
+    // With a budget of zero the model is not called.
     let before = script.calls();
     let unpaid =
         GroundRequest { max_cost_usd: Some(0.0), ..with_model("the mug on the coffee table") };
@@ -219,8 +219,8 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     server.stop().await;
 }
 
-/// Left to itself the service reads by the grammar, and by the model where the grammar is in doubt
-/// and a model decides as well.
+/// In automatic mode the grammar parses; the model parses only where the grammar is unsure and a
+/// model also decides.
 #[tokio::test]
 async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     let script = Script::default();
@@ -247,12 +247,12 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     let mug = plain.answer.predicted_id.unwrap();
     let decides = || six_lines(mug, "", true, 1);
 
-    // Every word is understood: the model decides and does not read.
+    // The grammar understands every word: the model decides but does not parse.
     script.next(vec![decides()]);
     let (answer, calls) = asked(ask("the mug on the coffee table")).await;
     assert!(calls == 1 && answer.models.parser.starts_with("builtin"), "{:?}", answer.models);
 
-    // In no language the grammar reads: the model reads first.
+    // The grammar does not know this language: the model parses first.
     let doubtful = "der Becher auf dem Couchtisch";
     script.next(vec![reads_mug(), decides()]);
     let (answer, calls) = asked(ask(doubtful)).await;
@@ -266,8 +266,7 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     );
     assert_eq!((answer.answer.predicted_id, answer.degraded), (Some(mug), false));
 
-    // What it says of the question is of no use: the grammar's reading stands, and no more is said
-    // than why.
+    // The model's parse is useless: the grammar's parse is used, and only the reason is reported.
     let mumbled = "the mug that frobnicates";
     script.next(vec![says("I would rather not."), decides()]);
     let (answer, calls) = asked(ask(mumbled)).await;
@@ -278,7 +277,8 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     );
     assert!(corrections.len() == 1 && corrections[0].contains("frobnicates"), "{corrections:?}");
 
-    // Who wants no model to decide, no money spent, or the grammar to read, gets none to read.
+    // The model does not parse if the request excludes a deciding model, any spending, or model
+    // parsing.
     let unpaid = GroundRequest { max_cost_usd: Some(0.0), ..ask(doubtful) };
     for request in [builtin(doubtful), unpaid] {
         let (answer, calls) = asked(request).await;
@@ -323,10 +323,10 @@ fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
     assert_eq!(calls, 19, "one call for each expression of one cell");
     assert!(!fs::read_to_string(&record).unwrap().contains("127.0.0.1"));
 
-    // Recorded once more: what is on the record is not paid for again.
+    // A second recording does not pay again for recorded calls.
     eval(&root.join("b"), &[&model[..], &["--record", record.as_str()]].concat());
     assert_eq!(script.calls(), calls);
-    // Replayed: no model, no address, the same figures.
+    // A replay needs no model and no address and gives the same figures.
     let replayed = eval(&root.join("c"), &["--replay", record.as_str(), "--vlm-prompt-usd", "2"]);
     assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
     assert_eq!(script.calls(), calls);
@@ -344,7 +344,7 @@ fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
         "{}",
         figures("c")
     );
-    // A question that is not on the record fails, and is told; it is no answer of the grammar's.
+    // A question that is not in the record fails with an error and is not answered by the grammar.
     fs::write(
         &record,
         fs::read_to_string(&record)
@@ -364,7 +364,7 @@ fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
             && told.contains("the replay cache has no answer"),
         "{told}"
     );
-    // A record that is none is named by its line.
+    // An invalid record is reported with its line number.
     fs::write(&record, "{}\n{}\n").unwrap();
     let broken = eval(&root.join("e"), &["--replay", record.as_str()]);
     assert!(

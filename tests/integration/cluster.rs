@@ -1,5 +1,5 @@
-//! Several processes over one database: servers that answer, workers that do what waits. With
-//! SQLite there is one.
+//! Several processes over one database: API servers that answer and workers that run queued jobs.
+//! SQLite allows only one process.
 
 use crate::archives::Scan;
 use crate::server::{ask, config, finished, location, problem, rows};
@@ -15,7 +15,8 @@ use uniground_types::instances::Levels;
 use uniground_types::job::JobState;
 use uniground_types::keys::{NewKey, Scope};
 
-/// Whether several may use a database; if not, that is told in place of a test.
+/// Returns whether several processes may share the database. If not, prints why the test is
+/// skipped.
 fn may_have_company(data: &Utf8Path) -> bool {
     let may = matches!(location(data), Location::Postgres(_));
     if !may {
@@ -60,8 +61,8 @@ async fn a_part_wants_others() {
     );
 }
 
-/// What one server is asked a worker does, another server tells, and what is changed at one is
-/// changed at the other.
+/// A worker runs what one server enqueues, another server reports it, and a change made at one
+/// server is visible at the other.
 #[tokio::test]
 async fn servers_agree_and_workers_work() {
     let place = tempfile::tempdir().unwrap();
@@ -103,7 +104,7 @@ async fn servers_agree_and_workers_work() {
         Some(sofa)
     );
 
-    // Both have the scene in memory; what people say at one is heard at the other, at once.
+    // Both servers have the scene in memory. A correction made at one applies at the other at once.
     for (here, there, name) in [(&a, &b, "Grandma's bench"), (&b, &a, "Grandpa's bench")] {
         here.correct(&scene, &Change::Rename { instance_id: sofa, name: name.into() })
             .await
@@ -114,17 +115,17 @@ async fn servers_agree_and_workers_work() {
         assert!(listed.iter().any(|i| i.id == sofa && i.label == name));
     }
 
-    // A list is asked by whoever works, and read anywhere.
+    // Any worker runs a batch, and every server can read it.
     let items = serde_json::json!({"items": [{"scene_id": scene, "query": "the red sofa"}, {"scene_id": scene, "query": "the bin"}]});
     let batch = a.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
     finished(&b, batch.job_id.as_deref().unwrap()).await;
     same(&format!("batches/{}/results", batch.id)).await;
 
-    // A scene that is gone is gone everywhere.
+    // A scene deleted at one server is gone at all of them.
     b.delete_scene(&scene).await.unwrap();
     assert_eq!(problem(a.ground(&scene, &ask("the red sofa")).await).status, 404);
 
-    // The first key locks every door, soon; one that is revoked opens none.
+    // The first key closes access at every server within a short time; a revoked key opens none.
     let key = a.create_key(&new_key()).await.unwrap();
     let with_key = |running: &RunningService| {
         Client::new(&format!("http://{}", running.address), Some(key.secret.clone())).unwrap()
@@ -142,7 +143,7 @@ async fn servers_agree_and_workers_work() {
     }
 }
 
-/// What somebody has in hands stays there as long as he is seen; who is not seen any more loses it.
+/// A process keeps its jobs while it sends heartbeats and loses them once the heartbeats stop.
 #[tokio::test]
 async fn the_job_of_one_who_is_gone_goes_on_elsewhere() {
     let place = tempfile::tempdir().unwrap();
@@ -160,7 +161,7 @@ async fn the_job_of_one_who_is_gone_goes_on_elsewhere() {
         .unwrap()
         .job
         .unwrap();
-    // Somebody has taken it who is seen once more, and then never again.
+    // This process holds the job, sends one more heartbeat and then stops.
     let mut rows = rows(data).await;
     for sql in [
         "INSERT INTO members (id, seen_at) VALUES ('ghost', extract(epoch FROM clock_timestamp()))"
@@ -183,7 +184,7 @@ async fn the_job_of_one_who_is_gone_goes_on_elsewhere() {
     api.stop().await.unwrap();
 }
 
-/// A key's requests are counted wherever they come to.
+/// All servers count a key's requests together.
 #[tokio::test]
 async fn a_rate_holds_at_all_servers_together() {
     let place = tempfile::tempdir().unwrap();

@@ -1,5 +1,4 @@
-//! The command line for people in a hurry: a question without a server, scenes by their names,
-//! errors that end with what helps.
+//! The command line: questions without a server, scenes by name, and errors that say what to do.
 
 use crate::archives::Scan;
 use crate::scripted_model::{Script, fails};
@@ -11,7 +10,7 @@ use std::process::{Command, Output};
 use uniground::config::{LimitsConfig, VlmConfig};
 
 const ROOM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip");
-/// Everything that the program can be told to do.
+/// All subcommands of the program.
 const SUBCOMMANDS: [&str; 18] = [
     "serve",
     "demo",
@@ -33,7 +32,7 @@ const SUBCOMMANDS: [&str; 18] = [
     "man",
 ];
 
-/// A folder to work in, and what a user's shell would say of it.
+/// A working directory with an isolated home and environment.
 struct Desk(tempfile::TempDir);
 
 impl Desk {
@@ -67,7 +66,7 @@ impl Desk {
         self.program(args).output().unwrap()
     }
 
-    /// Off the threads that serve: a server of the same process has to answer.
+    /// Runs the program off the async threads, because the server in this process has to answer it.
     async fn ask(&self, args: &[&str]) -> Output {
         let mut program = self.program(args);
         tokio::task::spawn_blocking(move || program.output()).await.unwrap().unwrap()
@@ -300,7 +299,7 @@ async fn nobody_has_to_wait_for_a_parse_and_everybody_may() {
     server.stop().await;
 }
 
-/// Every error that people meet first ends with what to do.
+/// Every common error ends with what to do.
 #[tokio::test(flavor = "multi_thread")]
 async fn errors_end_with_what_helps() {
     let desk = Desk::new();
@@ -357,7 +356,7 @@ async fn a_key_that_is_missing_is_asked_for() {
     server.stop().await;
 }
 
-/// A model that was to decide and did not is no small print.
+/// The output says so prominently when the model was requested but did not decide.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_answer_without_its_model_says_so() {
     let (script, desk) = (Script::default(), Desk::new());
@@ -375,7 +374,7 @@ async fn an_answer_without_its_model_says_so() {
         desk.ask(&["ground", "--scene", &scene, "the red sofa", "--server", &server.url()]).await;
     assert!(answer.status.success(), "{}", err(&answer));
     let told = out(&answer);
-    // Words alone where no terminal shows colours.
+    // Output that is not a terminal has no color codes.
     assert!(
         told.contains("\nDEGRADED: a model was to take part") && !told.contains('\u{1b}'),
         "{told}"
@@ -415,7 +414,7 @@ fn the_manual_has_a_page_for_every_subcommand() {
     }
 }
 
-/// What keeps a data folder can be read by a script.
+/// Commands that maintain a data folder can print JSON.
 #[tokio::test]
 async fn the_keepers_of_a_data_folder_speak_json() {
     let server = TestServer::start().await;

@@ -1,4 +1,4 @@
-//! Things that happen at the same time, or in an awkward order.
+//! Concurrent requests and awkward orders of requests.
 
 use crate::archives::Scan;
 use crate::server::{Process, TestServer, command, finished, location, problem};

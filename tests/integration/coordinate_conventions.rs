@@ -1,4 +1,4 @@
-//! The same room written down under other conventions is the same room.
+//! The same room in different coordinate conventions gives the same scene.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, parsed};
@@ -19,7 +19,6 @@ fn with_poses(scan: Scan, rewrite: impl Fn(Matrix4<f32>) -> Matrix4<f32>) -> Sca
 }
 
 fn z_to_y_up() -> Matrix4<f32> {
-    // (x, y, z) -> (x, z, -y)
     Matrix4::new(1., 0., 0., 0., 0., 0., 1., 0., 0., -1., 0., 0., 0., 0., 0., 1.)
 }
 

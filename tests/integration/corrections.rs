@@ -1,4 +1,4 @@
-//! What people say of a parse that is wrong.
+//! Corrections of a parse by people.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, problem};
@@ -50,7 +50,7 @@ async fn answers_know_what_people_have_said() {
         truth["objects"].as_array().unwrap().iter().find(|o| o["id"] == sofa.0).unwrap().clone();
     assert_eq!((entry["name"].as_str(), entry["corrected"].as_bool()), (Some(name), Some(true)));
 
-    // Junk: neither answer nor anchor, and not in the lists.
+    // A dismissed instance is neither an answer nor an anchor and is missing from lists.
     let junk =
         client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![bin] }).await.unwrap();
     let answer = chosen("the green trash can").await;
@@ -67,7 +67,7 @@ async fn answers_know_what_people_have_said() {
             .any(|i| i.id == bin && i.dismissed)
     );
 
-    // Taken back, all is as it was; what was said stays readable.
+    // Undoing restores the earlier state; the corrections stay readable.
     for correction in [&junk, &renamed] {
         assert!(
             client.undo_correction(&scene.id, &correction.id).await.unwrap().undone_at.is_some()
@@ -122,8 +122,7 @@ async fn things_that_are_one_become_one() {
     let refused = problem(client.correct(&scene.id, &Change::Split { instance_id: made }).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "was_merged"));
 
-    // What it was made of is no thing of its own any more, and what stands on it is not taken away
-    // from under it.
+    // The merged instances are no longer listed, and what stands on them keeps its support.
     let refused = problem(
         client
             .correct(&scene.id, &Change::Merge { instance_ids: vec![sofa, made], name: None })
@@ -154,7 +153,7 @@ async fn things_that_are_one_become_one() {
         before.into_iter().filter(|i| i.level == Level::Thing).collect::<Vec<_>>()
     );
 
-    // It outlives the server.
+    // Corrections survive a restart.
     let again = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
     let data = server.give_back().await;
     let server = TestServer::start_on(
@@ -193,7 +192,7 @@ async fn a_thing_that_is_several_leaves_its_parts() {
         things.iter().all(|i| i.id != several.id)
             && parts.iter().all(|part| things.iter().any(|i| i.id == *part))
     );
-    // Two of the parts may be one thing; of parts only their boxes are known.
+    // Two of the parts may belong together; parts have boxes only.
     let merge = Change::Merge { instance_ids: parts[..2].to_vec(), name: None };
     let made = client.correct(&scene.id, &merge).await.unwrap();
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();

@@ -1,4 +1,5 @@
-//! A store that moves to another folder and another database, and back: whoever asks can not tell.
+//! Migration of a data folder to another folder and another database, and back. Clients see no
+//! difference.
 
 use crate::archives::Scan;
 use crate::scripted_model::Script;
@@ -21,11 +22,11 @@ use uniground_types::keys::{NewKey, Scope};
 use uniground_types::scenes::SceneStatus;
 use uniground_types::uploads::Upload;
 
-/// Of the operator: all servers of a test have it.
+/// The operator's key, which all servers of a test accept.
 const KEY: &str = "a key of the operator's";
 const SQLITE: &str = "sqlite";
 
-/// Folders side by side, and a model that every server on them asks.
+/// Data folders and a model that every server on them calls.
 struct House {
     root: tempfile::TempDir,
     model: String,
@@ -66,14 +67,14 @@ impl Server {
         assert_eq!(self.process.terminate(), Some(0));
     }
 
-    /// A question that a model is paid for, under a key.
+    /// A question that pays for a model call, under an idempotency key.
     fn asked_once(&self, scene: &str) -> RequestBuilder {
         let request = self.client.request(Method::POST, &format!("v1/scenes/{scene}/ground"));
         request.header("idempotency-key", "look").json(&json!({"query": "the red sofa"}))
     }
 }
 
-/// Where a folder's rows go: to PostgreSQL where the tests have one.
+/// Returns another place for a folder's rows: PostgreSQL if the tests have one.
 fn elsewhere(data: &Utf8Path) -> String {
     match location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
@@ -100,7 +101,7 @@ fn refused(from: (&Utf8Path, &str), to: (&Utf8Path, &str)) -> String {
     said(&output)
 }
 
-/// What a server says that does not start.
+/// Returns the error of a server that refuses to start.
 fn not_served(data: &Utf8Path, database: &str) -> String {
     let output = command(data, "127.0.0.1:0")
         .envs([("UNIGROUND_DATABASE", database), ("UNIGROUND_BLOBS", "folder")])
@@ -118,7 +119,7 @@ fn said(output: &Output) -> String {
     )
 }
 
-/// A folder that everything was done in; the addresses of all that came of it.
+/// A data folder with rows in every table, and the URLs of everything in it.
 struct Lived {
     scene: String,
     upload: String,
@@ -243,7 +244,7 @@ async fn live(server: &Server) -> Lived {
     Lived { scene, upload, paths }
 }
 
-/// What a server says to all of them, byte for byte.
+/// Returns the server's response to each path, byte for byte.
 async fn told(server: &Server, paths: &[String]) -> Vec<(String, Vec<u8>)> {
     let mut told = Vec::new();
     for path in paths {
@@ -263,8 +264,8 @@ fn assert_same(told: &[(String, Vec<u8>)], before: &[(String, Vec<u8>)]) {
     }
 }
 
-/// What is no retry, and what goes on: a key has its answer, bytes their parse, half an upload its
-/// other half.
+/// Checks that retries and unfinished work carry over: an idempotency key returns its answer, the
+/// same bytes find their parse, and half an upload can be completed.
 async fn goes_on(
     server: &Server,
     Lived { scene, upload, .. }: &Lived,
@@ -304,13 +305,13 @@ async fn goes_on(
         .await
         .unwrap();
     assert_eq!(rest.status(), 204, "{}", rest.text().await.unwrap());
-    // Nothing is at work any more when the server is asked next.
+    // No job is running when the server is queried next.
     let made: Upload =
         client.request(Method::GET, upload).send().await.unwrap().json().await.unwrap();
     assert_eq!(finished(client, &made.job_id.unwrap()).await.error, None);
 }
 
-/// Whether a data folder is whole.
+/// Asserts that `uniground doctor` finds no damage.
 fn assert_whole(data: &Utf8Path, database: &str) {
     let looked = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["doctor", "--data-dir", data.as_str(), "--database", database])
@@ -353,7 +354,7 @@ async fn a_store_moves_over_and_back_byte_for_byte() {
     goes_on(&server, &lived, &before).await;
     let later = told(&server, &lived.paths).await;
     server.stop();
-    // Where it came from nothing has changed.
+    // The source is unchanged.
     let server = house.server(&old, SQLITE);
     assert_same(&told(&server, &lived.paths).await, &before);
     server.stop();
@@ -363,7 +364,7 @@ async fn a_store_moves_over_and_back_byte_for_byte() {
     let server = house.server(&back, SQLITE);
     assert_same(&told(&server, &lived.paths).await, &later);
     server.stop();
-    // Two folders are two folders: neither takes the other's database.
+    // Two folders stay separate: neither accepts the other's database.
     if database != SQLITE {
         let other = house.at("other");
         migrate((&back, SQLITE), (&other, &elsewhere(&other)));
@@ -394,7 +395,7 @@ async fn a_folder_that_stays_gets_another_database() {
     goes_on(&server, &lived, &before).await;
     let later = told(&server, &lived.paths).await;
     server.stop();
-    // A database that holds something is not written over, though it was this folder's own.
+    // A database with rows is not overwritten, even if it belonged to this folder.
     migrate((&data, &database), (&data, SQLITE));
     let full = refused((&data, SQLITE), (&data, &database));
     assert!(full.contains("is not empty (rows of another data folder: 3 scenes"), "{full}");
@@ -433,15 +434,15 @@ async fn what_can_not_be_a_target_is_refused_and_nothing_changes() {
     let told = refused((&data, SQLITE), (&free, "mysql://robot@127.0.0.1/rooms"));
     assert!(told.contains("mysql:// is no database for this"), "{told}");
     assert_eq!(fs::read_to_string(full.join("thesis.tex")).unwrap(), "words");
-    // Whatever was refused is as it was.
+    // A refused migration changes nothing.
     for folder in [&data, &other] {
         house.server(folder, SQLITE).stop();
     }
     migrate((&data, SQLITE), (&free, &elsewhere(&free)));
 }
 
-/// A row that refers to nothing is none that can be kept: what came before it is nobody's, and once
-/// it is mended all of it moves.
+/// A row with a dangling reference cannot be copied. The partial target is unusable, and once the
+/// row is repaired the migration succeeds.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_ends_in_the_middle_is_not_served_and_can_be_run_again() {
     let house = House::new().await;
@@ -464,8 +465,7 @@ async fn what_ends_in_the_middle_is_not_served_and_can_be_run_again() {
         assert!(not_served(&new, &database).contains("run the same `uniground migrate` again"));
     }
     execute("DELETE FROM answers WHERE id = 'stray'").await;
-    // To another database, should that be wished now: the half in the first one is nobody's for
-    // ever.
+    // If the next run uses another database, the partial rows in the first one are never used.
     let other = elsewhere(&house.at("other"));
     migrate((&old, SQLITE), (&new, &other));
     let server = house.server(&new, &other);
@@ -476,7 +476,7 @@ async fn what_ends_in_the_middle_is_not_served_and_can_be_run_again() {
     }
 }
 
-/// A kill while rows are on their way.
+/// The process is killed while it copies rows.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_move_is_begun_again() {
     const MANY: i64 = 300_000;

@@ -1,4 +1,4 @@
-//! Which database goes with which folder. That PostgreSQL works is shown by all other tests (`make
+//! Which database belongs to which folder. All other tests also run on PostgreSQL (`make
 //! test-postgres`).
 
 use crate::archives::Scan;
@@ -46,8 +46,8 @@ async fn a_folder_keeps_its_database() {
     );
 }
 
-/// A server that is not there is named, without its password; the folder is free for another
-/// database.
+/// The error for an unreachable database names it without its password, and the folder can use
+/// another database.
 #[test]
 fn a_database_that_can_not_be_reached_is_told() {
     let place = tempfile::tempdir().unwrap();
@@ -65,7 +65,7 @@ fn a_database_that_can_not_be_reached_is_told() {
     );
 }
 
-/// Whatever stands in a question, its answer is kept and found by its own status.
+/// An answer is stored and found by its status whatever characters the question contains.
 #[tokio::test]
 async fn a_question_may_hold_any_character() {
     let server = TestServer::start().await;
@@ -80,7 +80,7 @@ async fn a_question_may_hold_any_character() {
         (&listed["answers"][0]["id"], &listed["answers"][0]["query"]),
         (&answer.id.into(), &odd.into())
     );
-    // But one: no text has it, and not every database could keep it.
+    // Except NUL: text does not contain it, and not every database could store it.
     assert_eq!(problem(server.client.ground(&scene, &ask("the \0 sofa")).await).status, 422);
     for (address, expected) in [
         ("/v1/scenes/%00", 404),
@@ -94,7 +94,7 @@ async fn a_question_may_hold_any_character() {
     server.stop().await;
 }
 
-/// A number that may be left out is kept when it is not, whoever came before.
+/// An optional number is stored when it is given, whatever the requests before it contained.
 #[tokio::test]
 async fn what_may_be_left_out_is_kept_when_it_is_said() {
     let server = TestServer::start().await;
@@ -110,8 +110,7 @@ async fn what_may_be_left_out_is_kept_when_it_is_said() {
     server.stop().await;
 }
 
-/// A file that lost its end is found by whoever asks whether the server is ready, not by whoever
-/// asks a question.
+/// A truncated database file makes the server unready. Questions are still answered.
 #[tokio::test]
 async fn a_database_file_that_was_cut_short_is_not_ready() {
     let server = TestServer::start().await;
@@ -128,7 +127,7 @@ async fn a_database_file_that_was_cut_short_is_not_ready() {
     let file =
         fs::OpenOptions::new().write(true).open(server.data().join("uniground.sqlite")).unwrap();
     file.set_len(file.metadata().unwrap().len() / 2).unwrap();
-    // Within the second for which health is known.
+    // Longer than the second for which a readiness result is cached.
     let mut tries = 0;
     let response = loop {
         let response = server.client.request(Method::GET, "readyz").send().await.unwrap();

@@ -1,4 +1,4 @@
-//! `uniground eval` on the sample scene: figures, going on where it stopped, reports, comparison.
+//! `uniground eval` on the sample scene: figures, resuming, reports, comparison.
 
 use crate::server::TestServer;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -21,14 +21,14 @@ fn text(output: &[u8]) -> String {
     String::from_utf8_lossy(output).into_owned()
 }
 
-/// A fresh folder.
+/// Returns a fresh folder.
 fn folder() -> (tempfile::TempDir, Utf8PathBuf) {
     let temporary = tempfile::tempdir().unwrap();
     let path = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
     (temporary, path)
 }
 
-/// A report without what differs from run to run.
+/// Returns a report without the values that differ from run to run.
 fn comparable(out: &Utf8Path) -> Report {
     let mut report = Report::read(out).unwrap();
     report.run.written_at.clear();
@@ -66,7 +66,7 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
         );
         assert_eq!(cell.by_scene.keys().collect::<Vec<_>>(), ["living_room"]);
     }
-    // Perfect boxes and names can only help; nothing bounds a target better than its own box.
+    // Perfect boxes and names can only raise the figures; a target's own box is the upper bound.
     let [parsed, oracle, boxes] = &report.cells[..] else { panic!("{names:?}") };
     assert!(oracle.figures.complete[0].value >= parsed.figures.complete[0].value);
     assert_eq!((oracle.figures.any_instance, boxes.figures.any_instance), ([1.0; 2], [1.0; 2]));
@@ -76,7 +76,7 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
         oracle.figures.complete
     );
 
-    // Every wrong answer is on the page with its picture, and the page needs nothing beside it.
+    // Every wrong answer is on the page with its image, and the page needs no other file.
     let page = fs::read_to_string(out.join("index.html")).unwrap();
     for failure in report.cells.iter().flat_map(uniground_evaluation::report::CellReport::failures)
     {
@@ -86,8 +86,8 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
     }
     assert!(page.contains("data:image/jpeg;base64,") && !page.contains("src=\"pictures/"));
 
-    // Cut off in the middle of a reply: only what is missing is asked again, and the result is the
-    // same.
+    // The file ends in the middle of a reply: only the missing questions are asked again, and the
+    // result is the same.
     let logs = files_below(&out.join("cells"));
     assert_eq!(logs.len(), 3);
     let before: Vec<Vec<u8>> = logs.iter().map(|log| fs::read(log).unwrap()).collect();
@@ -127,20 +127,20 @@ fn a_server_gives_the_same_figures_as_the_process() {
             here.query
         );
     }
-    // Asked again, the server still has the scene.
+    // The server still has the scene on the second run.
     let (_keep, again_out) = folder();
     let options = RunOptions { out: &again_out, ..options };
     run(&suite, &system, &options).unwrap();
     assert_eq!(runtime.block_on(server.client.scenes(100, None)).unwrap().scenes.len(), 1);
-    // A server that lost the scene is asked again, though every reply is kept: it might answer
-    // otherwise now.
+    // If the server lost the scene, all questions are asked again although every reply is stored,
+    // because the server might answer differently.
     let scenes = || runtime.block_on(server.client.scenes(100, None)).unwrap().scenes;
     let lost = scenes()[0].id.clone();
     runtime.block_on(server.client.delete_scene(&lost)).unwrap();
     let asked_again = run(&suite, &system, &options).unwrap();
     assert!(scenes().len() == 1 && scenes()[0].id != lost);
     assert_eq!(asked_again[0].outcomes.len(), suite.tasks.len());
-    // What only the process can do is refused before anything is asked.
+    // Options that need an in-process run are refused before any question is asked.
     let oracle = configuration::cells("source=oracle", &Configuration::default()).unwrap();
     let refused = run(&suite, &system, &RunOptions { cells: &oracle, ..options }).unwrap_err();
     assert!(format!("{refused:#}").contains("need a run in process"), "{refused:#}");
@@ -158,7 +158,8 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
     let held = eval(&out, &[&matrix[..], &["--baseline", baseline.as_str()]].concat());
     assert!(held.status.success(), "{}", text(&held.stderr));
 
-    // The same expressions with most of the targets exchanged: what was right is wrong now.
+    // The same expressions with most of the targets exchanged, so that correct answers become
+    // wrong.
     let worse = out.join("worse");
     fs::create_dir(&worse).unwrap();
     for name in ["living_room.zip", "living_room.scene.json"] {
@@ -237,7 +238,8 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
         "{:?}",
         parsed.left_out
     );
-    // Annotations alone are enough for the oracle; a broken scan beside them is not passed over.
+    // Annotations alone are enough for the oracle source. A broken scan next to them is still
+    // reported.
     assert_eq!(
         oracle.outcomes.iter().map(|o| (o.id.as_str(), o.is_right())).collect::<Vec<_>>(),
         [("bare#1", true)]
@@ -245,7 +247,7 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
     assert_eq!(oracle.left_out.len(), 1);
 }
 
-/// A room of three boxes in a task folder; the answer of its stage 1 is in `ref.json`, Y-up.
+/// Writes a task folder with a room of three boxes. Its stage 1 result is in `ref.json`, with Y up.
 fn task_folder(root: &Utf8Path, target_name: &str) {
     let folder = root.join("scene0001_00/1");
     fs::create_dir_all(&folder).unwrap();
@@ -305,7 +307,7 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
         Report::read(&out).unwrap()
     };
     task_folder(&root.join("tasks"), "sofa");
-    // Nobody knows what a zorgle is, and a leak-free run is not told.
+    // "Zorgle" is an unknown word, and a run without hints gets no explanation of it.
     let plain = run_with(&[]);
     assert_eq!(
         (plain.cells[0].figures.expressions, plain.cells[0].figures.complete[0].value),
@@ -315,7 +317,7 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
     let told = run_with(&["--paper-compatible"]);
     assert_eq!(told.cells[0].figures.complete[0].value, 1.0, "{:?}", told.cells[0].outcomes);
     assert!(told.run.paper_compatible && told.cells[0].notes[0].contains("paper-compatible"));
-    // Other hints are another question: what was kept does not answer it.
+    // Other hints make another question: stored replies do not answer it.
     task_folder(&root.join("tasks"), "mug");
     assert_eq!(run_with(&["--paper-compatible"]).cells[0].figures.complete[0].value, 0.0);
 }

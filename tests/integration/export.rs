@@ -1,4 +1,4 @@
-//! A scene with what was found in it, as files.
+//! Export of a scene with its instances as files.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, problem};
@@ -11,13 +11,13 @@ use uniground_types::corrections::Change;
 use uniground_types::export::ExportFormat;
 use uniground_types::instances::Levels;
 
-/// The description in a GLB.
+/// Returns the JSON document of a GLB.
 fn document(glb: &[u8]) -> Value {
     let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
     serde_json::from_slice(&glb[20..20 + length]).unwrap()
 }
 
-/// Points of each thing by what `extras` call its id; 0 for the rest.
+/// Returns the number of points per instance id in `extras`; 0 stands for the rest of the scan.
 fn points_of_nodes(document: &Value) -> BTreeMap<u64, u64> {
     let nodes = document["nodes"].as_array().unwrap();
     let children = nodes[0]["children"].as_array().unwrap().iter();
@@ -81,7 +81,7 @@ async fn a_scene_is_taken_to_other_programs() {
         assert!(again.bytes().await.unwrap().is_empty());
     }
 
-    // All that belongs to things is in their nodes, and what was found is told alike.
+    // All points of instances are in their nodes, and every format lists the same instances.
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     let whole = document(&client.export(&scene.id, ExportFormat::Glb, None).await.unwrap());
     let points = points_of_nodes(&whole);
@@ -108,7 +108,7 @@ async fn a_scene_is_taken_to_other_programs() {
         ("scene.usda".into(), zip::CompressionMethod::Stored)
     );
 
-    // What people have said counts.
+    // Corrections are applied.
     let of = |name: &str| {
         things
             .iter()

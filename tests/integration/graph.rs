@@ -1,4 +1,4 @@
-//! What is in a scene and how it stands to each other.
+//! The scene graph: instances and their relations.
 
 use crate::server::{TestServer, problem};
 use std::collections::BTreeSet;
@@ -25,7 +25,7 @@ async fn a_scene_is_a_graph_in_three_formats() {
         things.iter().filter(|node| node.instance_id.is_some()).count() as u32,
         scene.counts.unwrap().instances
     );
-    // What answers say of support the graph says too.
+    // The graph has the same support relations as answers.
     let answer =
         client.ground(&scene.id, &crate::server::ask("the mug on the coffee table")).await.unwrap();
     let mug = format!("i{}", answer.answer.predicted_id.unwrap());
@@ -50,14 +50,14 @@ async fn a_scene_is_a_graph_in_three_formats() {
         "{xml}"
     );
 
-    // Around the mug there is what it stands to, and nothing else.
+    // The graph around the mug contains only the mug's relations.
     let around = text(&format!("around={}", &mug[1..])).await;
     let around: uniground_types::graph::SceneGraph = serde_json::from_str(&around).unwrap();
     assert!(
         around.edges.iter().all(|edge| edge.from == mug || edge.to == mug)
             && around.nodes.len() < graph.nodes.len()
     );
-    // Parts are known too.
+    // Parts are included on request.
     let part = instances
         .iter()
         .find(|instance| instance.level == uniground_types::scene::Level::Part)
@@ -70,7 +70,7 @@ async fn a_scene_is_a_graph_in_three_formats() {
     let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?format=dot", scene.id)).await);
     assert_eq!((refused.status, refused.code.as_str()), (422, "invalid_request"));
 
-    // What people have said counts.
+    // Corrections are applied.
     let id = answer.answer.predicted_id.unwrap();
     client
         .correct(&scene.id, &Change::Rename { instance_id: id, name: "Grandma's <cup>".into() })

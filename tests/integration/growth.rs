@@ -1,4 +1,4 @@
-//! Scenes that grow: frames added, ids that stay, what came, went and moved.
+//! Scenes that grow: added frames, stable ids, and what appeared, disappeared and moved.
 
 use crate::archives::{EIGHTHS, Scan, THINGS, Thing};
 use crate::server::{TestServer, ask, finished, problem};
@@ -15,11 +15,12 @@ use uniground_types::job::JobState;
 use uniground_types::placement::{FrameChoice, SceneToMap};
 use uniground_types::scenes::{Scene, SceneChange};
 
-/// Between the eight places of the first look: things are seen from all sides.
+/// Camera positions between the eight of the first upload, so that instances are seen from all
+/// sides.
 const BETWEEN: [f32; 8] = [0.04, 0.165, 0.29, 0.415, 0.54, 0.665, 0.79, 0.915];
-/// A yellow box that was not there, where nothing stood.
+/// A yellow box in a place that was empty.
 const YELLOW: Thing = ([-0.2, -1.3, 0.0], [0.2, -1.0, 0.5], [210, 190, 30]);
-/// The blue box, elsewhere.
+/// The blue box at another place.
 const MOVED: Thing = ([-1.6, -0.3, 0.0], [-1.1, 0.1, 0.4], [30, 60, 190]);
 const FLOOR: Thing = THINGS[0];
 const SOFA: Thing = THINGS[1];
@@ -37,7 +38,7 @@ async fn things(client: &Client, scene: &str) -> Vec<InstanceView> {
     client.all_instances(scene, Levels::Things).await.unwrap()
 }
 
-/// The thing whose box's middle is that of one of the room.
+/// Returns the instance whose box has the same center as this box of the room.
 fn at<'a>(instances: &'a [InstanceView], thing: &Thing) -> &'a InstanceView {
     let off = |instance: &InstanceView| {
         (0..3)
@@ -55,7 +56,7 @@ fn boxes_of(changes: &[ChangedThing]) -> Vec<[f32; 3]> {
     changes.iter().map(|thing| thing.aabb.center.coords.into()).collect()
 }
 
-/// Of the floor there may be more to see.
+/// Returns whether nothing changed. The floor may show more of itself.
 fn nothing_happened(changes: &Changes) -> bool {
     let seen = changes.first_seen.iter().all(|thing| thing.aabb.size.z < 0.1);
     seen && Changes { first_seen: Vec::new(), ..changes.clone() }.is_empty()
@@ -76,7 +77,7 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
     let renamed = Change::Rename { instance_id: sofa.id, name: "old settee".into() };
     client.correct(&scene.id, &renamed).await.unwrap();
 
-    // The blue box is elsewhere, the green one gone, a yellow one there.
+    // The blue box has moved, the green one is gone, a yellow one is new.
     let now = [FLOOR, SOFA, MOVED, YELLOW];
     let later = grown(client, &scene.id, &Scan::of_room(&now, &BETWEEN)).await;
     assert_eq!((later.parse_version, later.import.as_ref().unwrap().frames), (2, 16));
@@ -110,11 +111,11 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
     );
     assert!((elsewhere[0].distance_m - (moved.aabb.center - blue.aabb.center).norm()).abs() < 1e-3);
     assert!(regrouped.is_empty() && not_seen.is_empty(), "{regrouped:?} {not_seen:?}");
-    // Of the floor there may be more to see.
+    // Only floor may be seen for the first time.
     assert!(first_seen.iter().all(|thing| thing.aabb.size.z < 0.1), "{first_seen:?}");
     assert!(unchanged >= 1, "the sofa");
 
-    // What is gone is told of by its id, and is no answer.
+    // A removed instance is still returned by id but is never an answer.
     let gone: InstanceView = client
         .all_instances(&scene.id, Levels::All)
         .await
@@ -138,7 +139,7 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
     server.stop().await;
 }
 
-/// A robot does not wait for people, nor they for it.
+/// Corrections and added frames do not block each other.
 #[tokio::test]
 async fn what_is_corrected_while_a_scene_grows_is_kept() {
     let server = TestServer::start().await;
@@ -148,7 +149,7 @@ async fn what_is_corrected_while_a_scene_grows_is_kept() {
     let frames = Scan::of_room(&THINGS, &BETWEEN);
     let created = client.add_frames(&scene.id, FrameChoice::Source, frames.zip()).await.unwrap();
     let job = created.job.unwrap().id;
-    // At once, and while it is at it.
+    // One correction before the update and one during it.
     for name in ["settee", "old settee"] {
         client
             .correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() })
@@ -174,7 +175,7 @@ async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
     let client = &server.client;
     let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     let before = things(client, &scene.id).await;
-    // The same room: nothing is different.
+    // The same room: nothing changes.
     let same = Scan::of_room(&THINGS, &BETWEEN);
     grown(client, &scene.id, &same).await;
     let told = client.changes_since(&scene.id, 1).await.unwrap();
@@ -184,7 +185,7 @@ async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
         assert_eq!(at(&again, thing).id, at(&before, thing).id);
     }
 
-    // A yellow box comes and goes again.
+    // A yellow box appears and disappears again.
     let came =
         grown(client, &scene.id, &Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &BETWEEN))
             .await;
@@ -211,7 +212,7 @@ async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
         );
     }
 
-    // Parsed anew from all it is made of: the same things under the same ids.
+    // A parse of all frames from scratch gives the same instances under the same ids.
     let job = client
         .parse(
             &scene.id,
@@ -226,7 +227,7 @@ async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
     }
     assert!(client.changes_since(&scene.id, 1).await.is_ok());
 
-    // Gone with the scene is all it was made of.
+    // Deleting the scene deletes all its frames.
     client.delete_scene(&scene.id).await.unwrap();
     for folder in ["blobs/contents", "blobs/parses", "blobs/checkpoints"] {
         assert_eq!(server.stored(folder), Vec::<String>::new(), "{folder}");
@@ -240,7 +241,7 @@ async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
     let client = &server.client;
     let scene = server.parsed(Scan::frames_only().zip()).await;
     let content = server.stored("blobs/contents");
-    // The same pictures, a metre higher and turned upside down.
+    // The same images with poses a meter higher and upside down.
     let mut elsewhere = Scan::of_room(&THINGS, &[0.1, 0.5]);
     for i in 0..2 {
         let text = String::from_utf8(elsewhere.0[&format!("pose/{i}.txt")].clone()).unwrap();
@@ -279,7 +280,7 @@ async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
     server.stop().await;
 }
 
-/// A robot tells poses in its map, and sends the same again when it did not hear the answer.
+/// A robot gives poses in its map, and repeats the request when it received no response.
 #[tokio::test]
 async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once() {
     let server = TestServer::start().await;
@@ -333,7 +334,7 @@ async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once()
     server.stop().await;
 }
 
-/// Two scans of one room, the second from another origin.
+/// Two scans of one room, the second with another origin.
 #[tokio::test]
 async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
     let server = TestServer::start().await;
@@ -381,7 +382,7 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
     );
     assert!(appeared.len() == 1 && unchanged >= 1, "{told:?}");
 
-    // A room elsewhere is none of it.
+    // Another room does not match.
     let far = server
         .parsed(
             Scan::of_room(
@@ -399,8 +400,8 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
     server.stop().await;
 }
 
-/// Comparing two scans is work for seconds: few are compared at once, the others are told to come
-/// again.
+/// Comparing two scans takes seconds, so only a few run at once; the others get an error with a
+/// retry time.
 #[tokio::test(flavor = "multi_thread")]
 async fn few_scans_are_compared_at_once() {
     let server = TestServer::start().await;
@@ -415,7 +416,7 @@ async fn few_scans_are_compared_at_once() {
         assert_eq!((refused.status, refused.code.as_str()), (429, "overloaded"), "{refused:?}");
     }
     assert!(counts.0 > 0 && counts.1 > 0, "{counts:?} were compared and refused");
-    // And there is room again.
+    // Afterwards a comparison is accepted again.
     assert!(server.client.changes_to(&first.id, &second.id, false).await.is_ok());
     server.stop().await;
 }

@@ -1,4 +1,4 @@
-//! Scans on the server's own disk.
+//! Import of scans from the server's own disk.
 
 use crate::archives::Scan;
 use crate::server::{Process, TestServer, command, finished, post_raw, problem};
@@ -8,8 +8,8 @@ use std::os::unix::fs::symlink;
 use uniground_types::job::JobState;
 use uniground_types::scenes::{ImportRequest, SceneStatus};
 
-/// A folder with `scans/room.zip`, the same unpacked as `scans/room/`, and a scan outside of
-/// `scans`.
+/// Returns a folder with `scans/room.zip`, the same scan unpacked as `scans/room/`, and a scan
+/// outside of `scans`.
 fn disk() -> tempfile::TempDir {
     let disk = tempfile::tempdir().unwrap();
     let root = Utf8Path::from_path(disk.path()).unwrap();
@@ -35,7 +35,7 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
     let client = &process.client;
     let first = client.import_scene(&ImportRequest::of("room.zip")).await.unwrap();
     assert_eq!(finished(client, &first.job.unwrap().id).await.state, JobState::Succeeded);
-    // A link that stays below the folder is as good; the same bytes are parsed once.
+    // A symbolic link that stays below the folder is accepted; the same bytes are parsed once.
     let again = client
         .import_scene(&ImportRequest {
             name: Some("again".into()),
@@ -67,7 +67,7 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
         assert_eq!((refused.status, refused.code.as_str()), expected, "{path:?}: {refused:?}");
         assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
     }
-    // Below the folder it is, however it is said.
+    // An absolute path below the folder is accepted too.
     assert!(client.import_scene(&ImportRequest::of(absolute)).await.is_ok());
     let refused = problem(client.import_scene(&ImportRequest::of("nothing")).await);
     assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/path"), "{refused:?}");

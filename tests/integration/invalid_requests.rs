@@ -1,4 +1,4 @@
-//! Requests that are wrong: a problem each, and the server goes on.
+//! Invalid requests: each is answered with a problem, and the server keeps serving.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, post_raw, problem};
@@ -64,7 +64,7 @@ async fn wrong_questions_are_named_by_field() {
     let form =
         post_raw(&server.client, &path, "application/x-www-form-urlencoded", "query=sofa").await;
     assert_eq!((form.status, form.code.as_str()), (415, "unsupported_media_type"));
-    // Odd words are questions too.
+    // Unusual words are valid questions.
     for query in [
         "🛋️🛋️🛋️",
         "'; DROP TABLE scenes; --",
@@ -163,8 +163,8 @@ async fn wrong_methods_parameters_and_settings_are_problems() {
     server.stop().await;
 }
 
-/// The words `NaN` and `inf` are numbers to whoever reads a query, and a large number in JSON is an
-/// infinite `f32`.
+/// Query parsers accept `NaN` and `inf` as numbers, and a large JSON number becomes an infinite
+/// `f32`.
 #[tokio::test]
 async fn numbers_that_are_none_are_refused_by_field() {
     let server = TestServer::start().await;
@@ -255,7 +255,7 @@ async fn numbers_that_are_none_are_refused_by_field() {
     server.stop().await;
 }
 
-/// On every route that takes one, by the description.
+/// Checks every route that takes an idempotency key, by the OpenAPI description.
 #[tokio::test]
 async fn an_idempotency_key_that_is_none_is_refused_by_name() {
     let server = TestServer::start().await;
@@ -303,8 +303,8 @@ async fn an_idempotency_key_that_is_none_is_refused_by_name() {
     server.stop().await;
 }
 
-/// Cursors are ids as they are given out: in braces or capitals they would be compared as other
-/// texts.
+/// Cursors are accepted only in the form in which they are returned: braces or capitals would
+/// compare as different texts.
 #[tokio::test]
 async fn a_cursor_that_is_none_is_refused_by_name() {
     let server = TestServer::start().await;

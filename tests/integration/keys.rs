@@ -1,4 +1,4 @@
-//! Keys of callers: what they allow, how often, for how much, and what is remembered of it.
+//! API keys: scopes, rate limits, quotas, budgets, and the audit log.
 
 use crate::archives::Scan;
 use crate::scripted_model::{Script, says};
@@ -26,13 +26,13 @@ fn wanted(name: &str, scope: Scope) -> NewKey {
     }
 }
 
-/// A client with a key of its own; `of` may make keys.
+/// Creates a key with `of`, an administrator's client, and returns a client that uses it.
 async fn holder(of: &Client, url: &str, new: NewKey) -> (Client, CreatedKey) {
     let created = of.create_key(&new).await.unwrap();
     (Client::new(url, Some(created.secret.clone())).unwrap(), created)
 }
 
-/// The first key is made on the stopped server's folder, and then nobody gets in without one.
+/// The first key is created in the stopped server's folder; from then on every request needs one.
 #[tokio::test]
 async fn the_first_key_opens_a_server_to_the_network() {
     let data = tempfile::tempdir().unwrap();
@@ -89,8 +89,8 @@ async fn the_first_key_opens_a_server_to_the_network() {
     assert!(listed.contains("boss") && listed.contains("revoked"), "{listed}");
 }
 
-/// Where anybody may ask, a stranger would lock everybody else out; on one's own machine there are
-/// none, and any name will do from then on.
+/// On an open network, a caller without a key must not create the first one and lock out the
+/// others. On loopback anybody may, under any name.
 #[tokio::test]
 async fn a_stranger_does_not_make_the_first_key() {
     let data = tempfile::tempdir().unwrap();
@@ -123,8 +123,8 @@ async fn a_stranger_does_not_make_the_first_key() {
     server.stop().await;
 }
 
-/// Every route wants the scope its description names, and nothing that changes anything is open to
-/// readers.
+/// Every route requires the scope in its description, and no route that changes anything accepts a
+/// read key.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_route_refuses_the_under_scoped() {
     let server = TestServer::start().await;
@@ -132,7 +132,7 @@ async fn every_route_refuses_the_under_scoped() {
     let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
     let (reader, _) = holder(&admin, &url, wanted("reader", Scope::Read)).await;
     let (writer, _) = holder(&admin, &url, wanted("writer", Scope::Write)).await;
-    // Asked with a body, and changing nothing.
+    // The requests have a body and change nothing.
     let of_scene =
         ["ground", "shortlist", "approach"].map(|what| format!("/v1/scenes/{{scene_id}}/{what}"));
     let questions: Vec<&str> =
@@ -216,7 +216,7 @@ async fn a_key_has_a_rate_and_a_quota() {
         first.scene.id,
         "what was made stays made"
     );
-    // The same idempotency key in somebody else's hands is another.
+    // The same idempotency key under another API key is a different key.
     assert_ne!(upload(&admin, "a", "k").await.unwrap().scene.id, first.scene.id);
     finished(&robot, &first.job.unwrap().id).await;
     robot.delete_scene(&first.scene.id).await.unwrap();
@@ -224,8 +224,8 @@ async fn a_key_has_a_rate_and_a_quota() {
     server.stop().await;
 }
 
-/// What a key may spend in a day is spent by all its questions, those of its batches too, and by
-/// nobody else's.
+/// A key's daily budget covers all its questions, including its batches, and is shared with no
+/// other key.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_key_has_money_of_its_own() {
     let script = Script::default();
@@ -279,7 +279,7 @@ async fn a_key_has_money_of_its_own() {
     server.stop().await;
 }
 
-/// What was begun with a key that is revoked is not gone on with; somebody else may.
+/// A batch stops when its key is revoked; another key can resume it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_batch_ends_with_its_key() {
     let script = Script::default();

@@ -1,5 +1,4 @@
-//! Language and space alone: annotated objects with their names, so that only words and geometry
-//! are measured.
+//! Language and geometry alone: questions over annotated objects with their names, without parsing.
 
 use crate::shared_scenes::{development_rooms, shared_scene};
 use camino::Utf8Path;
@@ -23,7 +22,7 @@ struct Expression {
     kind: String,
 }
 
-/// A room as its annotations know it.
+/// A room as its annotations describe it.
 struct Known {
     queries: Vec<Expression>,
     annotations: Annotations,
@@ -45,7 +44,8 @@ fn instances(annotations: &Annotations) -> Vec<Instance> {
     instances_of(annotations, &PointCloud::default(), NamedBy::Annotated)
 }
 
-/// Whether an answer is the annotated one; ids of instances follow the order of annotations.
+/// Returns whether an answer is the annotated one. Instance ids follow the order of the
+/// annotations.
 fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Option<u32>) -> bool {
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
     let view = SceneView {
@@ -63,7 +63,7 @@ fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Op
     }
 }
 
-/// Right of all, over the kinds asked for.
+/// Returns the number of correct answers and of questions, for the selected kinds.
 fn score(
     known: &Known,
     annotations: &Annotations,
@@ -86,7 +86,8 @@ fn share((right, of): (usize, usize)) -> f32 {
     right as f32 / of as f32
 }
 
-/// The floors of a room: all with a target, relations and superlatives, absent things found absent.
+/// Asserts the minimum accuracy of a room: questions with a target, relations and superlatives, and
+/// absent objects.
 fn check_floors(
     name: &str,
     known: &Known,
@@ -112,7 +113,7 @@ fn annotated_rooms_are_understood() {
     }
 }
 
-/// Nothing but the views depends on where X points.
+/// Only view-dependent questions depend on the direction of X.
 #[test]
 fn annotated_rooms_are_understood_however_the_world_is_turned() {
     for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
@@ -128,8 +129,8 @@ fn annotated_rooms_are_understood_however_the_world_is_turned() {
     }
 }
 
-/// Other words for the same: each noun becomes a synonym, relations are said otherwise, orders
-/// become questions.
+/// Paraphrases: each noun becomes a synonym, relations are rephrased, and commands become
+/// questions.
 #[test]
 fn annotated_rooms_are_understood_in_other_words() {
     for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
@@ -140,7 +141,7 @@ fn annotated_rooms_are_understood_in_other_words() {
             paraphrased,
             false,
         );
-        // The order turned round: what it is near comes first.
+        // The inverted order: the anchor comes first.
         check_floors(
             &format!("{name} turned round"),
             &known,
@@ -173,7 +174,7 @@ fn paraphrased(query: &str) -> String {
             break;
         }
     }
-    // The longest noun of the sentence becomes the first synonym that is known for it alone.
+    // The longest noun of the sentence becomes the first synonym that stands only for it.
     let tokens: Vec<String> = words.split_whitespace().map(str::to_owned).collect();
     for length in (1..=3).rev() {
         for start in 0..tokens.len().saturating_sub(length - 1) {
@@ -182,8 +183,8 @@ fn paraphrased(query: &str) -> String {
             let Some(known) = Lexicon::get().nouns().iter().find(|n| n.name == bare) else {
                 continue;
             };
-            // Another word for "table" is a narrower one: a kitchen table. Only words for one thing
-            // have words for the same.
+            // Some words for "table" are narrower (kitchen table). Only words with a single meaning
+            // have synonyms here.
             let Some(synonym) =
                 known.synonyms.first().filter(|_| Lexicon::get().find_all(bare).len() == 1)
             else {
@@ -198,7 +199,8 @@ fn paraphrased(query: &str) -> String {
     tokens.join(" ")
 }
 
-/// The whole system with no model at all; the quality gate holds the figure, this the floor.
+/// The whole system without a model. The quality gate checks the exact figure, this test a lower
+/// bound.
 #[test]
 fn parsed_rooms_are_answered_without_any_model() {
     let Some(rooms) = development_rooms(&["room1", "room2"]) else { return };
@@ -238,7 +240,7 @@ fn parsed_rooms_are_answered_without_any_model() {
     assert!(figures.complete[0].value >= 0.35, "{:?}", figures.complete);
 }
 
-/// Words that name nothing get no box, whatever they are.
+/// Words that name no object never get a box.
 #[test]
 fn words_that_name_nothing_get_no_box() {
     let Some(rooms) = rooms(&["room1", "room2"]) else { return };

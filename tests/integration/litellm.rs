@@ -1,5 +1,5 @@
-//! A server of the chat protocol that somebody else wrote: `LiteLLM`'s proxy, with a model that
-//! answers without being there (`tests/litellm/config.yaml`). `make test-models` starts it.
+//! A chat server by another vendor: `LiteLLM`'s proxy with mock answers
+//! (`tests/litellm/config.yaml`). `make test-models` starts it.
 
 use crate::server::{TestServer, ask, problem};
 use camino::Utf8PathBuf;
@@ -42,7 +42,7 @@ fn insisting() -> GroundRequest {
 async fn a_foreign_server_understands_and_is_understood() {
     for json in [false, true] {
         let (server, scene, _key) = server("scripted", "sk-litellm-test", json).await;
-        // Six pictures, half a megabyte of them, go through.
+        // The request contains six images, half a megabyte in total.
         let answer = server.client.ground(&scene, &insisting()).await.unwrap();
         assert_eq!(
             (answer.status, answer.usage.vlm_calls, answer.degraded),

@@ -1,5 +1,5 @@
-//! The log of the binary, at the level that is on by default: what went wrong is told once, with
-//! the ids to look it up by.
+//! The log of the binary at the default level: each error is logged once, with the ids needed to
+//! find it.
 
 use crate::archives::Scan;
 use crate::scripted_model::{Script, fails};
@@ -18,7 +18,7 @@ fn lines(log: &camino::Utf8Path) -> Vec<Value> {
         .collect()
 }
 
-/// The spans around a line, outermost first.
+/// Returns the spans around a line, outermost first.
 fn spans(line: &Value) -> Vec<Value> {
     line["spans"].as_array().cloned().unwrap_or_default()
 }
@@ -35,7 +35,7 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
         .await
         .unwrap();
     let job = finished(&process.client, &created.job.unwrap().id).await;
-    // Somebody takes the cloud away.
+    // The cloud file is deleted.
     let parses = data.join("data/blobs/parses");
     let parse = parses.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path();
     fs::remove_file(parse.join("cloud.ply")).unwrap();
@@ -87,8 +87,8 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
     );
 }
 
-/// Keys that callers show, that a model wants and that stand in an address, at the loudest level
-/// there is.
+/// API keys of callers, of the model, and in URLs never appear in the log, even at the most verbose
+/// level.
 #[tokio::test]
 async fn secrets_never_reach_the_log() {
     let folder = tempfile::tempdir().unwrap();

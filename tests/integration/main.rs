@@ -1,6 +1,6 @@
-//! The service as its users meet it: a real server on port 0, driven through the typed client.
+//! Integration tests: a real server on port 0, driven through the typed client.
 
-// A helper that can not go on fails its test.
+// A helper that fails aborts its test.
 #![allow(clippy::unwrap_used)]
 // Tables of cases are long and easy to read.
 #![allow(clippy::too_many_lines)]

@@ -1,4 +1,5 @@
-//! What a data folder keeps, what it lets go of, and how damage in it is found and mended.
+//! Maintenance of a data folder: orphans, old answers, disk space, and how damage is found and
+//! repaired.
 
 use crate::archives::Scan;
 use crate::server::{
@@ -34,8 +35,8 @@ fn only(folder: &Utf8Path) -> Utf8PathBuf {
     folder.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path()
 }
 
-/// A folder nobody knows is set aside, not removed; one that is older than the database is not even
-/// touched.
+/// An orphan folder is moved to quarantine, not deleted. One that is older than the database is
+/// left alone.
 #[tokio::test]
 async fn what_no_record_speaks_of_goes_to_the_quarantine() {
     let server = TestServer::start().await;
@@ -55,15 +56,14 @@ async fn what_no_record_speaks_of_goes_to_the_quarantine() {
     let day = only(&server.data().join("quarantine"));
     assert_eq!(fs::read_to_string(day.join("parses/stranger/cloud.ply")).unwrap(), "points");
 
-    // A database that is restored, or comes from elsewhere, has not seen what is older than its
-    // coming.
+    // A restored or copied database does not know folders that are older than itself.
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     fs::create_dir(folder.join("blobs/parses/another")).unwrap();
     let mut rows = rows(folder).await;
     sqlx::query("UPDATE data_folder SET id = 'elsewhere'").execute(&mut rows).await.unwrap();
     rows.close().await.unwrap();
-    // A server's database can be named with any folder: it is not believed at all.
+    // A database may have been given with the wrong folder, so nothing is collected.
     if let Location::Postgres(_) = location(folder) {
         let refused = doctor(folder, &[]);
         assert!(
@@ -91,7 +91,7 @@ async fn the_doctor_finds_damage_and_the_next_server_mends_it() {
     let data = Utf8Path::from_path(data.path()).unwrap();
     let server = Process::start(data);
     let scene = parsed(&server.client, "application/zip", Scan::neutral().zip()).await;
-    // What people have said of a parse is said of the one that takes its place.
+    // Corrections of a parse apply to the parse that replaces it.
     let sofa = server
         .client
         .ground(&scene.id, &ask("the red sofa"))
@@ -146,7 +146,7 @@ async fn the_doctor_finds_damage_and_the_next_server_mends_it() {
     assert_eq!(server.terminate(), Some(0));
     assert!(doctor(data, &[]).status.success());
 
-    // A scan can not be made again: that is for people.
+    // A scan cannot be recomputed: an operator has to restore it.
     let content = only(&data.join("blobs/contents"));
     fs::remove_file(content.join("pose/3.txt")).unwrap();
     let left = doctor(data, &["--repair"]);
@@ -165,7 +165,7 @@ async fn old_answers_go_and_new_ones_stay() {
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let mut rows = rows(folder).await;
-    // Of January 2020, by id and time.
+    // Dated January 2020, by id and time.
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
                SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, (SELECT '1' AS value UNION ALL SELECT '2' UNION ALL SELECT '3') AS few";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
@@ -184,7 +184,7 @@ async fn old_answers_go_and_new_ones_stay() {
     store.close().await;
 }
 
-/// A scan that is too large is one scan that is not parsed, and not the end of the server.
+/// A scan that needs too much memory fails its job and does not bring down the server.
 #[tokio::test]
 async fn a_parse_that_wants_too_much_memory_is_not_begun() {
     let limits = LimitsConfig { max_memory_bytes: Some(1 << 20), ..LimitsConfig::default() };
@@ -197,7 +197,7 @@ async fn a_parse_that_wants_too_much_memory_is_not_begun() {
         .job
         .unwrap();
     let job = finished(client, &job.id).await;
-    // Others may have let go of theirs meanwhile.
+    // Other requests may have freed memory meanwhile.
     assert_eq!((job.state, job.attempts), (JobState::Failed, 2));
     let error = job.error.unwrap();
     assert_eq!(error.code, "memory_short");
@@ -205,7 +205,7 @@ async fn a_parse_that_wants_too_much_memory_is_not_begun() {
     server.stop().await;
 }
 
-/// Before the disk is full nothing new is taken, and what is there goes on.
+/// Below the reserve of free disk space new scans are refused, and existing scenes still answer.
 #[tokio::test]
 async fn a_disk_that_is_nearly_full_takes_no_more_scans() {
     let server = TestServer::start().await;
@@ -224,7 +224,7 @@ async fn a_disk_that_is_nearly_full_takes_no_more_scans() {
     server.stop().await;
 }
 
-/// A batch takes room for its answers: it is put off, and goes on once the disk has room.
+/// A batch pauses when its answers would fill the disk, and continues once there is space.
 #[tokio::test]
 async fn a_batch_waits_for_room_on_the_disk() {
     let server = TestServer::start().await;

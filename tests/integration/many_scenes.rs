@@ -1,4 +1,4 @@
-//! Questions about many scenes, and labels to choose among them.
+//! Questions across many scenes, and labels that select among them.
 
 use crate::archives::{EIGHTHS, Scan, THINGS};
 use crate::server::{TestServer, config, problem};
@@ -33,7 +33,7 @@ async fn filed(client: &Client, scene: &Scene, name: &str, labels: &[(&str, &str
 async fn the_room_that_has_it_comes_first() {
     let server = TestServer::start().await;
     let client = &server.client;
-    // The green box stands in one of them, the floor and the red sofa in both.
+    // One scene has the green box; both have the floor and the red sofa.
     let with = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     let without = server.parsed(Scan::of_room(&THINGS[..2], &EIGHTHS).zip()).await;
     filed(client, &with, "office", &[("building", "A"), ("floor", "2")]).await;
@@ -48,10 +48,10 @@ async fn the_room_that_has_it_comes_first() {
     assert_eq!((best.scene_name.as_str(), &best.answer.scene_id), ("office", &with.id));
     assert_ne!(best.answer.status, Status::NoMatch);
     assert_eq!(best.labels, labelled(&[("building", "A"), ("floor", "2")]));
-    // It is an answer as any: kept, and the same as that scene's own.
+    // The answer is stored and equals the scene's own answer.
     assert_eq!(client.answer(&best.answer.id).await.unwrap(), best.answer);
 
-    // In some of them only, and no more answers than wanted.
+    // Restricted to some scenes, with a limit on answers.
     let one = ManyGroundRequest { top_k: 1, ..ManyGroundRequest::of("the red sofa") };
     assert_eq!(client.ground_many(&one).await.unwrap().answers.len(), 1);
     let on_the_first = ManyGroundRequest { labels: labelled(&[("floor", "1")]), ..one.clone() };
@@ -63,7 +63,7 @@ async fn the_room_that_has_it_comes_first() {
     let asked = client.ground_many(&nowhere).await.unwrap();
     assert_eq!((asked.looked_into, asked.answers.len()), (0, 0));
 
-    // What is not parsed is told of, and stops nobody.
+    // A scene that is not parsed is reported and blocks nothing.
     let stored = client
         .request(Method::POST, "v1/scenes?parse=false")
         .header("content-type", "application/zip");
@@ -77,8 +77,8 @@ async fn the_room_that_has_it_comes_first() {
     server.stop().await;
 }
 
-/// Of more rooms than can be looked into one by one those are that are known to have it, also once
-/// somebody has said what it is called.
+/// With more scenes than can be scanned, those that probably contain the target are scanned, also
+/// by a name from a correction.
 #[tokio::test(flavor = "multi_thread")]
 async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
     let server = TestServer::start().await;
@@ -87,7 +87,7 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
     let without = Scan::of_room(&THINGS[..2], &EIGHTHS).zip();
     server.parsed(without.clone()).await;
     for _ in 0..1000 {
-        // The same room again and again: parsed once.
+        // The same room many times: it is parsed once.
         let upload = client
             .request(Method::POST, "v1/scenes")
             .header("content-type", "application/zip")
@@ -109,7 +109,7 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
         false
     };
     assert!(found("the green trash can", &with.id).await);
-    // What somebody says it is called is known a little later.
+    // A name from a correction enters the index a little later.
     let named = client.instances(&with.id, 100).await.unwrap().instances;
     let thing = named.iter().find(|i| i.structure.is_none()).unwrap().id;
     client
@@ -132,7 +132,7 @@ async fn labels_are_what_was_said_last() {
     let scene = server.parsed(Scan::neutral().zip()).await;
     assert_eq!(scene.labels, Labels::new());
     filed(client, &scene, "den", &[("building", "A"), ("floor", "2")]).await;
-    // A name that is given anew changes nothing else.
+    // Renaming a scene changes nothing else.
     assert_eq!(client.rename_scene(&scene.id, "study").await.unwrap().labels.len(), 2);
     let listed = async |labels: &str| {
         client.scenes_labelled(labels, 10, None).await.map(|page| page.scenes.len())
@@ -169,7 +169,7 @@ async fn what_can_not_be_asked_is_named() {
     let keyed =
         client.request(Method::POST, "v1/ground").header("idempotency-key", "k").json(&asked());
     assert_eq!(keyed.send().await.unwrap().status(), StatusCode::UNPROCESSABLE_ENTITY);
-    // No scene at all is no error: it is nowhere.
+    // A search over no scenes is not an error: the target is not found.
     let nowhere = client.ground_many(&asked()).await.unwrap();
     assert_eq!((nowhere.looked_into, nowhere.answers.len()), (0, 0));
     server.stop().await;

@@ -1,5 +1,4 @@
-//! The tools of the Model Context Protocol, as they go over the wire. Clients that exist are tried
-//! in `tests/mcp`.
+//! Tools of the Model Context Protocol on the wire. Real clients are tested in `tests/mcp`.
 
 use crate::server::TestServer;
 use base64::Engine;
@@ -90,7 +89,7 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
         (&json!("grounded"), &json!(false)),
         "{answer:#}"
     );
-    // Clients that know no structured content read the same.
+    // Clients without structured content get the same as text.
     let as_text: Value =
         serde_json::from_str(answer["content"][0]["text"].as_str().unwrap()).unwrap();
     assert_eq!(&as_text, found);
@@ -157,7 +156,7 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
     server.stop().await;
 }
 
-/// A model reads what went wrong and calls again.
+/// Errors are tool results that tell the model how to call again.
 #[tokio::test]
 async fn what_goes_wrong_is_told_to_the_model() {
     let server = TestServer::start().await;
@@ -200,7 +199,7 @@ async fn what_goes_wrong_is_told_to_the_model() {
         send(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"})).await;
     assert_eq!(status, StatusCode::ACCEPTED);
 
-    // The transport's own refusals are problems as everywhere.
+    // Errors of the transport are problems, as on other routes.
     let plain = client
         .request(Method::POST, "mcp")
         .json(&json!({"jsonrpc": "2.0", "id": 1, "method": "ping"}))
@@ -269,7 +268,7 @@ async fn agents_show_keys_and_come_from_no_other_page() {
     server.stop().await;
 }
 
-/// Stdout is the agent's alone, and the program ends with its stdin.
+/// Stdout carries only protocol messages, and the program ends when its stdin closes.
 #[test]
 fn over_stdio_a_folder_is_served() {
     let data = tempfile::tempdir().unwrap();

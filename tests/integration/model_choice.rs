@@ -1,5 +1,4 @@
-//! Which models a process works with: what lies in the folder of bundles, what was named, and what
-//! happens where something is broken.
+//! Which models a process uses: bundles in the models folder, named bundles, and errors in them.
 
 use crate::server::{Process, command};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -10,7 +9,7 @@ fn root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Tiny bundles with random weights: a dual encoder and two segmenters.
+/// Returns tiny bundles with random weights: a dual encoder and two segmenters.
 fn tiny() -> Utf8PathBuf {
     root().join("crates/uniground-models/tests/data")
 }
@@ -55,13 +54,13 @@ fn what_lies_there_is_taken_the_first_by_name() {
     );
     assert!(chosen.told.contains("encoder: tiny-dual-encoder (found in"), "{}", chosen.told);
     assert_eq!(chosen.warnings, [""; 0]);
-    // What was asked for is not looked for.
+    // A named bundle is not searched for.
     let asked = config(&tiny(), "tiny-segmenter-sam", BUILTIN).load().unwrap();
     assert_eq!(names(&asked), ["tiny-segmenter-sam"]);
     assert_eq!(asked.told, "masks: tiny-segmenter-sam (as asked); encoder: built in (as asked)");
 }
 
-/// Most have no models: no library is wanted then, and nothing is wrong.
+/// Without models no library is needed, and nothing is reported as wrong.
 #[test]
 fn where_nothing_lies_everything_is_built_in() {
     let (_folder, empty) = folder();
@@ -109,8 +108,7 @@ fn a_library_that_was_named_must_be_there() {
     assert!(format!("{error:#}").contains("/nowhere/libonnxruntime.so"), "{error:#}");
 }
 
-/// Nothing can be fetched and no library is there: the server starts with built-in parts and says
-/// why.
+/// Without a network and a library the server starts with the built-in models and says why.
 #[tokio::test]
 async fn a_server_that_can_not_fetch_its_models_starts_without() {
     let (_folder, work) = folder();

@@ -1,5 +1,5 @@
-//! Neural models in the service: tiny bundles with random weights through a real server, and an
-//! inference server that misbehaves.
+//! Neural models in the service: tiny bundles with random weights through a real server, and a
+//! misbehaving inference server.
 
 use crate::server::{TestServer, ask, command, finished, problem};
 use axum::Json;
@@ -42,7 +42,7 @@ fn bundles() -> BundlesConfig {
     }
 }
 
-/// A segmenter and an encoder with random weights.
+/// Returns a segmenter and an encoder with random weights.
 pub fn tiny() -> ModelsConfig {
     ModelsConfig {
         masks: "tiny-segmenter".into(),
@@ -61,7 +61,7 @@ async fn server_with(models: ModelsConfig) -> TestServer {
     .await
 }
 
-/// Few prompts: these masks mean nothing anyway.
+/// Uses few prompts, because random masks mean nothing.
 fn quick() -> Value {
     json!({"sam_masks": {"points_per_side": 2, "min_predicted_iou": -10.0, "min_stability": 0.0}})
 }
@@ -90,7 +90,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
 
     let created = server.client.create_scene(None, "application/zip", sample()).await.unwrap();
     let scene = created.scene.id;
-    // The upload's own parse may go on meanwhile; the quick one comes after it.
+    // The upload's own parse may still be running; this faster one comes after it.
     let job = reparsed(&server, &scene, json!({ "parsing": quick() })).await;
     assert_eq!(job.error, None);
     let view = server.client.scene(&scene).await.unwrap();
@@ -127,7 +127,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     let answer = server.client.ground(&scene, &ask("the sofa")).await.unwrap();
     assert_eq!((answer.models.encoder, answer.degraded), (used.encoder, false));
 
-    // One row per instance, in a format numpy reads.
+    // One row per instance, in NumPy's format.
     let rows = server.client.bytes(&format!("v1/scenes/{scene}/embeddings.npy")).await.unwrap();
     assert!(rows.starts_with(b"\x93NUMPY"));
     let norms = fs::read(
@@ -148,7 +148,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     let again = reparsed(&server, &scene, json!({ "parsing": quick() })).await;
     assert!(again.message.unwrap_or_default().contains("stored parse"));
 
-    // The built-in parts on demand.
+    // Built-in models on request.
     let builtin = json!({"models": {"masks": "builtin", "encoder": "builtin"}});
     reparsed(&server, &scene, builtin).await;
     let used = server.client.scene(&scene).await.unwrap().models.unwrap();
@@ -244,8 +244,6 @@ fn a_server_whose_models_are_wrong_does_not_start() {
     }
 }
 
-/// How an inference server behaves when it is asked to compute.
-/// What lies in the folder, and whether it works, from the command line.
 #[test]
 fn bundles_are_listed_and_verified() {
     let (folder, library) = (
@@ -294,9 +292,9 @@ enum Mood {
     Unavailable,
     NotANumber,
     Short,
-    /// Right answers, as plain JSON: refuses raw bytes.
+    /// Correct results as plain JSON; raw bytes are refused.
     PlainOnly,
-    /// Right at first, then gone.
+    /// Correct results at first, then the connection closes.
     FailsAfter(usize),
 }
 
@@ -306,7 +304,7 @@ struct Remote {
     asked: Arc<std::sync::atomic::AtomicUsize>,
 }
 
-/// Serves the networks of the tiny dual encoder: the same embedding for everything.
+/// Serves the networks of the tiny dual encoder, with the same embedding for every input.
 async fn serve(mood: Mood) -> String {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
@@ -417,7 +415,7 @@ async fn a_misbehaving_inference_server_is_told_at_load() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_that_fails_fails_the_parse_unless_the_built_in_parts_may_help() {
-    // Loading takes a handful of calls; the server is gone soon after.
+    // Loading takes a few calls; soon after that the server is gone.
     let bundles =
         BundlesConfig { inference_url: Some(serve(Mood::FailsAfter(12)).await), ..bundles() };
     let server = server_with(ModelsConfig {
@@ -443,7 +441,7 @@ async fn a_model_that_fails_fails_the_parse_unless_the_built_in_parts_may_help()
     assert_eq!(scene.models.unwrap().encoder, "attributes-2");
     let warnings = server.client.report(&scene.id).await.unwrap().parse.unwrap().warnings;
     assert!(warnings.iter().any(|w| w.contains("a model failed")), "{warnings:?}");
-    // What was made without the model is not taken for what was asked.
+    // A parse made without the model is not reused for a request that names it.
     let job =
         reparsed(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
     assert!(!job.message.unwrap_or_default().contains("stored parse"));

@@ -1,4 +1,4 @@
-//! The committed description is the served one.
+//! The committed OpenAPI description equals the served one.
 
 use crate::server::TestServer;
 

@@ -1,4 +1,4 @@
-//! Answers in other coordinates than the scene's: those of a map, and those of the files.
+//! Answers in other coordinates than the scene's: those of a map and those of the source files.
 
 use crate::server::{TestServer, ask, problem};
 use serde_json::{Value, json};
@@ -41,7 +41,7 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
         (changed.name.as_str(), changed.scene_to_map, changed.map_frame_id.as_deref()),
         (scene.name.as_str(), Some(place), Some("map"))
     );
-    // What is not named stays.
+    // Omitted fields keep their values.
     let renamed = client.rename_scene(&scene.id, "den").await.unwrap();
     assert_eq!((renamed.scene_to_map, renamed.map_frame_id.as_deref()), (Some(place), Some("map")));
 
@@ -55,13 +55,13 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
     let [x, y, z] = [0, 1, 2].map(|axis| f64::from(target.oriented_box.center[axis]));
     assert!(near(placed.boxes[0].center, [10.0 - y, 20.0 + x, 0.5 + z]), "{placed:?}");
     assert_eq!(placed.boxes[0].id, target.id);
-    // Kept as it was given; the scene's own boxes are told as ever.
+    // The placement is stored as given; boxes in the scene's own frame do not change.
     let kept = client.answer(&answer.id).await.unwrap();
     assert_eq!((kept.in_frame, kept.aabb), (answer.in_frame.clone(), answer.aabb));
     let plain = client.ground(&scene.id, &ask(QUERY)).await.unwrap();
     assert_eq!((plain.in_frame, plain.aabb), (None, answer.aabb));
 
-    // Somebody in the map is the same somebody in the scene.
+    // A viewer given in map coordinates equals the same viewer in scene coordinates.
     let nearest = |frame, position, yaw_rad| {
         let observer = Some(Observer { position, yaw_rad });
         GroundRequest { frame, observer, ..ask("the chair closest to me") }
@@ -92,7 +92,7 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
         (refused.status, refused.errors[0].pointer.as_str()),
         (422, "/scene_to_map/rotation")
     );
-    // `null` takes it away.
+    // `null` removes the placement.
     let body: Value = json!({"scene_to_map": null, "map_frame_id": null});
     let change: SceneChange = serde_json::from_value(body).unwrap();
     let without = client.change_scene(&scene.id, &change).await.unwrap();

@@ -1,5 +1,5 @@
-//! Real weights against golden outputs of the Python runtime, and what they find in annotated
-//! rooms. These need `make models` first and take minutes: `make test-models` runs them.
+//! Real weights against golden outputs of the Python runtime, and their results in annotated rooms.
+//! These tests need `make models` and take minutes: `make test-models` runs them.
 
 use crate::shared_scenes::development_rooms;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -57,7 +57,7 @@ fn segmenter() -> std::sync::Arc<Segmenter> {
         .remove(0)
 }
 
-/// The annotated rooms, which lie beside the checkout where this project is built.
+/// Loads an annotated room from the folder next to the checkout.
 fn room(name: &str, scratch: &tempfile::TempDir) -> AnnotatedRoom {
     AnnotatedRoom::load(
         &root().join("../shared/scenes"),
@@ -67,8 +67,7 @@ fn room(name: &str, scratch: &tempfile::TempDir) -> AnnotatedRoom {
     .unwrap()
 }
 
-/// Of what is measured in several rooms the first, which takes a quarter of an hour less; with
-/// `FULL=1` all of it.
+/// Returns only the first room, which saves a quarter of an hour; `FULL=1` returns all.
 fn of_rooms<T>(all: &[T]) -> &[T] {
     if std::env::var_os("FULL").is_some() { all } else { &all[..1] }
 }
@@ -77,7 +76,7 @@ fn picture(path: &str) -> RgbImage {
     image::open(golden(path)).unwrap().into_rgb8()
 }
 
-/// The rows of a two-dimensional `.npy` file of 32-bit floats.
+/// Reads the rows of a two-dimensional `.npy` file of 32-bit floats.
 fn rows(path: &str, dim: usize) -> Vec<Vec<f32>> {
     let bytes = fs::read(golden(path)).unwrap();
     let start = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
@@ -196,7 +195,7 @@ fn sam2_masks_are_those_of_the_python_reference() {
     }
 }
 
-/// The same sentences as `open_clip`'s own tokenizer cuts them, for a Perception Encoder.
+/// The tokens of a Perception Encoder equal those of `open_clip`'s tokenizer.
 #[test]
 #[ignore = "needs models: make test-models"]
 fn the_perception_encoders_tokens_are_open_clips() {
@@ -212,7 +211,7 @@ fn the_perception_encoders_tokens_are_open_clips() {
     println!("{} of {} sentences equal", texts.len(), texts.len());
 }
 
-/// What masks of SAM 2 tiny make of a room, against the prototype's figures.
+/// Instances from masks of SAM 2 tiny, compared with the prototype's figures.
 #[test]
 #[ignore = "needs models: make test-models"]
 fn sam2_masks_cut_rooms_into_their_things() {
@@ -252,8 +251,8 @@ fn sam2_masks_cut_rooms_into_their_things() {
     }
 }
 
-/// Names of objects as queries over annotated instances, by appearance alone: is the right one
-/// among the first five?
+/// Object names as queries over annotated instances, by appearance alone: recall among the first
+/// five.
 #[test]
 #[ignore = "needs models: make test-models"]
 fn clip_finds_annotated_things_by_their_names() {
@@ -271,7 +270,7 @@ fn clip_finds_annotated_things_by_their_names() {
         let seen =
             see(&annotations, &mut instances, cloud, &room.bundle.frames, &encoder, &settings)
                 .unwrap();
-        // Structure is no object; names come from the annotations.
+        // Structure is not an object; names come from the annotations.
         let things: Vec<usize> = (0..instances.len())
             .filter(|&i| instances[i].structure.is_none() && seen.is_seen(i))
             .collect();
@@ -309,8 +308,8 @@ fn clip_finds_annotated_things_by_their_names() {
     }
 }
 
-/// The whole system with the built-in masks and CLIP: half of the expressions and more are answered
-/// with the right box.
+/// The whole system with built-in masks and CLIP answers at least half of the expressions with the
+/// right box.
 #[test]
 #[ignore = "needs models: make test-models"]
 fn parsed_rooms_are_answered_with_clip() {
@@ -336,8 +335,8 @@ fn parsed_rooms_are_answered_with_clip() {
     assert!(right >= 0.5, "{right}");
 }
 
-/// The same networks behind a real server of the protocol (`tests/kserve/server.py`) give the same
-/// answers.
+/// The same networks behind a real inference server (`tests/kserve/server.py`) give the same
+/// results.
 #[test]
 #[ignore = "needs an inference server: make test-models"]
 fn networks_answer_alike_here_and_behind_a_server() {

@@ -1,4 +1,4 @@
-//! Recovery at start, and what `uniground doctor` repairs.
+//! Recovery at startup, and repairs by `uniground doctor`.
 
 use crate::archives::{EIGHTHS, Scan, THINGS};
 use crate::server::{Process, TestServer, ask, finished, in_places, location, loose_rows, parsed};
@@ -27,7 +27,7 @@ async fn a_scene_that_was_growing_keeps_its_parse_over_a_restart() {
     let data = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(data.path()).unwrap();
     let server = Process::start(data);
-    // Nobody asks it anything: no answer holds its first parse.
+    // No question is asked, so no answer refers to the first parse.
     let scene =
         parsed(&server.client, "application/zip", Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     server
@@ -86,7 +86,7 @@ async fn references_that_point_nowhere_are_found_and_repaired() {
     );
     assert!(doctor(folder, &[]).status.success());
 
-    // The scene has its parse again: the stored one, or one that is made anew.
+    // The scene has its parse again: the stored one, or a new one.
     let server = Process::start(folder);
     let job = server.client.scene(&scene.id).await.unwrap().job_id.unwrap();
     assert_eq!(finished(&server.client, &job).await.state, JobState::Succeeded);

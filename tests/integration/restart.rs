@@ -1,4 +1,4 @@
-//! A server that is killed or stopped keeps what it had.
+//! Data and jobs survive a kill or a stop of the server.
 
 use crate::archives::Scan;
 use crate::server::{Process, ask, finished, parsed};
@@ -27,7 +27,7 @@ async fn a_killed_server_comes_back_with_scenes_instances_and_answers() {
         (again.answer, again.aabb, again.candidates),
         (answer.answer, answer.aabb, answer.candidates)
     );
-    // Nothing is parsed again: neither the stored scene nor the same bytes.
+    // Nothing is parsed again, neither the stored scene nor the same bytes.
     let same =
         server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
     assert_eq!(
@@ -44,7 +44,7 @@ async fn a_stopped_server_goes_on_with_its_queue() {
     let server = Process::start(data);
     let mut waiting = Vec::new();
     for i in 0..4 {
-        // A stray file makes other bytes of the same room.
+        // An additional file changes the bytes of the same room.
         let archive = Scan::neutral().with("note.txt", format!("{i}")).zip();
         let created = server.client.create_scene(None, "application/zip", archive).await.unwrap();
         waiting.push((created.scene.id, created.job.unwrap().id));
@@ -59,7 +59,7 @@ async fn a_stopped_server_goes_on_with_its_queue() {
     assert_eq!(server.terminate(), Some(0));
 }
 
-/// A terminal that is closed stops a server as properly as SIGTERM does.
+/// A closed terminal (SIGHUP) shuts the server down as cleanly as SIGTERM.
 #[tokio::test]
 async fn a_hangup_stops_a_server_cleanly() {
     const SIGHUP_BIT: u64 = 1;

@@ -1,5 +1,5 @@
-//! Uploads in parts, in the words of tus 1.0: what is there stays there, whatever becomes of the
-//! sender or the server.
+//! Resumable uploads by the protocol tus 1.0: received bytes survive a lost sender and a killed
+//! server.
 
 use crate::archives::Scan;
 use crate::server::{self, Process, TestServer, blobs, command, finished, location, problem};
@@ -55,7 +55,7 @@ async fn begin(client: &Client, length: usize, headers: &[(&str, &str)]) -> Resp
     .await
 }
 
-/// The path of a new upload.
+/// Creates an upload and returns its path.
 async fn begun(client: &Client, length: usize) -> String {
     let response = begin(client, length, &[]).await;
     assert_eq!(response.status(), 201, "{}", response.text().await.unwrap());
@@ -102,7 +102,7 @@ async fn refusal(response: Response) -> (u16, String) {
     (status, problem.code)
 }
 
-/// Begins to send a part and says nothing more; as long as the stream lives, the server waits.
+/// Starts to send a part and stalls. The server waits as long as the stream lives.
 async fn stalled(
     client: &Client,
     upload: &str,
@@ -133,7 +133,7 @@ async fn stalled_with(
     stream
 }
 
-/// Waits until the server has seen what becomes of a connection.
+/// Waits until the server has noticed the end of a connection.
 async fn until_offset(client: &Client, upload: &str, wanted: usize) {
     for _ in 0..600 {
         if offset(client, upload).await == wanted {
@@ -164,8 +164,8 @@ fn base64(bytes: impl AsRef<[u8]>) -> String {
     STANDARD.encode(bytes)
 }
 
-/// The story: parts, one of them lost on the way, the scene at the end, and what may be asked of
-/// it.
+/// The whole sequence: parts, one of them interrupted, the scene at the end, and the upload's
+/// state.
 #[tokio::test]
 async fn an_upload_in_parts_becomes_the_scene_a_whole_one_becomes() {
     let server = TestServer::start().await;
@@ -191,7 +191,7 @@ async fn an_upload_in_parts_becomes_the_scene_a_whole_one_becomes() {
 
     let first = patch(client, &upload, 0, &scan[..5000], &[]).await;
     assert_eq!((first.status().as_u16(), header(&first, "upload-offset")), (204, "5000".into()));
-    // A sender that leaves: what came is kept.
+    // The sender disconnects: the received bytes are stored.
     drop(stalled(client, &upload, 5000, scan.len() - 5000, &scan[5000..9000]).await);
     until_offset(client, &upload, 9000).await;
     let wrong = patch(client, &upload, 5000, &scan[5000..], &[]).await;
@@ -226,7 +226,7 @@ async fn an_upload_in_parts_becomes_the_scene_a_whole_one_becomes() {
         (UploadState::Done, Some(&scene_id), Some(&job_id))
     );
     assert_eq!(server.stored("uploads"), [""; 0]);
-    // Who did not hear the end asks once more.
+    // A client that missed the last response repeats the request.
     let again = patch(client, &upload, scan.len(), &[], &[]).await;
     assert_eq!(
         (again.status().as_u16(), header(&again, "uniground-scene-id")),
@@ -241,7 +241,8 @@ async fn an_upload_in_parts_becomes_the_scene_a_whole_one_becomes() {
     server.stop().await;
 }
 
-/// Its bytes with the first request, only stored, and a name that only its file's ending explains.
+/// All bytes come with the first request, as a stored zip entry, and only the file name's extension
+/// tells the format.
 #[tokio::test]
 async fn a_short_upload_needs_one_request() {
     let server = TestServer::start().await;
@@ -272,8 +273,8 @@ async fn a_short_upload_needs_one_request() {
 async fn a_killed_server_goes_on_where_bytes_are_on_the_disk() {
     let data = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(data.path()).unwrap();
-    // Large enough that some of it is noted while it comes: a file beside the room that nothing
-    // makes smaller.
+    // Large enough that offsets are saved during the transfer: an incompressible file next to the
+    // room.
     let mut state = 1_u64;
     let noise = (0..40 << 20).map(|_| {
         state ^= state << 13;
@@ -309,7 +310,8 @@ async fn a_killed_server_goes_on_where_bytes_are_on_the_disk() {
     assert_eq!(server.terminate(), Some(0));
 }
 
-/// A server that is killed before it has noted what came of an upload makes no second scene of it.
+/// A server that is killed before it records the result of an upload does not create a second
+/// scene.
 #[tokio::test]
 async fn an_upload_that_is_finished_twice_is_one_scene() {
     let server = TestServer::start().await;
@@ -355,11 +357,11 @@ async fn a_part_with_a_wrong_checksum_is_not_kept() {
     );
     assert_eq!(send(0, 6000, format!("sha1 {sha1}")).await.status(), 204);
     let rest = format!("sha256 {sha256}");
-    // One that breaks off can not be checked: nothing of it is kept.
+    // A part that is cut off cannot be verified: nothing of it is stored.
     let (length, header_line) = (scan.len(), format!("upload-checksum: {rest}\r\n"));
     drop(stalled_with(&header_line, client, &upload, 6000, length - 6000, &scan[6000..8000]).await);
     let last = loop {
-        // Until the server has seen it leave.
+        // Wait until the server has noticed the disconnect.
         match send(6000, length, rest.clone()).await {
             busy if busy.status() == 423 => sleep(Duration::from_millis(50)).await,
             done => break done,
@@ -369,8 +371,8 @@ async fn a_part_with_a_wrong_checksum_is_not_kept() {
     server.stop().await;
 }
 
-/// One sender stalls, and meanwhile nobody else is let in; it is dropped like any other, and what
-/// came of it stays.
+/// A stalled sender holds the upload for a limited time; then it is disconnected and its bytes
+/// stay.
 #[tokio::test]
 async fn a_stalled_sender_is_dropped_and_its_bytes_stay() {
     let server = TestServer::start().await;
@@ -378,7 +380,7 @@ async fn a_stalled_sender_is_dropped_and_its_bytes_stay() {
     let upload = begun(client, scan.len()).await;
     let stream = stalled(client, &upload, 0, scan.len(), &scan[..7000]).await;
     let second = loop {
-        // An empty part, until the server has met the first sender.
+        // Send empty parts until the server has accepted the first sender.
         match patch(client, &upload, offset(client, &upload).await, &[], &[]).await {
             first if first.status() == 204 => sleep(Duration::from_millis(10)).await,
             second => break second,
@@ -390,7 +392,7 @@ async fn a_stalled_sender_is_dropped_and_its_bytes_stay() {
         refusal(send(client, Method::DELETE, &upload, &[], &[]).await).await,
         (423, "upload_busy".into())
     );
-    // 20 seconds of silence.
+    // After 20 seconds of silence.
     until_offset(client, &upload, 7000).await;
     let last = loop {
         match patch(client, &upload, 7000, &scan[7000..], &[]).await {
@@ -416,7 +418,7 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
     );
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    // Of January 2020, by id and time.
+    // Dated January 2020, by id and time.
     const OLD: &str = "016f5e66-e800-7000-8000-000000000001";
     rows(folder, &format!("UPDATE uploads SET id = '{OLD}', updated_at = '2020-01-01T00:00:00Z'"))
         .await;
@@ -447,7 +449,7 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
     server.stop().await;
 }
 
-/// What is no scan is told to whoever sends the last of it, and to whoever asks.
+/// Invalid content is reported to the sender of the last part and in the upload's state.
 #[tokio::test]
 async fn content_that_is_refused_says_why() {
     let server = TestServer::start().await;
@@ -462,7 +464,7 @@ async fn content_that_is_refused_says_why() {
             (state.state, state.problem, state.offset.to_string()),
             (UploadState::Refused, Some(same), offset)
         );
-        // And so it stays.
+        // The state does not change afterwards.
         let again = patch(client, upload, state.offset as usize, &[], &[]).await;
         assert_eq!(refusal(again).await, (status, code.to_owned()));
     };
@@ -476,7 +478,7 @@ async fn content_that_is_refused_says_why() {
         "scene_file_missing",
     )
     .await;
-    // A video says so with its first bytes, whatever else was to come.
+    // A video is recognized by its first bytes, before the rest arrives.
     let upload = begun(client, 1 << 30).await;
     refused(
         &upload,
@@ -502,7 +504,7 @@ async fn there_is_an_end_to_what_may_be_announced() {
     .await;
     let free = server.client.stats().await.unwrap().disk.free_bytes as usize;
     let upload = begun(&server.client, free / 5 * 3).await;
-    // Nothing of it is there, and the room for it is taken.
+    // Nothing has been sent yet, but the space is reserved.
     assert_eq!(
         refusal(begin(&server.client, free / 5 * 3, &[]).await).await,
         (507, "storage_full".into())
@@ -551,7 +553,7 @@ async fn an_upload_belongs_to_the_key_that_began_it() {
     let scan = Scan::neutral().zip();
     let upload = begun(&robot, scan.len()).await;
     assert_eq!(patch(&robot, &upload, 0, &scan[..5000], &[]).await.status(), 204);
-    // Not even that somebody is at work on it.
+    // Not even that the upload is in use.
     let stream = stalled(&robot, &upload, 5000, 10, &[]).await;
     for method in [Method::HEAD, Method::GET, Method::DELETE] {
         assert_eq!(send(&admin, method.clone(), &upload, &[], &[]).await.status(), 404, "{method}");
@@ -562,7 +564,7 @@ async fn an_upload_belongs_to_the_key_that_began_it() {
         (404, "upload_not_found".into())
     );
     assert_eq!(patch(&reader, &upload, 5000, &scan[5000..], &[]).await.status(), 403);
-    // What is coming counts as a scene.
+    // An unfinished upload counts as a scene.
     assert_eq!(refusal(begin(&robot, scan.len(), &[]).await).await, (403, "quota_used_up".into()));
     let last = patch(&robot, &upload, 5000, &scan[5000..], &[]).await;
     finished(&robot, &header(&last, "uniground-job-id")).await;
@@ -570,8 +572,7 @@ async fn an_upload_belongs_to_the_key_that_began_it() {
     server.stop().await;
 }
 
-/// What a browser asks before it lets a page of another origin speak tus, and what that page may
-/// read then.
+/// The CORS preflight of a browser for tus requests, and the headers that a page may read.
 #[tokio::test]
 async fn pages_of_named_origins_may_upload_in_parts() {
     let data = tempfile::tempdir().unwrap();
@@ -667,7 +668,7 @@ async fn words_that_are_not_tus_are_refused() {
         refusal(patch(client, "v1/uploads/nobody", 0, b"PK", &[]).await).await,
         (404, "upload_not_found".into())
     );
-    // A network that lets only POST through.
+    // For networks that allow only POST.
     let by_post = |method: &'static str| {
         [("x-http-method-override", method), ("content-type", PART), ("upload-offset", "0")]
     };

@@ -1,4 +1,4 @@
-//! What is kept for a time only, and what `uniground gc` does about it.
+//! Retention periods, and `uniground gc`.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, finished, in_places, loose_rows};
@@ -12,7 +12,7 @@ use std::time::{Duration, SystemTime};
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_types::batch::{BatchRequest, BatchState};
 
-/// Ids of January 2020 begin so.
+/// The prefix of ids from January 2020.
 const OLD: &str = "016f5e66-e800-7000-8000-00000000000";
 const LONG_AGO: &str = "2020-01-01T00:00:00Z";
 
@@ -38,7 +38,7 @@ fn gc(data: &Utf8Path, more: &[&str]) -> Output {
         .unwrap()
 }
 
-/// What went, by kind: entries and bytes.
+/// Returns what was removed, by kind: entries and bytes.
 fn told(output: &Output) -> BTreeMap<String, (u64, u64)> {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -51,7 +51,8 @@ fn told(output: &Output) -> BTreeMap<String, (u64, u64)> {
     told["removed"].as_array().unwrap().iter().map(of).collect()
 }
 
-/// Every file below a folder with what it holds, and when it and its folders changed.
+/// Returns every file below a folder with its content, and the modification times of files and
+/// folders.
 fn everything(folder: &Utf8Path) -> BTreeMap<Utf8PathBuf, (SystemTime, Vec<u8>)> {
     let (mut found, mut left) = (BTreeMap::new(), vec![folder.to_owned()]);
     while let Some(path) = left.pop() {
@@ -74,8 +75,8 @@ fn make_old(folder: &Utf8Path, days: u64) {
     }
 }
 
-/// A folder with something old and something new of every kind: the scene, its answer, and the
-/// batch that is paused.
+/// Returns a folder with an old and a new object of every kind, and the ids of the scene, its
+/// answer, and the paused batch.
 async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
     let server = TestServer::start().await;
     let client = &server.client;
@@ -140,7 +141,7 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
     )
     .await;
     rows.close().await.unwrap();
-    // What a model was shown: for a new answer and for an old one, and once too long ago.
+    // Evidence of a new answer, of an old answer, and of an answer that is past its period.
     for (id, days) in [(answer.as_str(), 1), (&format!("{OLD}1"), 1), (&format!("{OLD}4"), 40)] {
         fs::create_dir(folder.join("blobs/answers").join(id)).unwrap();
         fs::write(folder.join("blobs/answers").join(id).join("prompt.json"), "{}").unwrap();
@@ -201,7 +202,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
         ("evidence", 1),
         ("idempotency keys", 1),
         ("idempotency keys of questions", 1),
-        // The old one, and that of the batch.
+        // The old one and the batch's.
         ("jobs", 2),
         ("outgrown scans", 1),
         ("quarantine", 1),
@@ -262,7 +263,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     assert_eq!(server.client.answer(&answer).await.unwrap().scene_id, scene);
     assert_eq!(server.client.scene(&scene).await.unwrap().job_id, Some(format!("{OLD}7")));
     assert_eq!(server.client.batch(&paused).await.unwrap().state, BatchState::Paused);
-    // What has gone is made again when it is wanted.
+    // Removed views are rendered again on request.
     let again =
         server.client.parse(&scene, &serde_json::json!({"preset": "default"})).await.unwrap();
     assert_eq!(finished(&server.client, &again.id).await.error, None);
@@ -271,8 +272,8 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     server.stop().await;
 }
 
-/// A parse that an answer was given for stays; so does one that has not been superseded for long,
-/// and one a scene takes up again.
+/// A parse stays while an answer refers to it, while it was superseded only recently, or after a
+/// scene uses it again.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_parse_somebody_refers_to_stays() {
     let server = TestServer::start().await;
@@ -316,7 +317,7 @@ async fn a_parse_somebody_refers_to_stays() {
     rows.close().await.unwrap();
 }
 
-/// Nobody can let go of what a server uses, and there is nothing to let go of where nothing is.
+/// `gc` refuses the folder of a running server and a folder that does not exist.
 #[tokio::test(flavor = "multi_thread")]
 async fn gc_wants_a_stopped_servers_folder() {
     let server = TestServer::start().await;

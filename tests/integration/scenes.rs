@@ -1,4 +1,4 @@
-//! What a user does on a good day.
+//! Scenes: upload, parse, ask, list, rename and delete.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, finished, parsed, problem};
@@ -112,7 +112,7 @@ async fn the_six_fields_tell_what_was_decided() {
             .unwrap();
     let short = server.client.ground(&scene.id, &request).await.unwrap();
     assert_eq!((short.candidates, short.evidence, short.trace.is_some()), (None, None, true));
-    // What is left out of a reply is kept all the same.
+    // Fields that are left out of a response are stored all the same.
     assert!(server.client.answer(&short.id).await.unwrap().candidates.unwrap().len() <= 2);
 
     let shortlist = server
@@ -160,8 +160,8 @@ async fn a_cloud_alone_is_a_scene_without_pictures() {
     let scene = server.parsed(Scan::cloud_only().zip()).await;
     assert!(scene.report.unwrap().warnings.iter().any(|w| w.contains("no frames")));
     let instances = server.client.instances(&scene.id, 1000).await.unwrap().instances;
-    // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m. Nothing holds it up there,
-    // so its box reaches down to the floor.
+    // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m. Nothing supports it, so
+    // its box extends to the floor.
     let top = instances
         .iter()
         .find(|i| i.mean_rgb[0] > 150 && (i.raw_box.center.z - 0.8).abs() < 0.05)
@@ -220,7 +220,7 @@ async fn the_same_content_and_settings_are_parsed_once() {
     );
     assert_eq!(server.stored("blobs/parses").len(), 2);
 
-    // Both scenes share the content: it stays until the last one goes.
+    // Both scenes share the content, which stays until the last one is deleted.
     server.client.delete_scene(&first.id).await.unwrap();
     assert!(
         server.client.ground(&again.scene.id, &ask("the red sofa")).await.unwrap().aabb.is_some()
@@ -287,7 +287,7 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
     let wrong = server.client.bytes(&format!("v1/scenes/{}/report/..%2Findex.jpg", scene.id)).await;
     assert_eq!(problem(wrong).code, "report_picture_not_found");
 
-    // Settings of a late stage: what came before is taken as it was.
+    // Settings of a late stage: earlier stages are reused.
     let job = server
         .client
         .parse(&scene.id, &json!({"settings": {"parsing": {"merging": {"min_points": 60}}}}))
@@ -300,7 +300,7 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
         (2, vec!["import", "superpoints", "masks_and_lifting"])
     );
 
-    // Another import makes another cloud: nothing of the first fits it.
+    // Another import makes another cloud, so no stage is reused.
     let job = server
         .client
         .parse(&scene.id, &json!({"settings": {"import": {"fusion": {"voxel_m": 0.03}}}}))
@@ -321,7 +321,7 @@ async fn a_cancelled_job_started_again_goes_on_where_it_stopped() {
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
     let created = server.client.create_scene(None, "application/zip", sample).await.unwrap();
     let id = created.job.unwrap().id;
-    // Wait until frames are looked at: what comes before is done by then.
+    // Wait until frames are processed; the stages before are then done.
     loop {
         let job = server.client.job(&id).await.unwrap();
         assert!(!job.state.is_final(), "the parse was over before it could be cancelled: {job:?}");
@@ -417,12 +417,12 @@ async fn job_events_tell_progress_and_resume() {
     let text = events(None).await;
     let last = text.lines().find_map(|l| l.strip_prefix("id: ")).unwrap().to_owned();
     assert!(text.contains("event: done"), "{text}");
-    // Even who has seen the end is told once more that it is the end.
+    // A client that has already seen the end gets the final event again.
     assert!(events(Some(last)).await.contains("event: done"));
     server.stop().await;
 }
 
-/// The sample scan: a real room's clutter in small.
+/// The sample scan resembles the clutter of a real room.
 #[tokio::test]
 async fn parts_and_wholes_are_listed_beside_the_things() {
     let server = TestServer::start().await;

@@ -18,9 +18,9 @@ use uniground_types::problem::Problem;
 use uniground_types::question::GroundRequest;
 use uniground_types::scenes::Scene;
 
-/// Where the rows of a server on a data folder are kept: in the folder itself; or, where
-/// `UNIGROUND_TEST_POSTGRES` says which server (`postgres://USER@HOST:PORT`), in a database of
-/// PostgreSQL's that is the folder's own.
+/// Returns where a data folder's rows are stored: in the folder itself, or, if
+/// `UNIGROUND_TEST_POSTGRES` names a server (`postgres://USER@HOST:PORT`), in a PostgreSQL database
+/// that belongs to the folder.
 pub fn location(data: &Utf8Path) -> Location {
     let Ok(server) = std::env::var("UNIGROUND_TEST_POSTGRES") else { return Location::Folder };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
@@ -34,15 +34,15 @@ pub fn location(data: &Utf8Path) -> Location {
     format!("{server}/{name}").parse().unwrap()
 }
 
-/// Where its scans and parses are kept: in the folder itself; or, where `UNIGROUND_TEST_S3` names a
-/// bucket (`s3://BUCKET`, the rest in `AWS_…`), below a prefix there that is the folder's own.
+/// Returns where scans and parses are stored: in the folder itself, or, if `UNIGROUND_TEST_S3`
+/// names a bucket (`s3://BUCKET`, the rest in `AWS_…`), below a prefix that belongs to the folder.
 pub fn blobs(data: &Utf8Path) -> BlobsConfig {
     let Ok(bucket) = std::env::var("UNIGROUND_TEST_S3") else { return BlobsConfig::default() };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
     BlobsConfig { at: format!("{bucket}/{name}").parse().unwrap(), ..BlobsConfig::default() }
 }
 
-/// What tells a program of those places.
+/// Returns the environment variables that tell a program both locations.
 pub fn in_places(data: &Utf8Path) -> [(&'static str, String); 2] {
     let place = match location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
@@ -51,7 +51,7 @@ pub fn in_places(data: &Utf8Path) -> [(&'static str, String); 2] {
     [("UNIGROUND_DATABASE", place), ("UNIGROUND_BLOBS", blobs(data).at.to_string())]
 }
 
-/// The rows of a stopped or running server.
+/// Connects to the database of a stopped or running server.
 pub async fn rows(data: &Utf8Path) -> AnyConnection {
     sqlx::any::install_default_drivers();
     let url = match location(data) {
@@ -61,7 +61,7 @@ pub async fn rows(data: &Utf8Path) -> AnyConnection {
     AnyConnection::connect(&url).await.unwrap()
 }
 
-/// The same, where a row may be written that refers to nothing.
+/// Connects without foreign key checks, so that a test can write a dangling reference.
 pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
     let mut rows = rows(data).await;
     let loosen = match location(data) {
@@ -72,8 +72,7 @@ pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
     rows
 }
 
-/// The limits of a server in this process, whose children are processes of the program that is
-/// tested.
+/// Returns limits for a server in this process. Its child processes run the tested program.
 pub fn limits() -> LimitsConfig {
     LimitsConfig {
         reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()),
@@ -81,7 +80,7 @@ pub fn limits() -> LimitsConfig {
     }
 }
 
-/// That of a server on a data folder, without models.
+/// Returns the configuration of a server on a data folder, without models.
 pub fn config(data_dir: &Utf8Path) -> ServeConfig {
     ServeConfig {
         listen: "127.0.0.1:0".parse().unwrap(),
@@ -119,7 +118,7 @@ impl TestServer {
         Self::start_on(tempfile::tempdir().unwrap(), limits, vlm, ModelsConfig::builtin()).await
     }
 
-    /// A server on a data folder that may have been another server's.
+    /// Starts a server on a data folder that may already have been used.
     pub async fn start_on(
         data: tempfile::TempDir,
         limits: LimitsConfig,
@@ -146,7 +145,7 @@ impl TestServer {
         parsed(&self.client, "application/zip", archive).await
     }
 
-    /// Names of the entries of a folder below the data folder.
+    /// Returns the names of the entries of a folder below the data folder.
     pub fn stored(&self, folder: &str) -> Vec<String> {
         let entries = self.data().join(folder).read_dir_utf8().unwrap();
         entries.map(|entry| entry.unwrap().file_name().to_owned()).collect()
@@ -156,7 +155,7 @@ impl TestServer {
         self.give_back().await;
     }
 
-    /// Stops and hands back the data folder, for the next server.
+    /// Stops the server and returns the data folder for the next one.
     pub async fn give_back(self) -> tempfile::TempDir {
         self.running.stop().await.unwrap();
         self.data
@@ -178,7 +177,7 @@ pub fn ask(query: &str) -> GroundRequest {
     serde_json::from_value(serde_json::json!({ "query": query })).unwrap()
 }
 
-/// The problem a call ended with.
+/// Returns the problem of a failed call.
 pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
     match result {
         Err(ClientError::Problem(problem)) => *problem,
@@ -186,7 +185,7 @@ pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
     }
 }
 
-/// Sends raw bytes as JSON and returns the problem.
+/// Sends raw bytes and returns the problem.
 pub async fn post_raw(client: &Client, path: &str, media_type: &str, body: &str) -> Problem {
     let request =
         client.request(Method::POST, path).header("content-type", media_type).body(body.to_owned());
@@ -197,7 +196,7 @@ pub async fn post_raw(client: &Client, path: &str, media_type: &str, body: &str)
     serde_json::from_str(&text).unwrap()
 }
 
-/// The binary itself, for tests that kill it.
+/// The binary as a child process, for tests that kill it.
 pub struct Process {
     pub client: Client,
     pub child: Child,
@@ -208,7 +207,7 @@ impl Process {
         Self::started(command(data, "127.0.0.1:0").stderr(Stdio::null()))
     }
 
-    /// With its log in a file, as JSON, at the level that is on by default.
+    /// Starts the binary with its log in a JSON file, at the default level.
     pub fn start_logging(data: &Utf8Path, log: &Utf8Path) -> Self {
         let mut command = command(data, "127.0.0.1:0");
         Self::started(
@@ -230,20 +229,20 @@ impl Process {
         Self { client: Client::new(address, None).unwrap(), child }
     }
 
-    /// SIGKILL: no chance to tidy up.
+    /// Sends SIGKILL: the process cannot clean up.
     pub fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
 
-    /// SIGTERM; the exit code.
+    /// Sends SIGTERM and returns the exit code.
     pub fn terminate(mut self) -> Option<i32> {
         Command::new("kill").arg(self.child.id().to_string()).status().unwrap();
         self.child.wait().unwrap().code()
     }
 }
 
-/// No test leaves a server behind, however it ends.
+/// No test leaves a server running, however it ends.
 impl Drop for Process {
     fn drop(&mut self) {
         let _ = self.child.kill();
@@ -256,7 +255,7 @@ pub fn command(data: &Utf8Path, listen: &str) -> Command {
     command
         .args(["serve", "--listen", listen, "--data-dir", data.as_str()])
         .env_remove("UNIGROUND_API_KEY")
-        // Whatever lies in the folder it runs in; a test that wants models says so.
+        // Ignores models in the current folder; a test that needs models sets them.
         .envs([("UNIGROUND_MASKS", "builtin"), ("UNIGROUND_ENCODER", "builtin")])
         .envs(in_places(data));
     command

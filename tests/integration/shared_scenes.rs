@@ -1,6 +1,6 @@
-//! Scenes with ground truth that lie beside the checkout where this project is built. They are for
-//! measuring and never enter the repository; where they are missing, one line says so.
-//! `UNIGROUND_REQUIRE_SHARED=1` makes missing ones a failure.
+//! Scenes with ground truth from the folder next to the checkout. They are for measuring and never
+//! enter the repository. If they are missing, a line says so; `UNIGROUND_REQUIRE_SHARED=1` makes
+//! that a failure.
 
 use crate::server::{TestServer, ask, parsed};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -18,8 +18,8 @@ pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
     None
 }
 
-/// The annotated rooms this project was developed with, and none of the others: what is held by a
-/// test is held on these; what other rooms come to is printed by `make quality`.
+/// Returns the annotated rooms that this project was developed with. Tests check only these; `make
+/// quality` prints the figures of the others.
 pub fn development_rooms(names: &[&str]) -> Option<tempfile::TempDir> {
     let folder = shared_scene("room1.zip")?.canonicalize_utf8().unwrap();
     let rooms = tempfile::tempdir().unwrap();
@@ -32,7 +32,7 @@ pub fn development_rooms(names: &[&str]) -> Option<tempfile::TempDir> {
     Some(rooms)
 }
 
-/// Real scans that do not say which way is up: the cameras do.
+/// Real scans without an up axis are leveled by their cameras.
 #[tokio::test]
 async fn real_scans_are_turned_upright() {
     for (name, up) in [("redkitchen.zip", UpAxis::NegY), ("hololens.zip", UpAxis::Y)] {
@@ -49,7 +49,7 @@ async fn real_scans_are_turned_upright() {
         );
         assert_eq!(import.up, up, "{name}");
         assert!(import.reprojection_agreement.unwrap() > 0.4, "{name}: {import:?}");
-        // A room is a few metres high, whatever its length.
+        // A room is a few meters high, whatever its length.
         assert!((1.0..6.0).contains(&scene.extent.unwrap().size.z), "{name}: {:?}", scene.extent);
         let answer = server.client.ground(&scene.id, &ask("the theremin")).await.unwrap();
         assert_eq!(answer.status, Status::NoMatch);

@@ -1,4 +1,4 @@
-//! Clients that send slowly do not keep others out.
+//! Clients that send slowly do not block others.
 
 use crate::archives::Scan;
 use crate::scripted_model::{Script, Scripted};
@@ -11,7 +11,7 @@ use uniground::config::{LimitsConfig, VlmConfig};
 use uniground_client::Client;
 use uniground_types::problem::Problem;
 
-/// The fewest connections that a server has.
+/// The lowest connection limit that a server accepts.
 const CONNECTIONS: u32 = 8;
 
 fn few_connections() -> LimitsConfig {
@@ -24,7 +24,7 @@ async fn connect(server: &TestServer, text: &str) -> TcpStream {
     stream
 }
 
-/// The head of a request with a body of 60 kB, and its first byte.
+/// Returns the head of a request with a body of 60 kB, and its first byte.
 fn beginning(path: &str, media_type: &str) -> String {
     format!(
         "POST {path} HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: {media_type}\r\n\
@@ -32,7 +32,7 @@ fn beginning(path: &str, media_type: &str) -> String {
     )
 }
 
-/// Whether a new client is answered.
+/// Returns whether a new client gets a response.
 async fn is_answered(server: &TestServer) -> bool {
     let client = Client::new(&server.url(), None).unwrap();
     timeout(Duration::from_secs(20), client.bytes("healthz"))
@@ -55,11 +55,11 @@ async fn bodies_that_drip_do_not_keep_others_out() {
             dripping.push(connect(&server, &beginning(path, media_type)).await);
         }
         for round in 0..3 {
-            // Until those that have a place are being read.
+            // Wait until the accepted requests are being read.
             sleep(Duration::from_millis(100)).await;
             assert!(is_answered(&server).await, "{path} as {media_type}, round {round}");
             for stream in &mut dripping {
-                // Those that have lost their place are closed.
+                // Requests that lost their connection are closed.
                 let _ = stream.write_all(b" ").await;
             }
         }
@@ -67,7 +67,7 @@ async fn bodies_that_drip_do_not_keep_others_out() {
     server.stop().await;
 }
 
-/// A large upload is not the client that keeps the server waiting.
+/// A large upload that makes progress is not disconnected.
 #[tokio::test]
 async fn an_upload_that_gets_on_keeps_its_place() {
     const PIECE: usize = 64 << 10;
@@ -98,8 +98,7 @@ async fn an_upload_that_gets_on_keeps_its_place() {
     server.stop().await;
 }
 
-/// Who finds all places taken by requests that are being answered is told so, as a problem like any
-/// other.
+/// If every connection is busy with a request, a new one gets a regular problem response.
 #[tokio::test]
 async fn past_the_last_connection_there_is_a_polite_word() {
     let script = Script::default();

@@ -1,5 +1,5 @@
-//! What people read, kept word by word: an answer, problems, a report. `INSTA_UPDATE=always cargo
-//! test --release` writes them anew.
+//! Snapshots of texts that people read: an answer, problems, a report. `INSTA_UPDATE=always cargo
+//! test --release` rewrites them.
 
 use crate::server::TestServer;
 use reqwest::Method;
@@ -108,11 +108,11 @@ fn a_report_reads_as_it_did() {
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let report = fs::read_to_string(out.join("report.md")).unwrap();
     insta::with_settings!({filters => vec![
-        // Times, and what the machine is.
+        // Times and the machine.
         (r"\d{4}-\d{2}-\d{2}T[0-9:]+Z", "[time]"),
         (r"(?m)^.*(?:machine|cores).*$", "[machine]"),
         (r"\d+(?:\.\d+)? ms", "[ms]"),
-        // The columns of latency in the summary, before calls, tokens and dollars.
+        // The latency columns in the summary, before calls, tokens and dollars.
         (r"\| \d+\.\d+ \| \d+\.\d+ (\| \d+\.\d+ \| \d+ \| \d+\.\d+ \|)", "| [ms] | [ms] $1"),
     ]}, {
         insta::assert_snapshot!("report", report);

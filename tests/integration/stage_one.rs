@@ -1,5 +1,5 @@
-//! Stage 1 against annotated rooms (figures are printed), and its behaviour on scans that are cut
-//! short, turned or odd.
+//! Stage 1 against annotated rooms (figures are printed), and its behavior on cancelled, rotated or
+//! unusual scans.
 
 use crate::archives::Scan;
 use crate::shared_scenes::shared_scene;
@@ -23,11 +23,10 @@ use uniground_evaluation::annotated::AnnotatedRoom;
 use uniground_evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
 use uniground_types::settings::ImportSettings;
 
-/// Objects with fewer points are left out of recall.
+/// Objects with fewer points do not count for recall.
 const MIN_POINTS: u32 = 200;
 
-/// Loads an annotated room and runs `test` on it; says so where the rooms are not beside the
-/// checkout.
+/// Loads an annotated room and runs `test` on it. Prints a line if the rooms are missing.
 fn with_room(name: &str, test: impl FnOnce(AnnotatedRoom)) {
     let Some(folder) = shared_scene(&format!("{name}.zip")) else { return };
     let scratch = tempfile::tempdir().unwrap();
@@ -74,14 +73,14 @@ fn superpoints_respect_objects() {
         .unwrap();
         let score = score_superpoints(&found.of_point, &room.truth);
         println!("room1: {score:?}");
-        // PCL's VCCS at 0.05 / 0.2: 0.970 and 0.871; at 0.02 / 0.2, in six times the time: 0.988
-        // and 0.947.
+        // For comparison, PCL's VCCS at 0.05 / 0.2 reaches 0.970 and 0.871; at 0.02 / 0.2, in six
+        // times the time, 0.988 and 0.947.
         assert!(score.purity >= 0.98 && score.achievable_iou >= 0.93, "{score:?}");
     });
 }
 
-/// Floors a little under what is measured (benches/README.md): asked are .72 / .45 on room1 and .62
-/// / .32 on room2.
+/// Thresholds slightly below the measured figures (benches/README.md); the targets are .72 / .45 on
+/// room1 and .62 / .32 on room2.
 #[test]
 fn instances_without_a_model_cover_the_annotated_objects() {
     for (name, floors) in [("room1", [0.83, 0.70]), ("room2", [0.79, 0.50])] {
@@ -94,7 +93,7 @@ fn instances_without_a_model_cover_the_annotated_objects() {
     }
 }
 
-/// With the annotated masks fed in, only grouping and boxes can go wrong.
+/// With the annotated masks as input, only grouping and boxes can be wrong.
 #[test]
 fn perfect_masks_give_near_perfect_instances() {
     for (name, floors) in [("room1", [0.97, 0.86]), ("room2", [0.92, 0.75])] {
@@ -107,8 +106,8 @@ fn perfect_masks_give_near_perfect_instances() {
     }
 }
 
-/// The order of the points must not matter at all to what is found, and turning the world only as
-/// far as voxels fall differently: an object or two of 37.
+/// The order of the points does not change the result. A rotated world changes it only through
+/// other voxel borders: by one or two objects of 37.
 #[test]
 fn neither_turning_the_world_nor_shuffling_points_matters() {
     with_room("room1", |room| {
@@ -157,7 +156,7 @@ fn the_floor_and_walls_are_structure_and_furniture_is_not() {
     }
 }
 
-/// Counts frames, and asks to stop after some of them.
+/// Counts frames and cancels after a number of them.
 struct Watched {
     frames: AtomicUsize,
     stop_after: usize,
@@ -239,7 +238,7 @@ fn a_cancelled_parse_goes_on_where_it_stopped() {
     assert_eq!(parsed.instances, never_stopped.instances, "a resumed parse finds the same");
     assert_eq!(parsed.instance_of_point, never_stopped.instance_of_point);
 
-    // Other merging, same masks: no frame is segmented again.
+    // Other merge settings, same masks: no frame is segmented again.
     let again = Watched::new(usize::MAX, CancellationToken::new());
     let mut literal = settings;
     literal.merging.thresholds = vec![0.95, 0.9];
@@ -251,7 +250,7 @@ fn a_cancelled_parse_goes_on_where_it_stopped() {
     assert_ne!(parsed.instances.len(), never_stopped.instances.len());
 }
 
-/// Whatever happened to a log, a frame's masks are never taken for another's.
+/// Saved masks are never used for another frame, whatever happened to the log.
 #[test]
 fn kept_frames_must_be_those_of_the_scan() {
     let (scan, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
@@ -305,7 +304,7 @@ fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {
 
 #[test]
 fn odd_clouds_become_instances_or_a_clear_error() {
-    // Numbers without a pattern, the same in every run.
+    // Pseudo-random numbers that are the same in every run.
     let hash = |i: u32, k: u32| {
         let mixed = (u64::from(i) << 2 | u64::from(k)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let mixed = (mixed ^ mixed >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -321,7 +320,7 @@ fn odd_clouds_become_instances_or_a_clear_error() {
                 .map(|i| Point3::new((i % 200) as f32 * 0.01, (i / 200) as f32 * 0.01, 0.0))
                 .collect(),
         ),
-        // Everything near everything: must not tie every pair of superpoints.
+        // Every point is near every other: the parse must not connect every pair of superpoints.
         (
             "a cloud of noise",
             (0..200_000)
@@ -362,7 +361,7 @@ fn odd_clouds_become_instances_or_a_clear_error() {
     assert!(matches!(nothing, Err(ParseError::NoPoints)));
 }
 
-/// Frames that look the other way: a parse with a warning that names them.
+/// Frames that look away: the parse succeeds with a warning that names them.
 #[test]
 fn frames_that_see_nothing_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -393,8 +392,8 @@ fn frames_that_see_nothing_are_named() {
     );
 }
 
-/// Things that the built-in masks cut out are cut out again where somebody points at them, as if
-/// they had been missed.
+/// Instances that the built-in masks found are found again from a point on them, as if they had
+/// been missed.
 #[test]
 fn what_somebody_points_at_is_cut_out() {
     let scratch = tempfile::tempdir().unwrap();
@@ -433,7 +432,7 @@ fn what_somebody_points_at_is_cut_out() {
         let again = pointing.find(place, &known, &[]).unwrap();
         asked += 1;
         found += u32::from(again.as_ref().is_some_and(|again| again.aabb.iou(&thing.aabb) >= 0.25));
-        // The same place gives the same thing, with views that show it.
+        // The same point gives the same instance, with views that show it.
         if asked == 1 {
             assert_eq!(pointing.find(place, &known, &[]).unwrap(), again);
         }
@@ -443,7 +442,7 @@ fn what_somebody_points_at_is_cut_out() {
     }
     println!("pointed at: {found} of {asked} cut out again");
     assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
-    // Beside the room nothing is cut out.
+    // A point outside of the room yields nothing.
     let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0) };
     assert_eq!(pointing.find(nowhere, &parsed.instances, &[]).unwrap(), None);
 }

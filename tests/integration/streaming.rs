@@ -1,4 +1,4 @@
-//! Large uploads pass through; they do not pile up in memory.
+//! Large uploads are streamed to disk and not held in memory.
 
 use crate::archives::Scan;
 use crate::server::{Process, problem};
@@ -11,7 +11,7 @@ use uniground_client::Client;
 
 const CHUNK: usize = 1 << 20;
 
-/// Peak resident memory of a process, MB.
+/// Returns the peak resident memory of a process in MB.
 fn peak_mb(pid: u32) -> f64 {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let line = status.lines().find(|l| l.starts_with("VmHWM:")).unwrap();
@@ -22,8 +22,8 @@ fn peak_mb(pid: u32) -> f64 {
 async fn a_large_upload_stays_out_of_memory() {
     let data = tempfile::tempdir().unwrap();
     let server = Process::start(Utf8Path::from_path(data.path()).unwrap());
-    // A tar of one large file: the room is missing, so it is refused, but only after it went all
-    // the way to disk.
+    // A tar of one large file. It contains no room, so it is refused, but only after all of it was
+    // written to disk.
     const MEGABYTES: usize = 300;
     let mut header = tar::Header::new_gnu();
     header.set_path("noise.bin").unwrap();
@@ -58,7 +58,7 @@ async fn an_upload_that_breaks_off_leaves_nothing() {
         .create_scene(None, "application/zip", reqwest::Body::wrap_stream(stream::iter(chunks)))
         .await;
     assert!(sent.is_err());
-    // The connection's end reaches the server a moment later.
+    // The server notices the closed connection a moment later.
     for _ in 0..100 {
         if data.join("tmp").read_dir_utf8().unwrap().next().is_none() {
             break;

@@ -1,5 +1,4 @@
-//! What a server tells of itself: metrics, numbers and readiness, held against what was done, and
-//! against the files that use them.
+//! Metrics, statistics and readiness, compared with what was done and with the files that use them.
 
 use crate::archives::Scan;
 use crate::scripted_model::{Script, fails, says};
@@ -23,14 +22,14 @@ use uniground_types::service::Readiness;
 /// A sample: its labels and its value.
 type Sample = (BTreeMap<String, String>, f64);
 
-/// What a scrape says: samples by name, the types and the help of families.
+/// A scrape: samples by name, and the types and help texts of families.
 struct Scrape {
     samples: BTreeMap<String, Vec<Sample>>,
     types: BTreeMap<String, String>,
 }
 
 impl Scrape {
-    /// Reads every line, and fails on one that is none.
+    /// Parses every line and fails on an invalid one.
     fn read(text: &str) -> Self {
         let (mut samples, mut types, mut helped) =
             (BTreeMap::<_, Vec<Sample>>::new(), BTreeMap::new(), BTreeSet::new());
@@ -65,7 +64,7 @@ impl Scrape {
         Self { samples, types }
     }
 
-    /// The value of a series; 0 where there is none yet.
+    /// Returns the value of a series; 0 if there is none.
     fn value(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
         let fits = |(of, _): &&Sample| {
             labels.iter().all(|(label, value)| of.get(*label).is_some_and(|found| found == value))
@@ -73,7 +72,7 @@ impl Scrape {
         self.samples.get(name).into_iter().flatten().filter(fits).map(|(_, value)| value).sum()
     }
 
-    /// Every name a query may use.
+    /// Returns every name that a query may use.
     fn names(&self) -> BTreeSet<String> {
         let of = |(family, kind): (&String, &String)| match kind.as_str() {
             "counter" => vec![format!("{family}_total")],
@@ -107,7 +106,7 @@ fn file(path: &str) -> String {
     fs::read_to_string(Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
 }
 
-/// Names of metrics of ours within a text.
+/// Returns the names of this service's metrics in a text.
 fn named(text: &str) -> BTreeSet<String> {
     let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
     words
@@ -116,8 +115,8 @@ fn named(text: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Names of metrics in the expressions of the dashboard; each panel has a place of its own and one
-/// title.
+/// Returns the metric names in the dashboard's expressions. Every panel has a place of its own and
+/// a unique title.
 fn named_in_dashboard() -> BTreeSet<String> {
     let dashboard: Value = serde_json::from_str(&file("deploy/grafana-dashboard.json")).unwrap();
     let panels = dashboard["panels"].as_array().unwrap();
@@ -140,8 +139,8 @@ fn bytes_below(folder: &Utf8Path) -> u64 {
         .sum()
 }
 
-/// The sample scan is uploaded twice, asked about alone and in a batch, and one question is about a
-/// scene that is none.
+/// Uploads the sample scan twice, asks single questions and a batch, and asks about a scene that
+/// does not exist.
 #[tokio::test(flavor = "multi_thread")]
 async fn metrics_and_stats_tell_what_was_done() {
     let server = TestServer::start().await;
@@ -242,7 +241,7 @@ async fn metrics_and_stats_tell_what_was_done() {
     assert_eq!(first.samples["uniground_lane_up"].len(), 3);
     assert!(first.value("process_resident_memory_bytes", &[]) > 1e6);
 
-    // The numbers for people say the same.
+    // The statistics endpoint reports the same numbers.
     let stats = server.client.stats().await.unwrap();
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap().len() as u32;
     let stored = &stats.stored;
@@ -281,8 +280,7 @@ async fn metrics_and_stats_tell_what_was_done() {
     );
     assert!(stats.disk.database_bytes > 4096 && stats.disk.free_bytes > 0);
 
-    // Sizes are measured behind everybody's back, and those of the start are of a folder that was
-    // empty.
+    // Sizes are measured in the background; those from the start are of an empty folder.
     let data = server.data().to_owned();
     let restarted = TestServer::start_on(
         server.give_back().await,
@@ -320,11 +318,11 @@ async fn metrics_and_stats_tell_what_was_done() {
     restarted.stop().await;
 }
 
-/// Alerts, dashboard and manual speak of metrics that there are, the manual of all of them.
+/// Alerts, dashboard and manual name only existing metrics, and the manual names all of them.
 fn files_name_what_there_is(scrape: &Scrape) {
     let known = scrape.names();
     for used in ["deploy/prometheus-alerts.yml", "docs/guides/operations.md"] {
-        // The table of the manual has histograms by their family's name.
+        // The manual's table lists histograms by family name.
         let unknown: Vec<_> = named(&file(used))
             .into_iter()
             .filter(|name| !known.contains(name) && !scrape.types.contains_key(name))
@@ -370,12 +368,13 @@ fn files_name_what_there_is(scrape: &Scrape) {
     }
 }
 
-/// No label has a value that nobody foresaw.
+/// Every label has a bounded set of values.
 fn labels_are_bounded(scrape: &Scrape) {
     for (name, samples) in &scrape.samples {
         for (labels, _) in samples {
             for (label, value) in labels {
-                // Templates have braces; what has digits like an id was somebody's.
+                // Route templates contain braces; a value with digits like an id would come from a
+                // request.
                 let bounded = label == "le"
                     || label == "version"
                     || label == "status"
@@ -406,7 +405,7 @@ async fn odd_requests_make_no_labels_of_their_own() {
     server.stop().await;
 }
 
-/// A model that does not answer is told, and the server is ready all the same: built-in parts
+/// A model that does not answer is reported, and the server stays ready because the built-in models
 /// answer.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
@@ -454,7 +453,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
         (2.0, 1.0)
     );
 
-    // It comes back: first with words that make no sense, then with a choice.
+    // The model is back: first with an invalid reply, then with a choice.
     let chosen = answer.candidates.as_ref().unwrap()[0].id;
     let choice = format!(
         "Predicted ID: {chosen}\nExplanation: red\nCandidate Names: {chosen} -> sofa\nTarget name matches?: True\nAnchor ID: -1\nRelation used: on"
@@ -472,7 +471,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
         server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
     finished(&server.client, batch.job_id.as_deref().unwrap()).await;
     let scrape = scraped(&server).await;
-    // Everything has happened once.
+    // Each outcome has occurred once.
     files_name_what_there_is(&scrape);
     labels_are_bounded(&scrape);
     let calls = |outcome| scrape.value("uniground_vlm_calls_total", &[("outcome", outcome)]);
@@ -501,7 +500,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     server.stop().await;
 }
 
-/// What a collector and a model were sent: the path, `traceparent`, the body.
+/// What the collector and the model received: path, `traceparent`, body.
 type Sent = Arc<Mutex<Vec<(String, Option<String>, Vec<u8>)>>>;
 
 async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
@@ -516,7 +515,7 @@ async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json
     )
 }
 
-/// A caller's trace goes on through the server to the model, and its spans go to the collector:
+/// A caller's trace continues through the server to the model, and its spans go to the collector:
 /// requests, jobs, calls.
 #[tokio::test(flavor = "multi_thread")]
 async fn traces_are_taken_up_handed_on_and_sent() {
@@ -557,7 +556,7 @@ async fn traces_are_taken_up_handed_on_and_sent() {
                 .as_ref()
                 .is_some_and(|parent| parent.starts_with(&format!("00-{TRACE}-"))))
     );
-    // The endpoint was looked for when the server started, for nobody's question.
+    // The startup probe of the endpoint belongs to no request.
     let (traces, looks): (Vec<_>, Vec<_>) =
         traces.into_iter().partition(|(path, ..)| path == "/v1/traces");
     assert!(

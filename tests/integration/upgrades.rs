@@ -1,5 +1,4 @@
-//! Data folders that earlier versions have left, opened by this one. `scripts/data-fixture.sh`
-//! makes them.
+//! Data folders of earlier versions, opened by this one. `scripts/data-fixture.sh` makes them.
 
 use crate::server::{TestServer, ask};
 use camino::Utf8Path;
@@ -18,8 +17,8 @@ use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::job::JobState;
 use uniground_types::scenes::{Scene, SceneStatus};
 
-/// A data folder as it was left, and what its server had told: `scene.json`, `instances.json`,
-/// `answers.jsonl`, `scan.zip`.
+/// A data folder of an earlier version, and what its server returned: `scene.json`,
+/// `instances.json`, `answers.jsonl`, `scan.zip`.
 struct Left {
     data: tempfile::TempDir,
     told: tempfile::TempDir,
@@ -53,10 +52,10 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     for instance in instances_told["instances"].as_array_mut().unwrap() {
         instance["level"] = "thing".into();
         instance["things"] = Value::Array(Vec::new());
-        // Nobody could correct anything then.
+        // That version had no corrections.
         (instance["given_name"], instance["dismissed"], instance["merged_from"]) =
             (Value::Null, false.into(), Value::Array(Vec::new()));
-        // No scene grew.
+        // That version had no added frames.
         instance["gone"] = false.into();
     }
     let answers_told = String::from_utf8(left.told("answers.jsonl")).unwrap();
@@ -76,10 +75,10 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         (scene.name.as_str(), scene.status, scene.parse_version),
         ("A block", SceneStatus::Ready, 1)
     );
-    // Everything it was told to be, under the names settings have today.
+    // Every setting of that time, under today's names.
     let mut expected = scene_told.clone();
     uniground_types::settings::with_names_of_today(&mut expected["settings"]);
-    // Steps of today were not taken then.
+    // That version did not have these stages.
     expected["settings"]["parsing"]["merging"]["keep_planes_apart"] = false.into();
     expected["settings"]["parsing"]["merging"]["split_at_depth_edges"] = false.into();
     expected["settings"]["parsing"]["refine_borders"] = false.into();
@@ -115,8 +114,8 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         );
         let picture = get(&format!("v1/answers/{}/evidence/global.jpg", told.id)).await;
         assert!(image::load_from_memory(&picture).is_ok());
-        // The same question comes to the same, but for ids and times, the version of the parts, and
-        // what was not told then.
+        // The same question gets the same answer, except for ids, times, versions and fields that
+        // are new.
         let again = server.client.ground(&scene.id, &ask(&told.query)).await.unwrap();
         let (id, timings_ms, evidence, models) =
             (told.id.clone(), told.timings_ms, told.evidence.clone(), told.models.clone());
@@ -126,7 +125,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
             answer.candidates.iter().flatten().map(|c| (c.rank, c.id)).collect::<Vec<_>>()
         };
         assert_eq!(ranks(&again), ranks(&told));
-        // How sure it is, is a matter of version too.
+        // Confidence depends on the version.
         let (confidence, candidates) = (told.confidence, told.candidates.clone());
         let again = Answer {
             id,
@@ -152,7 +151,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     }
     let job = server.client.job(scene.job_id.as_deref().unwrap()).await.unwrap();
     assert_eq!((job.kind.as_str(), job.error), ("parse", None));
-    // A key is remembered, what was up stays up, and a scene can go.
+    // The idempotency key is still known, the scan is stored, and the scene can be deleted.
     let created = server
         .client
         .create_scene_once(&[("name", "x")], "application/zip", scan, "block")
@@ -173,7 +172,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     server.stop().await;
 }
 
-/// Every schema there was: its version, and the migration that made it of the one before.
+/// Returns every schema: its version and the migration that makes it from the one before.
 fn migrations() -> Vec<(i64, String)> {
     let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations/sqlite");
     let files = folder.read_dir_utf8().unwrap().map(|file| file.unwrap().into_path());
@@ -186,9 +185,8 @@ fn migrations() -> Vec<(i64, String)> {
     migrations
 }
 
-/// What tables of later schemas than the fixture's held, each with the table it is about; ids of
-/// the fixture stand in for `SCENE`, `PARSE` and `ANSWER`. A migration that makes a table adds a
-/// row here.
+/// Rows for tables that are newer than the fixture, each with its table. Ids of the fixture replace
+/// `SCENE`, `PARSE` and `ANSWER`. A migration that adds a table adds a row here.
 const LATER_ROWS: &[(&str, &str)] = &[
     (
         "instance_names",
@@ -242,7 +240,7 @@ const LATER_ROWS: &[(&str, &str)] = &[
     ),
     ("announcements", "INSERT INTO announcements (job_id) SELECT id FROM jobs LIMIT 1"),
 ];
-/// Of the key in there.
+/// The secret of the key in these rows.
 const SECRET: &str = "ug_00000000_upgrade";
 
 async fn open(database: &Utf8Path) -> SqliteConnection {
@@ -264,8 +262,8 @@ async fn tables(rows: &mut SqliteConnection, of: &str) -> Vec<String> {
     texts(rows, sql).await
 }
 
-/// Makes the fixture's database one of another schema, with the fixture's rows and some in every
-/// table it did not have.
+/// Turns the fixture's database into one of another schema, with the fixture's rows and rows in
+/// every newer table.
 async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
     let (old, new) = (data.join("uniground.sqlite"), data.join("new.sqlite"));
     let mut rows = open(&new).await;
@@ -315,7 +313,7 @@ async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
     fs::rename(&new, &old).unwrap();
 }
 
-/// Whatever version somebody comes from: what was there is served as it was.
+/// Data of every earlier schema is served unchanged.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
     let migrations = migrations();
@@ -353,7 +351,7 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
             client.job(scene.job_id.as_deref().unwrap()).await.unwrap().state,
             JobState::Succeeded
         );
-        // Where there are keys, each has idempotency keys of its own.
+        // Where API keys exist, each has its own idempotency keys.
         if version < 6 {
             let same = client
                 .create_scene_once(&[("name", "x")], "application/zip", scan, "block")
@@ -379,7 +377,7 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
         let data = server.give_back().await;
         let folder = Utf8Path::from_path(data.path()).unwrap();
         let store = Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap();
-        // What was put aside for calls that a server did not live to see is spent.
+        // Money reserved for calls that a killed server left open counts as spent.
         let spent = [(2, 0.5), (4, 0.25)]
             .into_iter()
             .filter(|(since, _)| version >= *since)

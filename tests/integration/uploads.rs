@@ -1,4 +1,4 @@
-//! What an upload is, its bytes say.
+//! Uploads: the content decides the type, and large ones are streamed.
 
 use crate::archives::Scan;
 use crate::server::{TestServer, finished};
@@ -24,7 +24,7 @@ async fn any_content_type_will_do() {
         [head.as_bytes(), file, b"\r\n--x--\r\n"].concat()
     };
     const FORM: &str = "multipart/form-data; boundary=x";
-    // As curl sends what it is told to send; called something else; a browser's form.
+    // curl's default media type; a wrong one; a browser's form.
     for (media_type, body) in [
         ("application/x-www-form-urlencoded", scan.zip()),
         ("application/octet-stream", scan.tar()),
@@ -33,7 +33,7 @@ async fn any_content_type_will_do() {
     ] {
         assert_eq!(made("", media_type, body).await.name, "test room", "{media_type}");
     }
-    // A cloud alone, and lines of numbers that are one by the name of their file.
+    // A bare cloud, and a text file of numbers that its name marks as a cloud.
     let cloud = Scan::cloud_only().0.remove("cloud.ply").unwrap();
     let scene = made("?up=z&name=bare", "application/octet-stream", cloud).await;
     assert_eq!((scene.status, scene.import.unwrap().format.as_str()), (SceneStatus::Ready, "ply"));

@@ -1,5 +1,5 @@
-//! A vision-language model decides: a scripted OpenAI-compatible server on loopback plays it, well
-//! and badly.
+//! A vision-language model decides. A scripted OpenAI-compatible server on loopback plays it, with
+//! correct and incorrect replies.
 
 use crate::scripted_model::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask, finished, problem};
@@ -26,7 +26,7 @@ fn sample() -> Vec<u8> {
     fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
 }
 
-/// A model that is given up on quickly.
+/// Returns the configuration of a model with short timeouts.
 pub fn config(url: &str) -> VlmConfig {
     VlmConfig {
         vlm_url: Some(url.to_owned()),
@@ -49,7 +49,7 @@ fn by(reasoner: ReasonerChoice) -> GroundRequest {
     GroundRequest { reasoner, ..ask(QUERY) }
 }
 
-/// What the geometry alone says.
+/// Returns the answer of the built-in reasoner.
 async fn builtin(server: &TestServer, scene: &str) -> Answer {
     server.client.ground(scene, &by(ReasonerChoice::Builtin)).await.unwrap()
 }
@@ -61,7 +61,7 @@ pub fn six_lines(id: impl std::fmt::Display, names: &str, matches: bool, anchor:
     ))
 }
 
-/// All texts of a request's user message.
+/// Returns all texts of a request's user message.
 fn text_of(body: &Value) -> String {
     let parts = body["messages"][1]["content"].as_array().unwrap();
     parts.iter().filter_map(|part| part["text"].as_str()).collect()
@@ -90,7 +90,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     let plain = builtin(&server, &scene).await;
     assert_eq!((plain.models.reasoner.as_str(), script.calls()), ("builtin-3", 0));
     let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
-    // Another than the geometry's choice.
+    // Not the built-in reasoner's choice.
     let (chosen, anchor) = (ids[1], plain.answer.anchor_id.unwrap().0);
     script.next(vec![six_lines(
         chosen,
@@ -123,8 +123,8 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
                 >= answer.timings_ms.evidence + answer.timings_ms.reason - 1.0
     );
 
-    // What was sent: a render, one collage for every candidate and the anchor's, then the words;
-    // nothing that sets temperature or length.
+    // The request contains a render, a collage for each candidate and the anchor, then the text. It
+    // sets neither temperature nor length.
     let sent = script.take().remove(0);
     let candidates = answer.candidates.as_ref().unwrap();
     let beside = usize::from(candidates.iter().all(|c| c.id.0 != anchor));
@@ -136,7 +136,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     );
     assert!(text_of(&sent).ends_with(&format!("Query: \"{QUERY}\"")));
 
-    // What is kept is what was sent.
+    // The stored evidence equals what was sent.
     let prompt = server.client.answer_prompt(&answer.id).await.unwrap();
     assert_eq!((prompt.model.as_str(), prompt.calls.len()), ("scripted", 1));
     let texts: String = prompt.calls[0]
@@ -168,7 +168,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     assert!(reply.calls[0].text.as_ref().unwrap().starts_with(&format!("Predicted ID: {chosen}")));
     assert_eq!(server.client.answer(&answer.id).await.unwrap().answer, answer.answer);
 
-    // An answer of the geometry has a picture and no prompt.
+    // An answer of the built-in reasoner has an image and no prompt.
     assert!(
         server.client.bytes(&format!("v1/answers/{}/evidence/global.jpg", plain.id)).await.is_ok()
     );
@@ -184,7 +184,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
             "{name}"
         );
     }
-    // With the scene everything goes.
+    // Deleting the scene deletes the evidence.
     assert_eq!(server.stored("blobs/answers"), std::slice::from_ref(&answer.id));
     server.client.delete_scene(&scene).await.unwrap();
     assert!(server.stored("blobs/answers").is_empty());
@@ -206,7 +206,8 @@ async fn what_does_not_hold_together_is_asked_again() {
         server.client.ground(&scene, &ask(QUERY)).await.unwrap()
     };
 
-    // An id that is no candidate: asked again with the same pictures, told what was wrong.
+    // An id that is not a candidate: the model is asked again with the same images and told what
+    // was wrong.
     let answer = grounded(vec![six_lines(4711, &named, true, 1), good()]).await;
     assert_eq!(
         (purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
@@ -223,7 +224,7 @@ async fn what_does_not_hold_together_is_asked_again() {
             && answer.usage.prompt_tokens == 1400
     );
 
-    // Something that can not be read; two ids; nothing at all.
+    // An unreadable reply; two ids; an empty reply.
     for (text, why) in [
         ("I would say the mug.", "no \"Predicted ID\""),
         ("Predicted ID: 3 or 5", "both 3 and 5"),
@@ -234,8 +235,8 @@ async fn what_does_not_hold_together_is_asked_again() {
         assert!(corrections(&answer).contains(why), "{}", corrections(&answer));
     }
 
-    // A name that speaks against the choice: asked again with the render and the images of what was
-    // chosen.
+    // A name that contradicts the choice: the model is asked again with the render and the images
+    // of the chosen candidate.
     let answer = grounded(vec![six_lines(second, &named, true, 1), good()]).await;
     assert_eq!(
         (purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
@@ -248,7 +249,7 @@ async fn what_does_not_hold_together_is_asked_again() {
         "{}",
         text_of(&sent[1])
     );
-    // It stays with its choice: that is its answer.
+    // The model repeats its choice: that is its answer.
     let answer = grounded(vec![six_lines(second, &named, true, 1)]).await;
     assert_eq!(
         (purposes(&answer).len(), answer.answer.predicted_id.map(|id| id.0)),
@@ -256,8 +257,8 @@ async fn what_does_not_hold_together_is_asked_again() {
     );
     assert!(answer.confidence < 0.7 && !answer.degraded);
 
-    // Three times outside of the set: the geometry's answer, told and degraded; or the only
-    // candidate with a fitting name.
+    // Three ids outside of the candidates: the built-in answer, marked as degraded; or the only
+    // candidate with a matching name.
     let answer = grounded(vec![six_lines(4711, "", true, 1)]).await;
     assert_eq!((purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
     assert_eq!((&answer.answer, answer.models.reasoner.as_str()), (&plain.answer, "builtin-3"));
@@ -276,11 +277,11 @@ async fn what_does_not_hold_together_is_asked_again() {
         answer.answer.explanation
     );
 
-    // Nothing fits: no box.
+    // Nothing matches: no box.
     let answer = grounded(vec![six_lines("none", &named, false, 1)]).await;
     assert_eq!((answer.status, answer.aabb, purposes(&answer).len()), (Status::NoMatch, None, 1));
 
-    // The second call fails: the first answer is what there is.
+    // The second call fails: the first answer is used.
     let answer =
         grounded(vec![six_lines(second, &named, true, 1), fails(401, "the key has expired")]).await;
     assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), false));
@@ -330,7 +331,7 @@ async fn ablations_leave_out_what_they_say() {
         assert_eq!(pictures_of(&sent), pictures, "{ablation:?}");
         assert!(text_of(&sent).starts_with(says_first), "{ablation:?}: {}", text_of(&sent));
     }
-    // Without a format, prose will do.
+    // Without a response format, prose is accepted.
     let id = plain.answer.predicted_id.unwrap();
     script.next(vec![says(&format!(
         "The object ID that best matches the query is **ID {id}**. It is on the table."
@@ -359,16 +360,16 @@ async fn a_caller_who_leaves_stops_the_call() {
         _ = request.send() => panic!("the model stalls: there is no answer"),
         called = tokio::time::timeout(Duration::from_mins(1), called) => called.unwrap(),
     }
-    // Dropping the request has closed its connection, and the service the model's.
+    // The dropped request closed its connection, and the service closed the model's.
     tokio::time::timeout(Duration::from_secs(5), script.left.cancelled()).await.unwrap();
-    // So does cancelling a job that has the model name things.
+    // Cancelling a naming job does the same.
     let job = server.client.name_instances(&scene).await.unwrap();
     while script.calls() < 2 {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     server.client.cancel_job(&job.id).await.unwrap();
     assert_eq!(finished(&server.client, &job.id).await.state, JobState::Cancelled);
-    // A limit of the question's own.
+    // A timeout of the question itself.
     leaving::time_out_during_a_call(&server, &scene, &script).await;
     server.stop().await;
 }
@@ -393,7 +394,7 @@ async fn what_is_not_to_be_kept_is_not() {
     server.stop().await;
 }
 
-/// Nobody's key is in anything that is stored.
+/// No stored file contains an API key.
 #[tokio::test(flavor = "multi_thread")]
 async fn keys_are_never_stored() {
     let script = Script::default();
@@ -435,8 +436,8 @@ fn eval(out: &camino::Utf8Path, args: &[&str]) -> (std::process::Output, Value) 
     (output, report.unwrap_or_default())
 }
 
-/// A table of what a model decides, once with photographs and once with names, within a budget and
-/// again from what was recorded.
+/// Evaluates a model, with photographs and with names, within a budget and then from the recorded
+/// replies.
 #[test]
 fn a_model_is_evaluated_and_its_answers_are_kept() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
@@ -495,7 +496,7 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
             assert_eq!(before["figures"][figure], after["figures"][figure], "{figure}");
         }
     }
-    // A run has a budget of its own: what it does not pay for fails, and is told.
+    // Each run has its own budget: questions beyond it fail with an error.
     let (output, _) = eval(
         &root.join("c"),
         &[&model[..], &["--matrix", "source=oracle;reasoner=vlm", "--max-usd", "0.03"]].concat(),

@@ -1,5 +1,5 @@
-//! What web pages need of the service: other origins, links without a key, marks, parts, and
-//! something to look at.
+//! What web pages need of the service: other origins, signed links, conditional requests, ranges,
+//! and images.
 
 use crate::archives::Scan;
 use crate::server::{Process, TestServer, command, finished, parsed, problem};
@@ -60,7 +60,7 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
     assert!(
         listed.headers()["access-control-expose-headers"].to_str().unwrap().contains("retry-after")
     );
-    // A page of its own; what is no browser; a page that was named.
+    // A page of the server itself; a client that is not a browser; an allowed origin.
     let made = async |origin: Option<&str>, site: Option<&str>| {
         let request = client
             .request(Method::POST, "v1/links")
@@ -147,7 +147,7 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
             "{path}"
         );
     }
-    // Events are as a browser's `EventSource` asks for them.
+    // Events are requested like a browser's `EventSource` does.
     let events = process
         .client
         .request(Method::GET, links[2].url.as_ref().unwrap().trim_start_matches('/'))
@@ -156,7 +156,7 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
         .unwrap();
     assert_eq!(events.headers()[header::CONTENT_TYPE], "text/event-stream");
     assert!(events.text().await.unwrap().contains("succeeded"));
-    // Reading is all a link is for.
+    // Links allow reading only.
     let wrong = process.client.request(
         Method::DELETE,
         &format!("{}?link={}", below.trim_start_matches('/'), links[1].token),
@@ -216,12 +216,12 @@ async fn what_has_not_changed_is_not_sent_again() {
             "{path}"
         );
     }
-    // A name given anew is another scene to look at.
+    // A renamed scene has a new entity tag.
     let mark = get("", &[]).await.headers()["etag"].clone();
     server.client.rename_scene(&scene.id, "other").await.unwrap();
     assert_ne!(get("", &[]).await.headers()["etag"], mark);
 
-    // Parts, for who reads a cloud piece by piece; and heads.
+    // Ranges, for clients that read a cloud piece by piece, and HEAD requests.
     let whole = get("/points.bin", &[]).await.bytes().await.unwrap();
     let part = get("/points.bin", &[("range", "bytes=0-43")]).await;
     assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
@@ -255,7 +255,7 @@ async fn what_has_not_changed_is_not_sent_again() {
         (StatusCode::OK, &*whole.len().to_string())
     );
 
-    // Compressed for who takes it: not pictures, not parts.
+    // Compression for clients that accept it, except for images and ranges.
     let taken = [("accept-encoding", "zstd, br;q=0.9, gzip;q=0.8")];
     for (path, is_compressed) in
         [("/instances", true), ("/cloud.ply", true), ("/thumbnail.jpg", false)]
@@ -315,14 +315,14 @@ async fn there_is_something_to_look_at() {
         server.client.bytes(&format!("v1/scenes/{}/frames/9999/photograph.jpg", scene.id)).await,
     );
     assert_eq!((missing.status, missing.code.as_str()), (404, "frame_not_found"));
-    // Lists are short.
+    // Lists omit large fields.
     let listed = server.client.scenes(10, None).await.unwrap().scenes.remove(0);
     assert!(listed.settings.is_none() && listed.report.is_none() && listed.counts.is_some());
     assert!(server.client.scene(&scene.id).await.unwrap().settings.is_some());
     server.stop().await;
 }
 
-/// A parse from before points and small pictures were kept shows them all the same.
+/// A parse of a version that stored no points and thumbnails still shows them.
 #[tokio::test]
 async fn parses_from_before_can_be_looked_at() {
     let server = TestServer::start().await;

@@ -1,4 +1,4 @@
-//! Being told when jobs end.
+//! Webhooks at the end of jobs.
 
 use crate::archives::Scan;
 use crate::server::{Process, command, finished, parsed};
@@ -13,10 +13,10 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::sleep;
 
-/// What was told: the webhook's id, and its body.
+/// A received message: the webhook's id and its body.
 type Heard = Arc<Mutex<Vec<(String, Value)>>>;
 
-/// Takes every message but the first.
+/// Accepts every message except the first.
 async fn hear(State(heard): State<Heard>, headers: HeaderMap, body: Bytes) -> StatusCode {
     assert!(
         headers["webhook-signature"].to_str().unwrap().starts_with("v1,")
@@ -63,7 +63,7 @@ async fn the_end_of_a_job_is_told_until_somebody_listens() {
     let process = Process::started(&mut start(&["--webhook-allow-private"]));
     let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
     until(&heard, 1).await;
-    // Not taken, and the server is killed: the next one tells it again.
+    // The message was not accepted and the server is killed: the next server sends it again.
     process.kill();
     let process = Process::started(&mut start(&["--webhook-allow-private"]));
     let told = until(&heard, 2).await;

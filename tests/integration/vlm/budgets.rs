@@ -1,4 +1,4 @@
-//! What a model may cost, and what happens when that is spent.
+//! Budgets for model calls, and what happens when they are spent.
 
 use super::leaving::time_out_during_a_call;
 use super::{QUERY, builtin, by, config, corrections, six_lines, start};
@@ -38,7 +38,7 @@ async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_questi
         found.answers.iter().map(|found| found.answer.scene_id.as_str()).collect();
     assert_eq!((scenes, script.calls()), (BTreeSet::from([scene.as_str(), again.id.as_str()]), 2));
     assert!(found.answers.iter().all(|found| found.answer.usage.cost_usd > 0.5), "{found:?}");
-    // Too little for one call: nobody is asked, and that is told.
+    // Too little for one call: the model is not called, and the answer says so.
     script.take();
     let error = problem(asked(Some(0.5)).await);
     assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
@@ -49,8 +49,8 @@ async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_questi
 async fn money_ends() {
     let script = Script::default();
     let url = script.serve(vec![says("-")]).await;
-    // 700 and 40 tokens at 1000 and 5000 dollars a million: 0.9 dollars a call, thought to be
-    // several before it is made.
+    // 700 and 40 tokens at 1000 and 5000 dollars per million: 0.9 dollars a call. The estimate
+    // before the call is several dollars.
     let dear = VlmConfig {
         vlm_prompt_usd: 1000.0,
         vlm_completion_usd: 5000.0,
@@ -62,7 +62,7 @@ async fn money_ends() {
     script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
     let limited = |reasoner, usd| GroundRequest { max_cost_usd: Some(usd), ..by(reasoner) };
 
-    // Nothing may be spent: nobody is asked.
+    // With a budget of zero the model is not called.
     assert!(
         !server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.0)).await.unwrap().degraded
     );
@@ -75,7 +75,7 @@ async fn money_ends() {
     let answer = server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.5)).await.unwrap();
     assert!(answer.degraded && corrections(&answer).contains("budget of this question"));
 
-    // A server that does not count its tokens is not free.
+    // If the model's server reports no token counts, they are estimated.
     let uncounted =
         json!({"choices": [{"message": {"content": "Predicted ID: none"}}], "usage": null});
     script.next(vec![Scripted::Json(200, uncounted)]);
@@ -84,7 +84,7 @@ async fn money_ends() {
     script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
     script.take();
 
-    // The day's money is spent call by call, also by a server that starts again.
+    // Every call counts towards the daily budget, also after a restart.
     let mut paid = 0;
     while server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.is_ok() {
         paid += 1;
@@ -105,7 +105,7 @@ async fn money_ends() {
     server.stop().await;
 }
 
-/// What can not be held to is refused rather than ignored.
+/// A budget that cannot be enforced is refused at startup.
 #[tokio::test(flavor = "multi_thread")]
 async fn budgets_need_prices() {
     let script = Script::default();
@@ -138,8 +138,8 @@ async fn budgets_need_prices() {
     server.stop().await;
 }
 
-/// Attempts that got no answer may be billed all the same, and a server that is killed in mid-call
-/// does not forget what was under way.
+/// Attempts without a response count as possibly billed, and a server that is killed during a call
+/// remembers the reserved amount.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_may_be_billed_counts_and_outlives_the_server() {
     let script = Script::default();
@@ -170,12 +170,12 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
         usd > 1.0 && open == 0 && script.calls() == 2,
         "two attempts behind an error of the server's own: {usd}"
     );
-    // Refused at the door, nothing was bought.
+    // The request was refused before it was processed: nothing is billed.
     script.next(vec![fails(401, "who are you")]);
     assert_eq!(problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).status, 502);
     assert_eq!(spent(&server).await, (usd, 0));
 
-    // A caller that leaves while the model thinks has asked it all the same.
+    // A caller that disconnects during a call is still charged for it.
     script.next(vec![Scripted::Stall]);
     time_out_during_a_call(&server, &scene, &script).await;
     while spent(&server).await.1 > 0 {
@@ -185,7 +185,7 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
 
     let data = server.give_back().await;
     let mut database = rows(Utf8Path::from_path(data.path()).unwrap()).await;
-    // What a server leaves that is killed in the middle of a dear call.
+    // The reserved amount of an expensive call that a killed server left open.
     let today = &Timestamp::now().to_string()[..10];
     sqlx::query("INSERT INTO reservations (id, day, usd) VALUES ('killed', $1, 99.0)")
         .bind(today)

@@ -1,4 +1,4 @@
-//! Callers that hang up while the model is being called.
+//! Callers that disconnect during a model call.
 
 use super::{by, config, six_lines, start};
 use crate::scripted_model::{Script, Scripted};
@@ -10,7 +10,7 @@ use tokio::time::{sleep, timeout};
 use uniground::config::VlmConfig;
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// Waits until something is so.
+/// Waits until a condition holds.
 async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
     let wait = async {
         while !is_so().await {
@@ -20,7 +20,7 @@ async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
     assert!(timeout(Duration::from_mins(1), wait).await.is_ok(), "never: {what}");
 }
 
-/// US dollars spent, and calls under way for which money is reserved.
+/// Returns the US dollars spent and the number of open calls with reserved money.
 async fn spending(server: &TestServer) -> (f64, i64) {
     let mut database = rows(server.data()).await;
     let usd: Option<f64> =
@@ -37,7 +37,7 @@ async fn has_metric(server: &TestServer, line: &str) -> bool {
     metrics.lines().any(|metric| metric == line)
 }
 
-/// Asks a question over a connection of its own, which is closed when what is returned is dropped.
+/// Asks a question over a connection of its own, which closes when the returned stream is dropped.
 async fn send(server: &TestServer, scene: &str, request: &GroundRequest) -> TcpStream {
     let address = server.url().trim_start_matches("http://").to_owned();
     let body = serde_json::to_string(request).unwrap();
@@ -50,15 +50,14 @@ async fn send(server: &TestServer, scene: &str, request: &GroundRequest) -> TcpS
     stream
 }
 
-/// The model is being called when its caller hangs up: the call ends, what it may have cost is
-/// written down, and its place goes to the next question. Whether the model has begun to answer or
-/// not.
+/// When the caller disconnects, the model call ends, its possible cost is recorded, and the next
+/// question gets its permit, whether or not the model has begun to answer.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_caller_that_hangs_up_during_a_model_call_stops_it_and_frees_its_place() {
     for never in [Scripted::Silent, Scripted::Stall] {
         let script = Script::default();
         let url = script.serve(vec![never.clone()]).await;
-        // One call at a time, each of about a dollar.
+        // One call at a time, about a dollar each.
         let one = VlmConfig {
             vlm_prompt_usd: 1000.0,
             vlm_completion_usd: 5000.0,
@@ -100,8 +99,7 @@ async fn a_caller_that_hangs_up_during_a_model_call_stops_it_and_frees_its_place
     }
 }
 
-/// Asks questions that may take longer and longer, until the model was called for one that took too
-/// long.
+/// Asks with growing timeouts until one question times out during its model call.
 pub async fn time_out_during_a_call(server: &TestServer, scene: &str, script: &Script) {
     let calls = script.calls();
     for seconds in [0.3, 1.0, 4.0, 16.0] {

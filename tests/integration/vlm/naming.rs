@@ -1,5 +1,5 @@
-//! Names that a model gives without having heard a question: asked for once, and an index from the
-//! day all are there.
+//! Names that a model gives without a question: each is requested once and can be indexed in
+//! advance.
 
 use super::{QUERY, builtin, by, config, pictures_of, purposes, six_lines, start, text_of};
 use crate::scripted_model::{Script, Scripted, says};
@@ -34,7 +34,7 @@ async fn names_are_asked_for_once() {
     );
     assert!(text_of(&sent[1]).contains(&format!("\"red thing number {}\"", ids[0])));
     assert!(pictures_of(&sent[1]) < 1 + ids.len());
-    // Again: nobody is asked for names; and they can be looked up.
+    // The second question requests no names, and the names can be read.
     script.next(vec![six_lines(ids[0], "", true, 1)]);
     assert_eq!(purposes(&server.client.ground(&scene, &cached()).await.unwrap()), ["spatial"]);
     let instances = server.client.all_instances(&scene, Levels::Things).await.unwrap();
@@ -42,8 +42,8 @@ async fn names_are_asked_for_once() {
     assert_eq!(of(ids[0]), Some(format!("red thing number {}", ids[0])));
     assert!(instances.iter().any(|i| i.model_name.is_none()));
 
-    // All the others, up front, in the background: things, parts and wholes. From then on names
-    // decide.
+    // A job names the rest in the background: things, parts and wholes. From then on answers use
+    // the names.
     let theremin = || GroundRequest { reasoner: ReasonerChoice::Builtin, ..ask("the theremin") };
     let before = server.client.ground(&scene, &theremin()).await.unwrap();
     assert_eq!((before.status, before.models.names), (Status::NoMatch, None));
@@ -80,7 +80,7 @@ async fn names_are_asked_for_once() {
     server.stop().await;
 }
 
-/// A name for every id that a sheet asks for.
+/// Returns a name for every id in a naming request.
 fn names_for_all() -> Scripted {
     says(&(1..=400).map(|id| format!("{id}: grey box")).collect::<Vec<_>>().join("\n"))
 }

@@ -1,4 +1,4 @@
-//! A question that is sent again under its idempotency key.
+//! Questions repeated under the same idempotency key.
 
 use super::{builtin, by, config, six_lines, start};
 use crate::scripted_model::{Script, Scripted, says};
@@ -21,7 +21,7 @@ async fn send(
     asked.json(request).send().await.unwrap()
 }
 
-/// The answer, and whether it was given before.
+/// Returns the answer and whether it is a replay.
 async fn told(response: Response) -> (Answer, bool) {
     let replayed = response.headers().get("idempotent-replayed").is_some_and(|told| told == "true");
     (response.json().await.unwrap(), replayed)
@@ -41,14 +41,14 @@ async fn a_retry_never_pays_twice() {
     assert!(!replayed && first.usage.cost_usd > 0.0);
     let (again, replayed) = told(send(client, &scene, "k1", &asked).await).await;
     assert_eq!((&again, replayed, script.calls()), (&first, true, 1));
-    // Another question wants another key, and another key is another question.
+    // Another question needs another key, and the same question under another key is asked again.
     let other = GroundRequest { top_k: 3, ..asked.clone() };
     let refused: Problem = send(client, &scene, "k1", &other).await.json().await.unwrap();
     assert_eq!((refused.status, refused.code.as_str()), (422, "idempotency_key_reused"));
     let (own, replayed) = told(send(client, &scene, "k2", &asked).await).await;
     assert!(own.id != first.id && !replayed);
 
-    // What is left out is left out again.
+    // Fields left out of the first response are left out of the replay.
     let brief = GroundRequest { include: Some(vec![Include::Trace]), ..asked.clone() };
     for replayed in [false, true] {
         let (answer, again) = told(send(client, &scene, "k3", &brief).await).await;
@@ -60,8 +60,8 @@ async fn a_retry_never_pays_twice() {
     server.stop().await;
 }
 
-/// Who asks again while the first is still being answered waits for it; who hung up comes back to
-/// its answer.
+/// A repeated request waits while the first is in progress, and a caller that disconnected gets its
+/// answer.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_connection_is_no_second_call() {
     let script = Script::default();
@@ -81,7 +81,7 @@ async fn a_lost_connection_is_no_second_call() {
     let (one, two) = (told(one).await, told(two).await);
     assert_eq!((&one, script.calls()), (&two, 1));
     assert!(one.1 && one.0.usage.cost_usd > 0.0, "both are told what the first got");
-    // A question that failed may be asked again.
+    // A question that failed can be asked again.
     script.next(vec![crate::scripted_model::fails(400, "no")]);
     assert_eq!(send(client, &scene, "f", &asked).await.status(), 502);
     script.next(vec![six_lines(id, "", true, 1)]);

@@ -1,4 +1,4 @@
-//! A model that can not be asked, is down, or takes longer than anybody waits.
+//! A model that fails, is down, or takes too long.
 
 use super::{QUERY, builtin, by, config, corrections, six_lines, start};
 use crate::scripted_model::{Script, Scripted, fails, says};
@@ -8,7 +8,7 @@ use std::time::Duration;
 use uniground::config::VlmConfig;
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// A model whose server is down costs nobody time.
+/// Asserts that questions do not wait for a model whose server is down.
 async fn down(server: &TestServer, scene: &str) {
     let asked_at = std::time::Instant::now();
     let error = problem(server.client.ground(scene, &by(ReasonerChoice::Vlm)).await);
@@ -23,7 +23,7 @@ async fn down(server: &TestServer, scene: &str) {
     assert!(asked_at.elapsed() < Duration::from_secs(1), "{:?}", asked_at.elapsed());
 }
 
-/// Who gave a time gets an answer by then, from whoever can give one.
+/// A question with a timeout gets an answer in time, from the built-in reasoner if necessary.
 #[tokio::test(flavor = "multi_thread")]
 async fn at_the_deadline_there_is_the_built_in_answer() {
     let script = Script::default();
@@ -49,7 +49,7 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
     let url = script.serve(vec![says("-")]).await;
     let (server, scene) = start(config(&url)).await;
     let plain = builtin(&server, &scene).await;
-    // What happens, how often it is tried, and what is told.
+    // The failure, the number of attempts, and the reported message.
     for (answers, attempts, told) in [
         (vec![fails(401, "bad key")], 1, "401 Unauthorized: bad key"),
         (vec![fails(404, "no such model")], 1, "no such model"),
@@ -100,7 +100,7 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
             reply.calls[0].text.is_none() && reply.calls[0].error.as_ref().unwrap().contains(told)
         );
     }
-    // What is asked for is waited for.
+    // A requested `Retry-After` is honored.
     script.take();
     script.next(vec![
         Scripted::After(429, "1"),
@@ -112,7 +112,7 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
     assert!(asked_at.elapsed() >= Duration::from_secs(1));
     server.stop().await;
 
-    // A body whose end never comes: from then on its server is taken to be down.
+    // A body that never ends: from then on the server is considered down.
     script.next(vec![Scripted::Stall]);
     let (server, scene) =
         start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
@@ -125,17 +125,18 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
     );
     down(&server, &scene).await;
     server.stop().await;
-    // Nobody there; somebody who does not speak TLS.
+    // Nothing listens there; the server does not speak TLS.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     for url in [format!("http://127.0.0.1:{port}/v1"), url.replace("http://", "https://")] {
         let (server, scene) =
             start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
-        // Where the look at the start is some seconds ago, the first question tries it.
+        // If the startup probe is some seconds old, the first question tries the model.
         assert!(server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
         down(&server, &scene).await;
         server.stop().await;
     }
-    // No model at all: who insists is told, who does not gets the geometry's answer, undiminished.
+    // No model is configured: a question that requires one gets an error, any other the built-in
+    // answer, which is not degraded.
     let (server, scene) = start(VlmConfig::default()).await;
     let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
     assert_eq!((error.status, error.code.as_str()), (409, "vlm_not_configured"));

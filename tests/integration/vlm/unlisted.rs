@@ -1,5 +1,5 @@
-//! A model sees in a photograph what was not listed: the place becomes an instance, and the model
-//! is asked again with it.
+//! A model sees an object in a photograph that is not listed: the place becomes an instance, and
+//! the model is asked again.
 
 use super::{
     Script, config, corrections, pictures_of, purposes, sample, six_lines, start, text_of,
@@ -16,8 +16,8 @@ use uniground_types::question::{GroundRequest, PromptVersion};
 const QUERY: &str = "the porcelain teapot";
 const NAME: &str = "white porcelain teapot";
 
-/// "Not listed", and where it is seen: in the whole photograph below the crop of the collage that
-/// comes as this image.
+/// Returns the reply "not listed" with the object's place, in the whole photograph below the crop
+/// of this collage image.
 fn sees(image: usize, (x, y): (u32, u32)) -> Scripted {
     says(&format!(
         "Predicted ID: not listed\nExplanation: it stands there\nCandidate Names: none\nTarget name matches?: false\nAnchor ID: unknown\n\
@@ -25,7 +25,7 @@ fn sees(image: usize, (x, y): (u32, u32)) -> Scripted {
     ))
 }
 
-/// The id of the instance that was made, as the trace tells it.
+/// Returns the id of the new instance, from the trace.
 fn made(answer: &Answer) -> Option<u32> {
     let told = corrections(answer);
     let (before, _) = told.split_once(" was made of it")?;
@@ -43,7 +43,7 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
         server.client.ground(&scene, &ask(QUERY)).await.unwrap()
     };
 
-    // A place in the render is told, but shows no photograph.
+    // A place in the render is reported, because it is not in a photograph.
     let answer = asked(vec![sees(1, (500, 500))]).await;
     assert_eq!(
         (answer.status, answer.no_match_reason),
@@ -51,8 +51,8 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
     );
     assert_eq!((answer.seen.as_ref().unwrap().name.as_str(), purposes(&answer).len()), (NAME, 1));
 
-    // Somewhere in the photographs lies something that is no instance yet. The model does not take
-    // it: nothing was meant.
+    // The place in the photographs is not an instance yet. The model does not choose it: there is
+    // no target.
     let spots = (2..=4).flat_map(|image| {
         [80, 160, 240].into_iter().flat_map(move |x| [600, 700, 800, 900].map(|y| (image, (x, y))))
     });
@@ -74,7 +74,7 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
     let (image, at, id) = found.expect("something in three photographs is no instance");
     assert_eq!(id as usize, before + 1, "behind all others");
 
-    // It is kept, flagged, and can be looked at.
+    // The instance is stored and flagged, and has views.
     let instances: Vec<InstanceView> =
         server.client.all_instances(&scene, Levels::All).await.unwrap();
     let instance = instances.last().unwrap();
@@ -93,7 +93,7 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
         assert!(image::load_from_memory(&bytes).is_ok());
     }
 
-    // Asked again it is among the candidates by its name, and the model takes it.
+    // On the next question it is a candidate by its name, and the model chooses it.
     let answer = asked(vec![six_lines(id, &format!("{id} -> {NAME}"), true, 1)]).await;
     assert_eq!(
         (answer.status, answer.answer.predicted_id.map(|id| id.0), purposes(&answer).len()),
@@ -101,8 +101,7 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
     );
     assert_eq!(answer.aabb, Some(instance.aabb));
 
-    // It is listed now: who points there once more and says that it is not listed means something
-    // else, or nothing. No thing is kept twice.
+    // It is listed now. Pointing at the same place again creates no second instance.
     let answer = asked(vec![sees(image, at), six_lines("none", "", false, 1)]).await;
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
     assert_eq!(
@@ -142,7 +141,7 @@ async fn photographs_are_offered_where_nothing_fits_and_can_be_pointed_into() {
     let (_, paper) = asked(PromptVersion::Paper, vec![none()]).await;
     assert!(!text_of(&paper).contains(told));
 
-    // A place in the last one of them is a place in its frame: what lies there becomes an instance.
+    // A place in the last photograph belongs to that frame: what is there becomes an instance.
     let spots =
         [200, 350, 500, 650, 800].into_iter().flat_map(|x| [400, 550, 700, 850].map(|y| (x, y)));
     let mut found = None;
