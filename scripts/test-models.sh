@@ -16,7 +16,7 @@ ${CARGO:-cargo} test --release --locked --quiet --test integration --no-run
 ./target/release/uniground models fetch
 if [ "${1:-}" = golden ]; then
     ${CARGO:-cargo} test --release --locked --quiet --test integration -- --ignored --show-output \
-        clip_embeddings_are_those_of_the_python_runtime sam2_masks_are_those_of_the_python_reference | tee target/golden
+        clip_embeddings_equal_the_python_runtime sam2_masks_equal_the_python_reference | tee target/golden
     # A test under another name would be left out without a word.
     grep -q '^test result: ok. 2 passed' target/golden
     exit

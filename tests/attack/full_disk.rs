@@ -2,9 +2,9 @@
 //! in. On a file system of its own, which only root can make. Every row makes sure that the disk
 //! was full before it says what became of it.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, command, parsed, problem};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{Process, ask, expect_problem, serve_command, upload_and_parse};
 use crate::{Report, since};
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::Method;
@@ -117,7 +117,7 @@ impl Disk {
 
     /// A server; what it says where it does not start.
     fn start(&self, keep_free: &str) -> Result<Process, String> {
-        let mut command = command(&self.data(), "127.0.0.1:0");
+        let mut command = serve_command(&self.data(), "127.0.0.1:0");
         let log = File::create(self.log()).unwrap();
         let mut child = command
             .args(["--keep-free-bytes", keep_free])
@@ -172,7 +172,7 @@ fn end_of(text: &str) -> &str {
 }
 
 async fn scan(client: &Client, note: &str) -> String {
-    parsed(client, ZIP, Scan::neutral().with("note.txt", note).zip()).await.id
+    upload_and_parse(client, ZIP, Scan::neutral().with("note.txt", note).zip()).await.id
 }
 
 async fn is_ready(client: &Client) -> bool {
@@ -213,7 +213,7 @@ async fn running(disk: &Disk, report: &mut Report) {
     let held = disk.is_full() && failed == 0 && not_stored == 3;
     report.row("4 questions on a full disk", &told, since(start), None, "", held);
     disk.fill().await;
-    let told = problem(
+    let told = expect_problem(
         client
             .create_scene(None, ZIP, Scan::neutral().with("note.txt", "x".repeat(1 << 20)).zip())
             .await,
@@ -228,7 +228,7 @@ async fn running(disk: &Disk, report: &mut Report) {
     );
     disk.fill().await;
     let lines = format!("{}\n", json!({"scene_id": scene, "query": "the red sofa"})).repeat(3000);
-    let told = problem(client.create_batch_of_lines(lines, &[], None).await);
+    let told = expect_problem(client.create_batch_of_lines(lines, &[], None).await);
     let left = client.batches(10, None).await.unwrap().batches.len();
     let held = told.status == 507 && left == 0;
     report.row(

@@ -1,9 +1,9 @@
 //! Kills while scenes grow, batches come in and uploads arrive in parts: every start succeeds, and
 //! what was acknowledged is there.
 
-use crate::archives::{Scan, THINGS};
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, finished, parsed};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::{Scan, THINGS};
+use crate::test_server::{Process, ask, upload_and_parse, wait_for_job};
 use crate::{Form, Report, since};
 use camino::Utf8Path;
 use reqwest::Method;
@@ -40,7 +40,7 @@ pub async fn run(form: Form, report: &mut Report) {
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let start = Instant::now();
     let first = Process::start(folder);
-    let growing = parsed(&first.client, ZIP, frames(0).zip()).await.id;
+    let growing = upload_and_parse(&first.client, ZIP, frames(0).zip()).await.id;
     first.kill();
     let mut known = Acknowledged::default();
     for kill in 0..kills {
@@ -67,7 +67,7 @@ pub async fn run(form: Form, report: &mut Report) {
     let mut failed = 0;
     for id in &known.jobs {
         failed += usize::from(!matches!(
-            finished(client, id).await.state,
+            wait_for_job(client, id).await.state,
             JobState::Succeeded | JobState::Cancelled
         ));
     }
@@ -114,7 +114,7 @@ async fn not_asked(report: &mut Report) {
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();
         let process = Process::start(folder);
-        let scene = parsed(&process.client, ZIP, frames(0).zip()).await;
+        let scene = upload_and_parse(&process.client, ZIP, frames(0).zip()).await;
         // Another parse in front: the growth waits in the queue.
         process.client.create_scene(None, ZIP, Scan::neutral().zip()).await.unwrap();
         let created = process
@@ -124,7 +124,7 @@ async fn not_asked(report: &mut Report) {
             .unwrap();
         stop(process);
         let process = Process::start(folder);
-        let job = finished(&process.client, &created.job.unwrap().id).await;
+        let job = wait_for_job(&process.client, &created.job.unwrap().id).await;
         let answered = process.client.ground(&scene.id, &ask("the red sofa")).await.is_ok();
         process.terminate();
         let whole = doctor(folder).contains("is whole");

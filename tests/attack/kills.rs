@@ -1,8 +1,8 @@
 //! Kills at any moment: what was acknowledged is there, and what was begun is finished.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, finished};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{Process, ask, wait_for_job};
 use crate::{Form, Report, since};
 use camino::Utf8Path;
 use reqwest::Method;
@@ -64,7 +64,8 @@ pub async fn run(form: Form, report: &mut Report) {
                     without_job += 1;
                     continue;
                 };
-                failed += usize::from(finished(client, &job).await.state != JobState::Succeeded);
+                failed +=
+                    usize::from(wait_for_job(client, &job).await.state != JobState::Succeeded);
             }
             Err(_) => lost += 1,
         }

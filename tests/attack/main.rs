@@ -8,26 +8,26 @@
 #![allow(clippy::unwrap_used, clippy::too_many_lines)]
 
 // Some helpers of these two are for the other tests only.
-#[allow(dead_code)]
-#[path = "../integration/archives.rs"]
-mod archives;
-mod crowds;
-mod disks;
+mod connections;
 mod full_disk;
 mod growth_kills;
-mod hostile;
+mod hostile_uploads;
 mod kills;
 mod mutations;
 mod responsiveness;
+mod storage_faults;
 #[allow(dead_code)]
-#[path = "../integration/server.rs"]
-mod server;
+#[path = "../integration/test_scans.rs"]
+mod test_scans;
+#[allow(dead_code)]
+#[path = "../integration/test_server.rs"]
+mod test_server;
 mod uploads;
 
 use camino::{Utf8Path, Utf8PathBuf};
-use server::Process;
 use std::fs;
 use std::time::Instant;
+use test_server::Process;
 
 /// How much is tried.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -138,8 +138,8 @@ fn main() {
         if is_wanted("mutations") {
             mutations::run(form, &mut report).await;
         }
-        if is_wanted("disks") {
-            disks::run(form, &mut report).await;
+        if is_wanted("storage_faults") {
+            storage_faults::run(form, &mut report).await;
         }
         if is_wanted("full_disk") {
             full_disk::run(&mut report).await;
@@ -153,8 +153,8 @@ fn main() {
         if is_wanted("responsiveness") {
             responsiveness::run(form, &mut report).await;
         }
-        if is_wanted("crowds") {
-            crowds::run(form, &mut report).await;
+        if is_wanted("connections") {
+            connections::run(form, &mut report).await;
         }
     });
     assert!(report.failed.is_empty(), "did not hold: {}", report.failed.join("; "));

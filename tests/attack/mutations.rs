@@ -1,9 +1,9 @@
 //! Files that were once whole, with a few bytes changed: every one is answered, and the server
 //! stays.
 
-use crate::archives::Scan;
-use crate::hostile::{ANY, ZIP};
-use crate::server::finished;
+use crate::hostile_uploads::{ANY, ZIP};
+use crate::test_scans::Scan;
+use crate::test_server::wait_for_job;
 use crate::{Form, Report, Target, since};
 use las::{Builder, Point, Writer};
 use std::collections::BTreeMap;
@@ -87,7 +87,7 @@ pub async fn run(form: Form, report: &mut Report) {
         let answer = match client.create_scene(None, media_type, upload).await {
             Err(ClientError::Problem(problem)) => problem.code,
             Ok(created) => {
-                let job = finished(client, &created.job.unwrap().id).await;
+                let job = wait_for_job(client, &created.job.unwrap().id).await;
                 job.error.map_or_else(|| "parsed".into(), |error| error.code)
             }
             Err(other) => format!("{other}"),

@@ -1,8 +1,8 @@
 //! Whether the service answers others while the worst questions, uploads and batches run.
 
-use crate::archives::Scan;
-use crate::hostile::{self, ZIP};
-use crate::server::parsed;
+use crate::hostile_uploads::{self, ZIP};
+use crate::test_scans::Scan;
+use crate::test_server::upload_and_parse;
 use crate::{Form, Report, Target, since};
 use reqwest::Method;
 use serde_json::json;
@@ -37,7 +37,7 @@ fn worst_questions() -> Vec<String> {
 pub async fn run(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
-    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let over = Arc::new(AtomicBool::new(false));
     let mut work = Vec::new();
     for worker in 0..QUESTIONS {
@@ -52,12 +52,12 @@ pub async fn run(form: Form, report: &mut Report) {
     client.create_batch_of_lines(lines, &[("concurrency", "8".to_owned())], None).await.unwrap();
     work.push(tokio::spawn(upload_on(
         client.clone(),
-        hostile::glb_of_indices(40_000_000),
+        hostile_uploads::glb_of_indices(40_000_000),
         over.clone(),
     )));
     work.push(tokio::spawn(upload_on(
         client.clone(),
-        hostile::a_large_manifest(11 << 20),
+        hostile_uploads::a_large_manifest(11 << 20),
         over.clone(),
     )));
     let start = Instant::now();

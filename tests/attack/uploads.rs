@@ -1,8 +1,8 @@
 //! Uploads that are refused: by name, at once, with little memory, and leaving nothing.
 
-use crate::archives::Scan;
-use crate::hostile::{self, ANY, ZIP, ZST};
-use crate::server::{ask, finished};
+use crate::hostile_uploads::{self, ANY, ZIP, ZST};
+use crate::test_scans::Scan;
+use crate::test_server::{ask, wait_for_job};
 use crate::{Form, Report, Target, since};
 use reqwest::Method;
 use std::time::Instant;
@@ -23,36 +23,45 @@ pub async fn run(form: Form, report: &mut Report) {
         (
             "1 a PLY with a million columns",
             ZIP,
-            hostile::a_million_columns(),
+            hostile_uploads::a_million_columns(),
             "scene_file_malformed",
             SOON,
         ),
-        ("2 folders 1,900 deep", ZIP, hostile::deep_folders(1900), "archive_entry_unsafe", SOON),
+        (
+            "2 folders 1,900 deep",
+            ZIP,
+            hostile_uploads::deep_folders(1900),
+            "archive_entry_unsafe",
+            SOON,
+        ),
         (
             "6 a huge PAX header",
             ZST,
-            hostile::an_extended_header(tar::EntryType::XHeader, header),
+            hostile_uploads::an_extended_header(tar::EntryType::XHeader, header),
             "archive_unreadable",
             SOON,
         ),
         (
             "6 a huge long name",
             ZST,
-            hostile::an_extended_header(tar::EntryType::GNULongName, form.of(header, 4 << 30)),
+            hostile_uploads::an_extended_header(
+                tar::EntryType::GNULongName,
+                form.of(header, 4 << 30),
+            ),
             "archive_unreadable",
             SOON,
         ),
         (
             "6 an ASCII line without end",
             ZIP,
-            hostile::an_endless_line(line),
+            hostile_uploads::an_endless_line(line),
             "job scene_file_malformed",
             LATER,
         ),
         (
             "6 a PLY header without end",
             ZIP,
-            hostile::an_endless_header(line),
+            hostile_uploads::an_endless_header(line),
             "scene_file_malformed",
             LATER,
         ),
@@ -60,78 +69,84 @@ pub async fn run(form: Form, report: &mut Report) {
         (
             "6 thirteen million points",
             ZIP,
-            hostile::thirteen_million_points(),
+            hostile_uploads::thirteen_million_points(),
             "job up_unknown",
             LATER,
         ),
         (
             "6 a pose of megabytes",
             ZIP,
-            hostile::a_large_pose(100 << 20),
+            hostile_uploads::a_large_pose(100 << 20),
             "scene_file_malformed",
             LATER,
         ),
         (
             "6 a manifest of half a million frames",
             ZIP,
-            hostile::a_large_manifest(16 << 20),
+            hostile_uploads::a_large_manifest(16 << 20),
             "scene_file_malformed",
             LATER,
         ),
         (
             "6 a manifest that is just not too long",
             ZIP,
-            hostile::a_large_manifest(11 << 20),
+            hostile_uploads::a_large_manifest(11 << 20),
             "scene_file_malformed",
             LATER,
         ),
-        ("6 more files than may be", ZIP, hostile::many_files(many), "archive_too_large", SOON),
+        (
+            "6 more files than may be",
+            ZIP,
+            hostile_uploads::many_files(many),
+            "archive_too_large",
+            SOON,
+        ),
         (
             "6 a million folders",
             ZST,
-            hostile::many_folders(form.of(200_000, 1_000_000)),
+            hostile_uploads::many_folders(form.of(200_000, 1_000_000)),
             "archive_too_large",
             SOON,
         ),
         (
             "6 a gigabyte of zeros",
             ZIP,
-            hostile::zeros(form.of(300 << 20, 1 << 30)),
+            hostile_uploads::zeros(form.of(300 << 20, 1 << 30)),
             "archive_too_large",
             LATER,
         ),
         (
             "2 a LAZ record of 2^40 bytes",
             ANY,
-            hostile::laz_with_a_record(1 << 40),
+            hostile_uploads::laz_with_a_record(1 << 40),
             "scene_file_malformed",
             SOON,
         ),
         (
             "2 a LAZ record of 6 GiB",
             ANY,
-            hostile::laz_with_a_record(6 << 30),
+            hostile_uploads::laz_with_a_record(6 << 30),
             "scene_file_malformed",
             SOON,
         ),
         (
             "2 a LAZ of 2^32 - 1 chunks",
             ANY,
-            hostile::laz_with_chunks(u32::MAX),
+            hostile_uploads::laz_with_chunks(u32::MAX),
             "scene_file_malformed",
             SOON,
         ),
         (
             "5 a GLB of millions of indices",
             ZIP,
-            hostile::glb_of_indices(form.of(100_000_000, 400_000_000)),
+            hostile_uploads::glb_of_indices(form.of(100_000_000, 400_000_000)),
             "job scene_file_malformed",
             LATER,
         ),
         (
             "6 an E57 with a large description",
             ZIP,
-            hostile::e57_of_elements(form.of(10_000, 51_000)),
+            hostile_uploads::e57_of_elements(form.of(10_000, 51_000)),
             "scene_file_malformed",
             LATER,
         ),
@@ -148,7 +163,7 @@ pub async fn run(form: Form, report: &mut Report) {
             }
             // What shows only when rows are read fails the job.
             Ok(created) if code.starts_with("job ") => {
-                let job = finished(client, &created.job.unwrap().id).await;
+                let job = wait_for_job(client, &created.job.unwrap().id).await;
                 client.delete_scene(&created.scene.id).await.unwrap();
                 let told = format!("job {}", job.error.map(|error| error.code).unwrap_or_default());
                 (format!("202, {told}"), told == code)
@@ -185,7 +200,7 @@ pub async fn run(form: Form, report: &mut Report) {
 async fn words(target: &Target, report: &mut Report) {
     let client = &target.process.client;
     let created = client.create_scene(None, ZIP, Scan::neutral().zip()).await.unwrap();
-    finished(client, &created.job.unwrap().id).await;
+    wait_for_job(client, &created.job.unwrap().id).await;
     let start = Instant::now();
     let path = format!("v1/scenes/{}/ground", created.scene.id);
     let request = client.request(Method::POST, &path).header("content-type", "application/json");

@@ -1,7 +1,7 @@
 //! Corrections of a parse by people.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, ask, expect_problem};
 use serde_json::json;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_core::geometry::boxes::Aabb;
@@ -12,9 +12,9 @@ use uniground_types::corrections::Change;
 use uniground_types::instances::Levels;
 
 #[tokio::test]
-async fn answers_know_what_people_have_said() {
+async fn answers_use_corrections() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     let chosen = async |query: &str| client.ground(&scene.id, &ask(query)).await.unwrap();
     let before = chosen("the red sofa").await;
@@ -85,9 +85,9 @@ async fn answers_know_what_people_have_said() {
 }
 
 #[tokio::test]
-async fn things_that_are_one_become_one() {
+async fn instances_can_be_merged() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     let id_of = async |query: &str| {
         client.ground(&scene.id, &ask(query)).await.unwrap().answer.predicted_id.unwrap()
@@ -119,11 +119,12 @@ async fn things_that_are_one_become_one() {
         "it is drawn when it is looked at"
     );
 
-    let refused = problem(client.correct(&scene.id, &Change::Split { instance_id: made }).await);
+    let refused =
+        expect_problem(client.correct(&scene.id, &Change::Split { instance_id: made }).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "was_merged"));
 
     // The merged instances are no longer listed, and what stands on them keeps its support.
-    let refused = problem(
+    let refused = expect_problem(
         client
             .correct(&scene.id, &Change::Merge { instance_ids: vec![sofa, made], name: None })
             .await,
@@ -143,7 +144,7 @@ async fn things_that_are_one_become_one() {
     let all = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     let larger_one = all.iter().find(|i| Some(i.id) == larger.made).unwrap();
     assert_eq!(larger_one.point_count, one.point_count + of(bin).point_count);
-    let refused = problem(client.undo_correction(&scene.id, &merged.id).await);
+    let refused = expect_problem(client.undo_correction(&scene.id, &merged.id).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "correction_in_use"), "{refused:?}");
     for correction in [&larger, &merged] {
         client.undo_correction(&scene.id, &correction.id).await.unwrap();
@@ -155,7 +156,7 @@ async fn things_that_are_one_become_one() {
 
     // Corrections survive a restart.
     let again = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
-    let data = server.give_back().await;
+    let data = server.stop_and_keep_data().await;
     let server = TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -169,9 +170,9 @@ async fn things_that_are_one_become_one() {
 }
 
 #[tokio::test]
-async fn a_thing_that_is_several_leaves_its_parts() {
+async fn an_instance_can_be_split_into_its_parts() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let before = client.all_instances(&scene.id, Levels::All).await.unwrap();
     let parts_of = |id: InstanceId| {
@@ -209,7 +210,7 @@ async fn a_thing_that_is_several_leaves_its_parts() {
         one.point_count > 0 && one.raw_box.shared_volume(&around) > 0.99 * one.raw_box.volume(),
         "{one:?} {around:?}"
     );
-    let refused = problem(client.undo_correction(&scene.id, &split.id).await);
+    let refused = expect_problem(client.undo_correction(&scene.id, &split.id).await);
     assert_eq!(refused.code, "correction_in_use", "the merge is of its parts");
     for correction in [&made, &split] {
         client.undo_correction(&scene.id, &correction.id).await.unwrap();
@@ -220,12 +221,12 @@ async fn a_thing_that_is_several_leaves_its_parts() {
 }
 
 #[tokio::test]
-async fn what_can_not_be_corrected_is_told() {
+async fn invalid_corrections_are_refused() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let refused = async |change: serde_json::Value| {
         let change: Change = serde_json::from_value(change).unwrap();
-        let problem = problem(server.client.correct(&scene.id, &change).await);
+        let problem = expect_problem(server.client.correct(&scene.id, &change).await);
         (problem.status, problem.code)
     };
     let unknown = |status, code: &str| (status, code.to_owned());
@@ -262,7 +263,7 @@ async fn what_can_not_be_corrected_is_told() {
         refused(json!({"kind": "split", "instance_id": without_parts.id})).await,
         unknown(409, "no_parts")
     );
-    let gone = problem(
+    let gone = expect_problem(
         server.client.undo_correction(&scene.id, "01a1ff70-0000-7000-8000-000000000001").await,
     );
     assert_eq!((gone.status, gone.code.as_str()), (404, "correction_not_found"));
@@ -270,9 +271,9 @@ async fn what_can_not_be_corrected_is_told() {
 }
 
 #[tokio::test]
-async fn ground_truth_is_read_by_the_evaluation() {
+async fn exported_ground_truth_is_readable_by_the_evaluation() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let sofa = server
         .client
         .ground(&scene.id, &ask("the red sofa"))

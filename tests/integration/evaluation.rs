@@ -1,6 +1,6 @@
 //! `uniground eval` on the sample scene: figures, resuming, reports, comparison.
 
-use crate::server::TestServer;
+use crate::test_server::TestServer;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::process::{Command, Output};
@@ -12,24 +12,24 @@ use uniground_evaluation::systems::Server;
 
 const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
 
-fn eval(out: &Utf8Path, args: &[&str]) -> Output {
+fn run_eval(out: &Utf8Path, args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command.args(["eval", EXAMPLES, "--out", out.as_str()]).args(args).output().unwrap()
 }
 
-fn text(output: &[u8]) -> String {
+fn to_text(output: &[u8]) -> String {
     String::from_utf8_lossy(output).into_owned()
 }
 
 /// Returns a fresh folder.
-fn folder() -> (tempfile::TempDir, Utf8PathBuf) {
+fn temp_folder() -> (tempfile::TempDir, Utf8PathBuf) {
     let temporary = tempfile::tempdir().unwrap();
     let path = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
     (temporary, path)
 }
 
 /// Returns a report without the values that differ from run to run.
-fn comparable(out: &Utf8Path) -> Report {
+fn comparable_report(out: &Utf8Path) -> Report {
     let mut report = Report::read(out).unwrap();
     report.run.written_at.clear();
     for cell in &mut report.cells {
@@ -40,23 +40,23 @@ fn comparable(out: &Utf8Path) -> Report {
     report
 }
 
-fn files_below(folder: &Utf8Path) -> Vec<Utf8PathBuf> {
+fn list_files(folder: &Utf8Path) -> Vec<Utf8PathBuf> {
     let mut files = Vec::new();
     for entry in folder.read_dir_utf8().unwrap() {
         let path = entry.unwrap().into_path();
-        if path.is_dir() { files.extend(files_below(&path)) } else { files.push(path) }
+        if path.is_dir() { files.extend(list_files(&path)) } else { files.push(path) }
     }
     files
 }
 
 #[test]
-fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
-    let (_keep, out) = folder();
+fn a_run_scores_every_source_and_resumes() {
+    let (_keep, out) = temp_folder();
     let matrix = ["--matrix", "source=parsed,oracle,oracle-boxes"];
-    let first = eval(&out, &matrix);
-    assert!(first.status.success(), "{}", text(&first.stderr));
-    println!("{}", text(&first.stdout));
-    let report = comparable(&out);
+    let first = run_eval(&out, &matrix);
+    assert!(first.status.success(), "{}", to_text(&first.stderr));
+    println!("{}", to_text(&first.stdout));
+    let report = comparable_report(&out);
     let names: Vec<&str> = report.cells.iter().map(|c| c.name.as_str()).collect();
     assert_eq!(names, ["source=parsed", "source=oracle", "source=oracle-boxes"]);
     for cell in &report.cells {
@@ -88,13 +88,13 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
 
     // The file ends in the middle of a reply: only the missing questions are asked again, and the
     // result is the same.
-    let logs = files_below(&out.join("cells"));
+    let logs = list_files(&out.join("cells"));
     assert_eq!(logs.len(), 3);
     let before: Vec<Vec<u8>> = logs.iter().map(|log| fs::read(log).unwrap()).collect();
     fs::write(&logs[0], &before[0][..before[0].len() - 40]).unwrap();
-    let second = eval(&out, &matrix);
-    assert!(second.status.success(), "{}", text(&second.stderr));
-    assert_eq!(comparable(&out), report);
+    let second = run_eval(&out, &matrix);
+    assert!(second.status.success(), "{}", to_text(&second.stderr));
+    assert_eq!(comparable_report(&out), report);
     assert_eq!(fs::read(&logs[1]).unwrap(), before[1], "what was there was asked again");
     let lines = |bytes: &[u8]| bytes.split(|b| *b == b'\n').count();
     assert_eq!(lines(&fs::read(&logs[0]).unwrap()), lines(&before[0]));
@@ -102,14 +102,14 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
 
 #[test]
 fn a_server_gives_the_same_figures_as_the_process() {
-    let (_keep, out) = folder();
-    let local = eval(&out, &["--concurrency", "4"]);
-    assert!(local.status.success(), "{}", text(&local.stderr));
-    let local = comparable(&out);
+    let (_keep, out) = temp_folder();
+    let local = run_eval(&out, &["--concurrency", "4"]);
+    assert!(local.status.success(), "{}", to_text(&local.stderr));
+    let local = comparable_report(&out);
 
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let server = runtime.block_on(TestServer::start());
-    let (_keep, remote_out) = folder();
+    let (_keep, remote_out) = temp_folder();
     let suite = Suite::open(Utf8Path::new(EXAMPLES), &SuiteOptions::default()).unwrap();
     let cells = configuration::cells("", &Configuration::default()).unwrap();
     let system = Server::connect(&server.url(), None).unwrap();
@@ -128,7 +128,7 @@ fn a_server_gives_the_same_figures_as_the_process() {
         );
     }
     // The server still has the scene on the second run.
-    let (_keep, again_out) = folder();
+    let (_keep, again_out) = temp_folder();
     let options = RunOptions { out: &again_out, ..options };
     run(&suite, &system, &options).unwrap();
     assert_eq!(runtime.block_on(server.client.scenes(100, None)).unwrap().scenes.len(), 1);
@@ -149,14 +149,14 @@ fn a_server_gives_the_same_figures_as_the_process() {
 }
 
 #[test]
-fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
-    let (_keep, out) = folder();
+fn a_drop_against_the_baseline_fails_and_lists_the_lost_answers() {
+    let (_keep, out) = temp_folder();
     let baseline = out.join("baseline.json");
     let matrix = ["--matrix", "source=oracle"];
-    let written = eval(&out, &[&matrix[..], &["--write-baseline", baseline.as_str()]].concat());
-    assert!(written.status.success(), "{}", text(&written.stderr));
-    let held = eval(&out, &[&matrix[..], &["--baseline", baseline.as_str()]].concat());
-    assert!(held.status.success(), "{}", text(&held.stderr));
+    let written = run_eval(&out, &[&matrix[..], &["--write-baseline", baseline.as_str()]].concat());
+    assert!(written.status.success(), "{}", to_text(&written.stderr));
+    let held = run_eval(&out, &[&matrix[..], &["--baseline", baseline.as_str()]].concat());
+    assert!(held.status.success(), "{}", to_text(&held.stderr));
 
     // The same expressions with most of the targets exchanged, so that correct answers become
     // wrong.
@@ -183,15 +183,16 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
     let fallen = fallen.args(["--baseline", baseline.as_str()]).output().unwrap();
     assert_eq!(fallen.status.code(), Some(1));
     assert!(
-        text(&fallen.stderr).contains("worse than the baseline by more than luck: source=oracle"),
+        to_text(&fallen.stderr)
+            .contains("worse than the baseline by more than luck: source=oracle"),
         "{}",
-        text(&fallen.stderr)
+        to_text(&fallen.stderr)
     );
     assert!(
-        text(&fallen.stdout).contains(": the dining table")
-            && text(&fallen.stdout).contains("lost in source=oracle: living_room#1~"),
+        to_text(&fallen.stdout).contains(": the dining table")
+            && to_text(&fallen.stdout).contains("lost in source=oracle: living_room#1~"),
         "{}",
-        text(&fallen.stdout)
+        to_text(&fallen.stdout)
     );
 
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
@@ -200,12 +201,12 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
         .output()
         .unwrap();
     assert!(difference.status.success());
-    assert!(text(&difference.stdout).contains("**drop**"), "{}", text(&difference.stdout));
+    assert!(to_text(&difference.stdout).contains("**drop**"), "{}", to_text(&difference.stdout));
 }
 
 #[test]
-fn scenes_that_can_not_be_used_are_left_out_and_told() {
-    let (_keep, root) = folder();
+fn unusable_scenes_are_skipped_and_reported() {
+    let (_keep, root) = temp_folder();
     fs::copy(
         Utf8Path::new(EXAMPLES).join("living_room.scene.json"),
         root.join("broken.scene.json"),
@@ -223,8 +224,8 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
         .args(["eval", root.as_str(), "--out", out.as_str(), "--matrix", "source=parsed,oracle"])
         .output()
         .unwrap();
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let told = text(&output.stderr);
+    assert!(output.status.success(), "{}", to_text(&output.stderr));
+    let told = to_text(&output.stderr);
     assert!(
         told.contains("bare.queries.json:1: target 99 is not in the annotations of bare"),
         "{told}"
@@ -248,7 +249,7 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
 }
 
 /// Writes a task folder with a room of three boxes. Its stage 1 result is in `ref.json`, with Y up.
-fn task_folder(root: &Utf8Path, target_name: &str) {
+fn write_task_folder(root: &Utf8Path, target_name: &str) {
     let folder = root.join("scene0001_00/1");
     fs::create_dir_all(&folder).unwrap();
     let write = |name: &str, text: &str| fs::write(folder.join(name), text).unwrap();
@@ -286,8 +287,8 @@ fn task_folder(root: &Utf8Path, target_name: &str) {
 }
 
 #[test]
-fn hints_are_handed_over_in_paper_compatible_runs_only() {
-    let (_keep, root) = folder();
+fn hints_are_used_only_in_paper_compatible_runs() {
+    let (_keep, root) = temp_folder();
     let run_with = |args: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
         let out = root.join("out");
@@ -303,10 +304,10 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
             .args(args)
             .output()
             .unwrap();
-        assert!(output.status.success(), "{}", text(&output.stderr));
+        assert!(output.status.success(), "{}", to_text(&output.stderr));
         Report::read(&out).unwrap()
     };
-    task_folder(&root.join("tasks"), "sofa");
+    write_task_folder(&root.join("tasks"), "sofa");
     // "Zorgle" is an unknown word, and a run without hints gets no explanation of it.
     let plain = run_with(&[]);
     assert_eq!(
@@ -318,13 +319,13 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
     assert_eq!(told.cells[0].figures.complete[0].value, 1.0, "{:?}", told.cells[0].outcomes);
     assert!(told.run.paper_compatible && told.cells[0].notes[0].contains("paper-compatible"));
     // Other hints make another question: stored replies do not answer it.
-    task_folder(&root.join("tasks"), "mug");
+    write_task_folder(&root.join("tasks"), "mug");
     assert_eq!(run_with(&["--paper-compatible"]).cells[0].figures.complete[0].value, 0.0);
 }
 
 #[test]
-fn a_run_that_scores_nothing_fails_and_says_why() {
-    let (_keep, root) = folder();
+fn a_run_without_scores_fails_with_a_reason() {
+    let (_keep, root) = temp_folder();
     fs::copy(
         Utf8Path::new(EXAMPLES).join("living_room.scene.json"),
         root.join("broken.scene.json"),
@@ -340,7 +341,7 @@ fn a_run_that_scores_nothing_fails_and_says_why() {
     let output =
         command.args(["eval", root.as_str(), "--out", root.join("out").as_str()]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let told = text(&output.stderr);
+    let told = to_text(&output.stderr);
     assert!(
         told.contains("1 of 1 expressions left out") && told.contains("nothing was scored"),
         "{told}"
@@ -348,16 +349,16 @@ fn a_run_that_scores_nothing_fails_and_says_why() {
 }
 
 #[test]
-fn wrong_usage_is_told_before_anything_runs() {
-    let (_keep, out) = folder();
+fn usage_errors_are_reported_before_the_run() {
+    let (_keep, out) = temp_folder();
     for (args, expected) in [
         (&["--matrix", "colour=red"][..], "the axes are source"),
         (&["--concurrency", "0"], "0 is not in 1..=256"),
         (&["--matrix", "top_k=5,1000"], "expected 1 to 100"),
     ] {
-        let output = eval(&out, args);
+        let output = run_eval(&out, args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
-        assert!(text(&output.stderr).contains(expected), "{}", text(&output.stderr));
+        assert!(to_text(&output.stderr).contains(expected), "{}", to_text(&output.stderr));
     }
     for (args, expected) in [
         (&["--matrix", "reasoner=vlm"][..], "no vision-language model is configured"),
@@ -365,8 +366,8 @@ fn wrong_usage_is_told_before_anything_runs() {
         (&["--server", "http://127.0.0.1:1"], "no server answers at http://127.0.0.1:1"),
         (&["--baseline", "no-such.json"], "no-such.json"),
     ] {
-        let output = eval(&out, args);
+        let output = run_eval(&out, args);
         assert_eq!(output.status.code(), Some(1), "{args:?}");
-        assert!(text(&output.stderr).contains(expected), "{}", text(&output.stderr));
+        assert!(to_text(&output.stderr).contains(expected), "{}", to_text(&output.stderr));
     }
 }

@@ -1,15 +1,15 @@
 //! The scene graph: instances and their relations.
 
-use crate::server::{TestServer, problem};
+use crate::test_server::{TestServer, expect_problem};
 use std::collections::BTreeSet;
 use uniground_types::corrections::Change;
 use uniground_types::graph::{GraphRelation, NodeKind};
 use uniground_types::instances::Levels;
 
 #[tokio::test]
-async fn a_scene_is_a_graph_in_three_formats() {
+async fn the_scene_graph_is_served_in_three_formats() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let graph = client.graph(&scene.id, Levels::All).await.unwrap();
     assert_eq!((graph.scene_id.as_str(), graph.parse_version), (scene.id.as_str(), 1));
@@ -26,8 +26,10 @@ async fn a_scene_is_a_graph_in_three_formats() {
         scene.counts.unwrap().instances
     );
     // The graph has the same support relations as answers.
-    let answer =
-        client.ground(&scene.id, &crate::server::ask("the mug on the coffee table")).await.unwrap();
+    let answer = client
+        .ground(&scene.id, &crate::test_server::ask("the mug on the coffee table"))
+        .await
+        .unwrap();
     let mug = format!("i{}", answer.answer.predicted_id.unwrap());
     let on = graph
         .edges
@@ -65,9 +67,11 @@ async fn a_scene_is_a_graph_in_three_formats() {
     let of_part: uniground_types::graph::SceneGraph =
         serde_json::from_str(&text(&format!("around={}", part.id)).await).unwrap();
     assert!(of_part.edges.iter().any(|edge| edge.relation == GraphRelation::PartOf), "{of_part:?}");
-    let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?around=9999", scene.id)).await);
+    let refused =
+        expect_problem(client.bytes(&format!("v1/scenes/{}/graph?around=9999", scene.id)).await);
     assert_eq!((refused.status, refused.code.as_str()), (404, "instance_not_found"));
-    let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?format=dot", scene.id)).await);
+    let refused =
+        expect_problem(client.bytes(&format!("v1/scenes/{}/graph?format=dot", scene.id)).await);
     assert_eq!((refused.status, refused.code.as_str()), (422, "invalid_request"));
 
     // Corrections are applied.

@@ -23,19 +23,19 @@ struct Expression {
 }
 
 /// A room as its annotations describe it.
-struct Known {
+struct AnnotatedScene {
     queries: Vec<Expression>,
     annotations: Annotations,
 }
 
-fn rooms(names: &[&'static str]) -> Option<Vec<(&'static str, Known)>> {
+fn load_rooms(names: &[&'static str]) -> Option<Vec<(&'static str, AnnotatedScene)>> {
     let folder = shared_scene("room1.zip")?;
     let room = |name: &'static str| {
         let text = fs::read_to_string(folder.join(format!("{name}.queries.json"))).unwrap();
         let (annotations, omissions) =
             Annotations::read(&folder.join(format!("{name}.scene.json")));
         assert!(omissions.is_empty(), "{omissions:?}");
-        (name, Known { queries: serde_json::from_str(&text).unwrap(), annotations })
+        (name, AnnotatedScene { queries: serde_json::from_str(&text).unwrap(), annotations })
     };
     Some(names.iter().map(|name| room(name)).collect())
 }
@@ -65,7 +65,7 @@ fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Op
 
 /// Returns the number of correct answers and of questions, for the selected kinds.
 fn score(
-    known: &Known,
+    known: &AnnotatedScene,
     annotations: &Annotations,
     words: impl Fn(&str) -> String,
     kinds: impl Fn(&str) -> bool,
@@ -82,15 +82,15 @@ fn score(
     (asked.iter().filter(right).count(), asked.len())
 }
 
-fn share((right, of): (usize, usize)) -> f32 {
+fn ratio((right, of): (usize, usize)) -> f32 {
     right as f32 / of as f32
 }
 
 /// Asserts the minimum accuracy of a room: questions with a target, relations and superlatives, and
 /// absent objects.
-fn check_floors(
+fn assert_accuracy(
     name: &str,
-    known: &Known,
+    known: &AnnotatedScene,
     annotations: &Annotations,
     words: impl Fn(&str) -> String,
     skip_views: bool,
@@ -103,22 +103,24 @@ fn check_floors(
     println!(
         "{name}: {present:?} with a target, {spatial:?} relations and superlatives, {absent:?} absent"
     );
-    assert!(share(present) >= 0.85 && share(spatial) >= 0.9 && absent.0 >= 5, "{name}");
+    assert!(ratio(present) >= 0.85 && ratio(spatial) >= 0.9 && absent.0 >= 5, "{name}");
 }
 
 #[test]
-fn annotated_rooms_are_understood() {
-    for (name, known) in rooms(&["room1", "room2", "room3", "room4", "room5"]).unwrap_or_default() {
-        check_floors(name, &known, &known.annotations, str::to_owned, false);
+fn questions_about_annotated_rooms_are_answered() {
+    for (name, known) in
+        load_rooms(&["room1", "room2", "room3", "room4", "room5"]).unwrap_or_default()
+    {
+        assert_accuracy(name, &known, &known.annotations, str::to_owned, false);
     }
 }
 
 /// Only view-dependent questions depend on the direction of X.
 #[test]
-fn annotated_rooms_are_understood_however_the_world_is_turned() {
-    for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
+fn answers_do_not_depend_on_the_orientation_of_the_axes() {
+    for (name, known) in load_rooms(&["room1", "room2"]).unwrap_or_default() {
         for deg in [20.0, 45.0, 73.0, 200.0] {
-            check_floors(
+            assert_accuracy(
                 &format!("{name} turned by {deg}"),
                 &known,
                 &known.annotations.turned(deg),
@@ -132,9 +134,9 @@ fn annotated_rooms_are_understood_however_the_world_is_turned() {
 /// Paraphrases: each noun becomes a synonym, relations are rephrased, and commands become
 /// questions.
 #[test]
-fn annotated_rooms_are_understood_in_other_words() {
-    for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
-        check_floors(
+fn paraphrased_questions_are_answered() {
+    for (name, known) in load_rooms(&["room1", "room2"]).unwrap_or_default() {
+        assert_accuracy(
             &format!("{name} in other words"),
             &known,
             &known.annotations,
@@ -142,7 +144,7 @@ fn annotated_rooms_are_understood_in_other_words() {
             false,
         );
         // The inverted order: the anchor comes first.
-        check_floors(
+        assert_accuracy(
             &format!("{name} turned round"),
             &known,
             &known.annotations,
@@ -152,7 +154,7 @@ fn annotated_rooms_are_understood_in_other_words() {
     }
 }
 
-fn paraphrased(query: &str) -> String {
+fn paraphrase(query: &str) -> String {
     const OTHERWISE: [(&str, &str); 12] = [
         ("this is a ", "it is a "),
         ("find the ", "please locate the "),
@@ -202,7 +204,7 @@ fn paraphrased(query: &str) -> String {
 /// The whole system without a model. The quality gate checks the exact figure, this test a lower
 /// bound.
 #[test]
-fn parsed_rooms_are_answered_without_any_model() {
+fn questions_about_parsed_rooms_are_answered_without_a_model() {
     let Some(rooms) = development_rooms(&["room1", "room2"]) else { return };
     let suite =
         Suite::open(Utf8Path::from_path(rooms.path()).unwrap(), &SuiteOptions::default()).unwrap();
@@ -242,8 +244,8 @@ fn parsed_rooms_are_answered_without_any_model() {
 
 /// Words that name no object never get a box.
 #[test]
-fn words_that_name_nothing_get_no_box() {
-    let Some(rooms) = rooms(&["room1", "room2"]) else { return };
+fn words_that_name_no_object_get_no_box() {
+    let Some(rooms) = load_rooms(&["room1", "room2"]) else { return };
     let instances = instances(&rooms[0].1.annotations);
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
     let view = SceneView {

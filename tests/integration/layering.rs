@@ -77,7 +77,7 @@ fn imports(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn imports_run_downwards_only() {
+fn modules_import_only_lower_layers() {
     let mut wrong = Vec::new();
     for (package, floors) in PACKAGES {
         let root = root().join(package);
@@ -116,7 +116,7 @@ fn imports_run_downwards_only() {
 /// A robot's own process needs no server, and a client no pipelines. `make lint` checks transitive
 /// dependencies.
 #[test]
-fn no_package_leans_on_what_it_should_not_know() {
+fn packages_do_not_depend_on_forbidden_packages() {
     for (package, strangers) in [
         (
             "uniground-types",
@@ -148,7 +148,7 @@ fn no_package_leans_on_what_it_should_not_know() {
 }
 
 #[test]
-fn files_stay_small() {
+fn source_files_stay_below_the_line_limit() {
     let mut files = Vec::new();
     for folder in ["src", "crates"] {
         sources(&root().join(folder), &mut files);

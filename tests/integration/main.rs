@@ -5,11 +5,8 @@
 // Tables of cases are long and easy to read.
 #![allow(clippy::too_many_lines)]
 
-mod access;
 mod approach;
-mod archives;
 mod backups;
-mod bad_input;
 mod batch_defaults;
 mod batches;
 mod chat_models;
@@ -26,6 +23,7 @@ mod graph;
 mod growth;
 mod imports;
 mod invalid_requests;
+mod invalid_scans;
 mod keys;
 mod language;
 mod layering;
@@ -39,19 +37,18 @@ mod neural;
 mod openapi;
 mod placement;
 mod real_models;
-mod recovery;
 mod restart;
-mod resumable;
+mod resumable_uploads;
 mod retention;
 mod scenes;
 mod scripted_model;
-mod server;
 mod shared_scenes;
 mod slow_clients;
 mod snapshots;
 mod stage_one;
-mod streaming;
 mod telemetry;
+mod test_scans;
+mod test_server;
 mod upgrades;
 mod uploads;
 mod vlm;

@@ -2,11 +2,7 @@
 //! enter the repository. If they are missing, a line says so; `UNIGROUND_REQUIRE_SHARED=1` makes
 //! that a failure.
 
-use crate::server::{TestServer, ask, parsed};
 use camino::{Utf8Path, Utf8PathBuf};
-use std::fs;
-use uniground_core::geometry::up_axis::UpAxis;
-use uniground_core::grounding::Status;
 
 pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
     let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes");
@@ -30,29 +26,4 @@ pub fn development_rooms(names: &[&str]) -> Option<tempfile::TempDir> {
         }
     }
     Some(rooms)
-}
-
-/// Real scans without an up axis are leveled by their cameras.
-#[tokio::test]
-async fn real_scans_are_turned_upright() {
-    for (name, up) in [("redkitchen.zip", UpAxis::NegY), ("hololens.zip", UpAxis::Y)] {
-        let Some(folder) = shared_scene(name) else { return };
-        let server = TestServer::start().await;
-        let scene =
-            parsed(&server.client, "application/zip", fs::read(folder.join(name)).unwrap()).await;
-        let import = scene.import.unwrap();
-        println!(
-            "{name}: up {}, agreement {:?}, {:?}",
-            import.up.name(),
-            import.reprojection_agreement,
-            scene.counts.unwrap()
-        );
-        assert_eq!(import.up, up, "{name}");
-        assert!(import.reprojection_agreement.unwrap() > 0.4, "{name}: {import:?}");
-        // A room is a few meters high, whatever its length.
-        assert!((1.0..6.0).contains(&scene.extent.unwrap().size.z), "{name}: {:?}", scene.extent);
-        let answer = server.client.ground(&scene.id, &ask("the theremin")).await.unwrap();
-        assert_eq!(answer.status, Status::NoMatch);
-        server.stop().await;
-    }
 }

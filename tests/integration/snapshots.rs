@@ -1,7 +1,7 @@
 //! Snapshots of texts that people read: an answer, problems, a report. `INSTA_UPDATE=always cargo
 //! test --release` rewrites them.
 
-use crate::server::TestServer;
+use crate::test_server::TestServer;
 use reqwest::Method;
 use serde_json::{Value, json};
 use std::fs;
@@ -11,9 +11,9 @@ use uniground_types::question::GroundRequest;
 const SAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip");
 
 #[tokio::test]
-async fn an_answer_is_what_it_was() {
+async fn answers_match_their_snapshots() {
     let server = TestServer::start().await;
-    let scene = server.parsed(fs::read(SAMPLE).unwrap()).await;
+    let scene = server.upload_and_parse(fs::read(SAMPLE).unwrap()).await;
     for (name, query) in [
         ("answer_grounded", "the mug on the coffee table"),
         ("answer_no_match", "the green fridge"),
@@ -31,7 +31,7 @@ async fn an_answer_is_what_it_was() {
 }
 
 #[tokio::test]
-async fn problems_say_what_is_wrong_and_where() {
+async fn problems_match_their_snapshot() {
     let server = TestServer::start().await;
     let scene = "01a1f829-2f28-76eb-afa7-c7b611e3e457";
     let ground = format!("v1/scenes/{scene}/ground");
@@ -89,7 +89,7 @@ async fn problems_say_what_is_wrong_and_where() {
 }
 
 #[test]
-fn a_report_reads_as_it_did() {
+fn the_evaluation_report_matches_its_snapshot() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let run = Command::new(env!("CARGO_BIN_EXE_uniground"))

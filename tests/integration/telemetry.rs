@@ -1,8 +1,8 @@
 //! Metrics, statistics and readiness, compared with what was done and with the files that use them.
 
-use crate::archives::Scan;
 use crate::scripted_model::{Script, fails, says};
-use crate::server::{Process, TestServer, ask, command, finished, parsed};
+use crate::test_scans::Scan;
+use crate::test_server::{Process, TestServer, ask, serve_command, upload_and_parse, wait_for_job};
 use axum::Json;
 use axum::extract::{DefaultBodyLimit, State};
 use camino::Utf8Path;
@@ -84,7 +84,7 @@ impl Scrape {
     }
 }
 
-async fn scraped(server: &TestServer) -> Scrape {
+async fn fetch_metrics(server: &TestServer) -> Scrape {
     let response = server.client.request(Method::GET, "metrics").send().await.unwrap();
     assert_eq!(
         response.headers()["content-type"],
@@ -93,21 +93,21 @@ async fn scraped(server: &TestServer) -> Scrape {
     Scrape::read(&response.text().await.unwrap())
 }
 
-async fn readiness(server: &TestServer) -> (u16, Readiness) {
+async fn fetch_readiness(server: &TestServer) -> (u16, Readiness) {
     let response = server.client.request(Method::GET, "readyz").send().await.unwrap();
     (response.status().as_u16(), response.json().await.unwrap())
 }
 
-fn sample() -> Vec<u8> {
+fn sample_scan() -> Vec<u8> {
     fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
 }
 
-fn file(path: &str) -> String {
+fn read_file(path: &str) -> String {
     fs::read_to_string(Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
 }
 
 /// Returns the names of this service's metrics in a text.
-fn named(text: &str) -> BTreeSet<String> {
+fn metric_names(text: &str) -> BTreeSet<String> {
     let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
     words
         .filter(|word| word.starts_with("uniground_") || word.starts_with("process_"))
@@ -117,21 +117,22 @@ fn named(text: &str) -> BTreeSet<String> {
 
 /// Returns the metric names in the dashboard's expressions. Every panel has a place of its own and
 /// a unique title.
-fn named_in_dashboard() -> BTreeSet<String> {
-    let dashboard: Value = serde_json::from_str(&file("deploy/grafana-dashboard.json")).unwrap();
+fn dashboard_metric_names() -> BTreeSet<String> {
+    let dashboard: Value =
+        serde_json::from_str(&read_file("deploy/grafana-dashboard.json")).unwrap();
     let panels = dashboard["panels"].as_array().unwrap();
     let ids: BTreeSet<u64> = panels.iter().map(|panel| panel["id"].as_u64().unwrap()).collect();
     assert!(ids.len() == panels.len() && panels.len() > 20);
     let targets = panels.iter().filter_map(|panel| panel["targets"].as_array()).flatten();
-    targets.flat_map(|target| named(target["expr"].as_str().unwrap())).collect()
+    targets.flat_map(|target| metric_names(target["expr"].as_str().unwrap())).collect()
 }
 
-fn bytes_below(folder: &Utf8Path) -> u64 {
+fn folder_bytes(folder: &Utf8Path) -> u64 {
     let entries = folder.read_dir_utf8().unwrap().map(Result::unwrap);
     entries
         .map(|entry| {
             if entry.file_type().unwrap().is_dir() {
-                bytes_below(entry.path())
+                folder_bytes(entry.path())
             } else {
                 entry.metadata().unwrap().len()
             }
@@ -142,18 +143,18 @@ fn bytes_below(folder: &Utf8Path) -> u64 {
 /// Uploads the sample scan twice, asks single questions and a batch, and asks about a scene that
 /// does not exist.
 #[tokio::test(flavor = "multi_thread")]
-async fn metrics_and_stats_tell_what_was_done() {
+async fn metrics_and_stats_match_the_requests() {
     let server = TestServer::start().await;
-    let before = scraped(&server).await;
+    let before = fetch_metrics(&server).await;
     assert_eq!(
         (before.value("uniground_scenes", &[]), before.value("uniground_ready", &[])),
         (0.0, 1.0)
     );
     assert_eq!(before.value("uniground_jobs_finished_total", &[]), 0.0);
-    let scene = server.parsed(sample()).await.id;
+    let scene = server.upload_and_parse(sample_scan()).await.id;
     let again =
-        server.client.create_scene(Some("again"), "application/zip", sample()).await.unwrap();
-    finished(&server.client, &again.job.unwrap().id).await;
+        server.client.create_scene(Some("again"), "application/zip", sample_scan()).await.unwrap();
+    wait_for_job(&server.client, &again.job.unwrap().id).await;
     for query in ["the mug on the coffee table", "the green fridge"] {
         server.client.ground(&scene, &ask(query)).await.unwrap();
     }
@@ -165,12 +166,12 @@ async fn metrics_and_stats_tell_what_was_done() {
     let items = serde_json::json!({"defaults": {"scene_id": scene}, "items": [{"query": "the sofa"}, {"query": "the lamp"}]});
     let batch =
         server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
-    finished(&server.client, batch.job_id.as_deref().unwrap()).await;
+    wait_for_job(&server.client, batch.job_id.as_deref().unwrap()).await;
     assert_eq!(server.client.batch(&batch.id).await.unwrap().state, BatchState::Succeeded);
     server.client.bytes("no/such/path").await.unwrap_err();
     tokio::time::sleep(Duration::from_millis(1100)).await;
 
-    let first = scraped(&server).await;
+    let first = fetch_metrics(&server).await;
     let route = "/v1/scenes/{scene_id}/ground";
     let asked = |scrape: &Scrape, status| {
         scrape.value(
@@ -283,7 +284,7 @@ async fn metrics_and_stats_tell_what_was_done() {
     // Sizes are measured in the background; those from the start are of an empty folder.
     let data = server.data().to_owned();
     let restarted = TestServer::start_on(
-        server.give_back().await,
+        server.stop_and_keep_data().await,
         LimitsConfig::default(),
         VlmConfig::default(),
         ModelsConfig::builtin(),
@@ -296,10 +297,10 @@ async fn metrics_and_stats_tell_what_was_done() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     };
     for kind in ["contents", "parses", "checkpoints", "answers"] {
-        assert_eq!(sizes[kind], bytes_below(&data.join("blobs").join(kind)), "{kind}");
+        assert_eq!(sizes[kind], folder_bytes(&data.join("blobs").join(kind)), "{kind}");
     }
     assert!(sizes["contents"] > 100_000 && sizes["parses"] > 100_000, "{sizes:?}");
-    let scrape = scraped(&restarted).await;
+    let scrape = fetch_metrics(&restarted).await;
     assert_eq!(
         scrape.value("uniground_blobs_size_bytes", &[("kind", "parses")]),
         sizes["parses"] as f64
@@ -311,7 +312,7 @@ async fn metrics_and_stats_tell_what_was_done() {
     let mut fastest = Duration::MAX;
     for _ in 0..20 {
         let start = Instant::now();
-        scraped(&restarted).await;
+        fetch_metrics(&restarted).await;
         fastest = fastest.min(start.elapsed());
     }
     assert!(fastest < Duration::from_millis(20), "a scrape takes {fastest:?}");
@@ -319,22 +320,22 @@ async fn metrics_and_stats_tell_what_was_done() {
 }
 
 /// Alerts, dashboard and manual name only existing metrics, and the manual names all of them.
-fn files_name_what_there_is(scrape: &Scrape) {
+fn assert_files_match_metrics(scrape: &Scrape) {
     let known = scrape.names();
     for used in ["deploy/prometheus-alerts.yml", "docs/guides/operations.md"] {
         // The manual's table lists histograms by family name.
-        let unknown: Vec<_> = named(&file(used))
+        let unknown: Vec<_> = metric_names(&read_file(used))
             .into_iter()
             .filter(|name| !known.contains(name) && !scrape.types.contains_key(name))
             .collect();
         assert_eq!(unknown, [""; 0], "{used}");
     }
     let unknown: Vec<_> =
-        named_in_dashboard().into_iter().filter(|name| !known.contains(name)).collect();
+        dashboard_metric_names().into_iter().filter(|name| !known.contains(name)).collect();
     assert_eq!(unknown, [""; 0], "the dashboard");
 
     // The table: | `name` | type | labels | ...
-    let manual = file("docs/guides/operations.md");
+    let manual = read_file("docs/guides/operations.md");
     let rows = manual
         .lines()
         .filter(|line| line.starts_with("| `uniground_") || line.starts_with("| `process_"));
@@ -356,7 +357,7 @@ fn files_name_what_there_is(scrape: &Scrape) {
     for (family, kind) in &scrape.types {
         assert_eq!(told[exposed((family, kind)).as_str()][2], kind, "{family}");
     }
-    let alerts = file("deploy/prometheus-alerts.yml");
+    let alerts = read_file("deploy/prometheus-alerts.yml");
     let alerts: Vec<&str> =
         alerts.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
     assert!(alerts.len() > 10);
@@ -369,7 +370,7 @@ fn files_name_what_there_is(scrape: &Scrape) {
 }
 
 /// Every label has a bounded set of values.
-fn labels_are_bounded(scrape: &Scrape) {
+fn assert_labels_are_bounded(scrape: &Scrape) {
     for (name, samples) in &scrape.samples {
         for (labels, _) in samples {
             for (label, value) in labels {
@@ -386,7 +387,7 @@ fn labels_are_bounded(scrape: &Scrape) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn odd_requests_make_no_labels_of_their_own() {
+async fn unusual_requests_create_no_new_labels() {
     let server = TestServer::start().await;
     let path = "v1/scenes/0190a0a0-0000-7000-8000-000000000000";
     for method in ["GET", "PATCH", "BREW"] {
@@ -394,8 +395,8 @@ async fn odd_requests_make_no_labels_of_their_own() {
         server.client.request(method, path).send().await.unwrap();
     }
     server.client.bytes("0190a0a0-0000-7000-8000-000000000000/of/mine").await.unwrap_err();
-    let scrape = scraped(&server).await;
-    labels_are_bounded(&scrape);
+    let scrape = fetch_metrics(&server).await;
+    assert_labels_are_bounded(&scrape);
     assert_eq!(scrape.value("uniground_http_requests_total", &[("method", "other")]), 1.0);
     assert_eq!(
         scrape.value("uniground_http_requests_total", &[("route", "/v1/scenes/{scene_id}")]),
@@ -408,7 +409,7 @@ async fn odd_requests_make_no_labels_of_their_own() {
 /// A model that does not answer is reported, and the server stays ready because the built-in models
 /// answer.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
+async fn a_model_that_is_down_is_reported_and_the_server_stays_ready() {
     let script = Script::default();
     let url = script.serve(vec![fails(500, "out of order")]).await;
     let vlm = VlmConfig {
@@ -422,13 +423,13 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
         ..VlmConfig::default()
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
-    assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    assert_eq!(fetch_readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let query = "the red sofa";
     let answer = server.client.ground(&scene, &ask(query)).await.unwrap();
     assert!(answer.degraded);
     tokio::time::sleep(Duration::from_millis(1100)).await;
-    let (status, told) = readiness(&server).await;
+    let (status, told) = fetch_readiness(&server).await;
     let trouble = told.vlm.unwrap();
     assert!(
         status == 200
@@ -437,7 +438,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
             && trouble.ends_with(" (1 calls)"),
         "{trouble}"
     );
-    let scrape = scraped(&server).await;
+    let scrape = fetch_metrics(&server).await;
     assert_eq!(
         (
             scrape.value("uniground_component_up", &[("component", "vlm")]),
@@ -463,17 +464,17 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     let answer = server.client.ground(&scene, &request).await.unwrap();
     assert_eq!(answer.usage.vlm_calls, 2);
     tokio::time::sleep(Duration::from_millis(1100)).await;
-    assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    assert_eq!(fetch_readiness(&server).await.1.vlm.as_deref(), Some("ok"));
     server.client.ground("none", &ask(query)).await.unwrap_err();
     let items =
         serde_json::json!({"items": [{"scene_id": scene, "query": query, "reasoner": "builtin"}]});
     let batch =
         server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
-    finished(&server.client, batch.job_id.as_deref().unwrap()).await;
-    let scrape = scraped(&server).await;
+    wait_for_job(&server.client, batch.job_id.as_deref().unwrap()).await;
+    let scrape = fetch_metrics(&server).await;
     // Each outcome has occurred once.
-    files_name_what_there_is(&scrape);
-    labels_are_bounded(&scrape);
+    assert_files_match_metrics(&scrape);
+    assert_labels_are_bounded(&scrape);
     let calls = |outcome| scrape.value("uniground_vlm_calls_total", &[("outcome", outcome)]);
     assert_eq!((calls("answered"), calls("refused"), calls("unreachable")), (2.0, 1.0, 0.0));
     assert_eq!(
@@ -503,7 +504,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
 /// What the collector and the model received: path, `traceparent`, body.
 type Sent = Arc<Mutex<Vec<(String, Option<String>, Vec<u8>)>>>;
 
-async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
+async fn record_request(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
     let (path, traceparent) = (
         request.uri().path().to_owned(),
         request.headers().get("traceparent").map(|v| v.to_str().unwrap().to_owned()),
@@ -518,18 +519,18 @@ async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json
 /// A caller's trace continues through the server to the model, and its spans go to the collector:
 /// requests, jobs, calls.
 #[tokio::test(flavor = "multi_thread")]
-async fn traces_are_taken_up_handed_on_and_sent() {
+async fn traces_are_continued_propagated_and_exported() {
     const TRACE: &str = "0af7651916cd43dd8448eb211c80319c";
     let sent = Sent::default();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let there = format!("http://{}", listener.local_addr().unwrap());
     let router = axum::Router::new()
-        .fallback(note)
+        .fallback(record_request)
         .layer(DefaultBodyLimit::disable())
         .with_state(sent.clone());
     tokio::spawn(async move { axum::serve(listener, router).await });
     let folder = tempfile::tempdir().unwrap();
-    let mut command = command(Utf8Path::from_path(folder.path()).unwrap(), "127.0.0.1:0");
+    let mut command = serve_command(Utf8Path::from_path(folder.path()).unwrap(), "127.0.0.1:0");
     command.args([
         "--otlp-endpoint",
         &there,
@@ -538,8 +539,8 @@ async fn traces_are_taken_up_handed_on_and_sent() {
         "--vlm-model",
         "scripted",
     ]);
-    let process = Process::started(command.env("RUST_LOG", "error").stderr(Stdio::null()));
-    let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
+    let process = Process::spawn(command.env("RUST_LOG", "error").stderr(Stdio::null()));
+    let scene = upload_and_parse(&process.client, "application/zip", Scan::neutral().zip()).await;
     let request = process.client.request(Method::POST, &format!("v1/scenes/{}/ground", scene.id));
     let request = request
         .header("traceparent", format!("00-{TRACE}-b7ad6b7169203331-01"))

@@ -1,6 +1,6 @@
 //! Data folders of earlier versions, opened by this one. `scripts/data-fixture.sh` makes them.
 
-use crate::server::{TestServer, ask};
+use crate::test_server::{TestServer, ask};
 use camino::Utf8Path;
 use serde_json::Value;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
@@ -19,12 +19,12 @@ use uniground_types::scenes::{Scene, SceneStatus};
 
 /// A data folder of an earlier version, and what its server returned: `scene.json`,
 /// `instances.json`, `answers.jsonl`, `scan.zip`.
-struct Left {
+struct OldFolder {
     data: tempfile::TempDir,
     told: tempfile::TempDir,
 }
 
-impl Left {
+impl OldFolder {
     fn unpack(name: &str) -> Self {
         let file = fs::File::open(
             Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name),
@@ -44,8 +44,8 @@ impl Left {
 }
 
 #[tokio::test]
-async fn a_folder_from_before_records_had_versions_is_found_whole() {
-    let left = Left::unpack("data-2026-11-20.tar.zst");
+async fn a_folder_without_record_versions_is_served_completely() {
+    let left = OldFolder::unpack("data-2026-11-20.tar.zst");
     let (scene_told, scan): (Value, Vec<u8>) =
         (serde_json::from_slice(&left.told("scene.json")).unwrap(), left.told("scan.zip"));
     let mut instances_told: Value = serde_json::from_slice(&left.told("instances.json")).unwrap();
@@ -59,7 +59,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         instance["gone"] = false.into();
     }
     let answers_told = String::from_utf8(left.told("answers.jsonl")).unwrap();
-    let Left { data, told: _told } = left;
+    let OldFolder { data, told: _told } = left;
     let server = TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -168,7 +168,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         (2, Some("z"))
     );
     server.client.delete_scene(&scene.id).await.unwrap();
-    assert_eq!(server.stored("blobs/contents"), Vec::<String>::new());
+    assert_eq!(server.list_folder("blobs/contents"), Vec::<String>::new());
     server.stop().await;
 }
 
@@ -251,20 +251,20 @@ async fn open(database: &Utf8Path) -> SqliteConnection {
     .unwrap()
 }
 
-async fn texts(rows: &mut SqliteConnection, sql: String) -> Vec<String> {
+async fn query_texts(rows: &mut SqliteConnection, sql: String) -> Vec<String> {
     sqlx::query_scalar(AssertSqlSafe(sql)).fetch_all(rows).await.unwrap()
 }
 
-async fn tables(rows: &mut SqliteConnection, of: &str) -> Vec<String> {
+async fn list_tables(rows: &mut SqliteConnection, of: &str) -> Vec<String> {
     let sql = format!(
         "SELECT name FROM {of}.sqlite_schema WHERE type = 'table' AND name NOT LIKE '!_%' ESCAPE '!' AND name NOT LIKE 'sqlite%'"
     );
-    texts(rows, sql).await
+    query_texts(rows, sql).await
 }
 
 /// Turns the fixture's database into one of another schema, with the fixture's rows and rows in
 /// every newer table.
-async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
+async fn rebuild_with_schema(data: &Utf8Path, schema: &[(i64, String)]) {
     let (old, new) = (data.join("uniground.sqlite"), data.join("new.sqlite"));
     let mut rows = open(&new).await;
     let made = schema.iter().map(|(version, sql)| {
@@ -280,11 +280,11 @@ async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
     for sql in ["PRAGMA foreign_keys = OFF".to_owned(), format!("ATTACH '{old}' AS old")] {
         sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
     }
-    for table in tables(&mut rows, "old").await {
+    for table in list_tables(&mut rows, "old").await {
         let shared = format!(
             "SELECT name FROM pragma_table_info('{table}', 'old') INTERSECT SELECT name FROM pragma_table_info('{table}', 'main')"
         );
-        let columns = texts(&mut rows, shared).await.join(", ");
+        let columns = query_texts(&mut rows, shared).await.join(", ");
         if !columns.is_empty() {
             let copy =
                 format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM old.{table}");
@@ -295,15 +295,15 @@ async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
         ["SELECT id FROM scenes", "SELECT id FROM parses", "SELECT min(id) FROM answers"];
     let mut ids = Vec::new();
     for sql in [scene, parse, answer] {
-        ids.push(texts(&mut rows, sql.to_owned()).await.remove(0));
+        ids.push(query_texts(&mut rows, sql.to_owned()).await.remove(0));
     }
-    for table in tables(&mut rows, "main").await {
+    for table in list_tables(&mut rows, "main").await {
         if let Some((_, sql)) = LATER_ROWS.iter().find(|(about, _)| *about == table) {
             let sql =
                 sql.replace("SCENE", &ids[0]).replace("PARSE", &ids[1]).replace("ANSWER", &ids[2]);
             sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
         }
-        let filled = texts(&mut rows, format!("SELECT 'x' FROM {table} LIMIT 1")).await;
+        let filled = query_texts(&mut rows, format!("SELECT 'x' FROM {table} LIMIT 1")).await;
         assert!(!filled.is_empty(), "{table} is a table without rows: LATER_ROWS wants one for it");
     }
     rows.close().await.unwrap();
@@ -315,17 +315,17 @@ async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
 
 /// Data of every earlier schema is served unchanged.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
+async fn databases_of_every_schema_are_migrated_without_loss() {
     let migrations = migrations();
     for to in 1..=migrations.len() {
         let (schema, version) = (&migrations[..to], migrations[to - 1].0);
-        let left = Left::unpack("data-2026-11-20.tar.zst");
+        let left = OldFolder::unpack("data-2026-11-20.tar.zst");
         let (answers, scan) =
             (String::from_utf8(left.told("answers.jsonl")).unwrap(), left.told("scan.zip"));
         let instances: Value = serde_json::from_slice(&left.told("instances.json")).unwrap();
-        let Left { data, told: _told } = left;
+        let OldFolder { data, told: _told } = left;
         let folder = Utf8Path::from_path(data.path()).unwrap();
-        rebuild(folder, schema).await;
+        rebuild_with_schema(folder, schema).await;
         let server = TestServer::start_on(
             data,
             LimitsConfig::default(),
@@ -374,7 +374,7 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
             client.batch_results(&batch.id, 0, false, take).await.unwrap();
             assert!(answered[0].answer.is_some(), "schema {version}");
         }
-        let data = server.give_back().await;
+        let data = server.stop_and_keep_data().await;
         let folder = Utf8Path::from_path(data.path()).unwrap();
         let store = Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap();
         // Money reserved for calls that a killed server left open counts as spent.

@@ -1,9 +1,11 @@
 //! Budgets for model calls, and what happens when they are spent.
 
-use super::leaving::time_out_during_a_call;
-use super::{QUERY, builtin, by, config, corrections, six_lines, start};
+use super::disconnects::time_out_during_a_call;
+use super::{
+    QUERY, builtin_answer, corrections, request_by, six_field_reply, start_server, vlm_config,
+};
 use crate::scripted_model::{Script, Scripted, fails, says};
-use crate::server::{TestServer, ask, problem, rows};
+use crate::test_server::{TestServer, ask, expect_problem, open_database};
 use camino::Utf8Path;
 use jiff::Timestamp;
 use serde_json::json;
@@ -14,16 +16,16 @@ use uniground_types::many::ManyGroundRequest;
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_question_may_cost() {
+async fn a_search_over_many_scenes_asks_the_model_within_the_question_budget() {
     let script = Script::default();
     let dear = VlmConfig {
         vlm_prompt_usd: 1000.0,
         vlm_completion_usd: 5000.0,
-        ..config(&script.serve(vec![says("-")]).await)
+        ..vlm_config(&script.serve(vec![says("-")]).await)
     };
-    let (server, scene) = start(dear).await;
-    let again = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
-    let id = builtin(&server, &scene).await.answer.predicted_id.unwrap();
+    let (server, scene) = start_server(dear).await;
+    let again = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let id = builtin_answer(&server, &scene).await.answer.predicted_id.unwrap();
     let asked = async |usd| {
         let request = ManyGroundRequest {
             reasoner: ReasonerChoice::Vlm,
@@ -32,7 +34,7 @@ async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_questi
         };
         server.client.ground_many(&request).await
     };
-    script.next(vec![six_lines(id, "", true, 1), six_lines(id, "", true, 1)]);
+    script.next(vec![six_field_reply(id, "", true, 1), six_field_reply(id, "", true, 1)]);
     let found = asked(None).await.unwrap();
     let scenes: BTreeSet<&str> =
         found.answers.iter().map(|found| found.answer.scene_id.as_str()).collect();
@@ -40,13 +42,13 @@ async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_questi
     assert!(found.answers.iter().all(|found| found.answer.usage.cost_usd > 0.5), "{found:?}");
     // Too little for one call: the model is not called, and the answer says so.
     script.take();
-    let error = problem(asked(Some(0.5)).await);
+    let error = expect_problem(asked(Some(0.5)).await);
     assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn money_ends() {
+async fn question_and_daily_budgets_are_enforced() {
     let script = Script::default();
     let url = script.serve(vec![says("-")]).await;
     // 700 and 40 tokens at 1000 and 5000 dollars per million: 0.9 dollars a call. The estimate
@@ -55,21 +57,23 @@ async fn money_ends() {
         vlm_prompt_usd: 1000.0,
         vlm_completion_usd: 5000.0,
         vlm_daily_usd: Some(20.0),
-        ..config(&url)
+        ..vlm_config(&url)
     };
-    let (server, scene) = start(dear.clone()).await;
-    let plain = builtin(&server, &scene).await;
-    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
-    let limited = |reasoner, usd| GroundRequest { max_cost_usd: Some(usd), ..by(reasoner) };
+    let (server, scene) = start_server(dear.clone()).await;
+    let plain = builtin_answer(&server, &scene).await;
+    script.next(vec![six_field_reply(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    let limited = |reasoner, usd| GroundRequest { max_cost_usd: Some(usd), ..request_by(reasoner) };
 
     // With a budget of zero the model is not called.
     assert!(
         !server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.0)).await.unwrap().degraded
     );
-    let error = problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.0)).await);
+    let error =
+        expect_problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.0)).await);
     assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
     // Too little for one call.
-    let error = problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.5)).await);
+    let error =
+        expect_problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.5)).await);
     assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
     assert!(error.detail.contains("this question"), "{}", error.detail);
     let answer = server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.5)).await.unwrap();
@@ -79,14 +83,14 @@ async fn money_ends() {
     let uncounted =
         json!({"choices": [{"message": {"content": "Predicted ID: none"}}], "usage": null});
     script.next(vec![Scripted::Json(200, uncounted)]);
-    let answer = server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.unwrap();
+    let answer = server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await.unwrap();
     assert!(answer.usage.prompt_tokens > 1000 && answer.usage.cost_usd > 1.0, "{:?}", answer.usage);
-    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    script.next(vec![six_field_reply(plain.answer.predicted_id.unwrap(), "", true, 1)]);
     script.take();
 
     // Every call counts towards the daily budget, also after a restart.
     let mut paid = 0;
-    while server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.is_ok() {
+    while server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await.is_ok() {
         paid += 1;
         assert!(paid < 20, "the day's budget never ends");
     }
@@ -97,22 +101,23 @@ async fn money_ends() {
         "{}",
         corrections(&answer)
     );
-    let data = server.give_back().await;
+    let data = server.stop_and_keep_data().await;
     let server =
         TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::builtin()).await;
-    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    let error =
+        expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await);
     assert_eq!((error.code.as_str(), script.calls()), ("budget_spent", paid));
     server.stop().await;
 }
 
 /// A budget that cannot be enforced is refused at startup.
 #[tokio::test(flavor = "multi_thread")]
-async fn budgets_need_prices() {
+async fn budgets_require_prices() {
     let script = Script::default();
     let free = VlmConfig {
         vlm_prompt_usd: 0.0,
         vlm_completion_usd: 0.0,
-        ..config(&script.serve(vec![says("Predicted ID: none")]).await)
+        ..vlm_config(&script.serve(vec![says("Predicted ID: none")]).await)
     };
     for (wrong, told) in [
         (VlmConfig { vlm_daily_usd: Some(1.0), ..free.clone() }, "--vlm-daily-usd needs"),
@@ -126,9 +131,9 @@ async fn budgets_need_prices() {
             .to_string();
         assert!(error.contains(told), "{error}");
     }
-    let (server, scene) = start(free).await;
+    let (server, scene) = start_server(free).await;
     let limited = GroundRequest { max_cost_usd: Some(1.0), ..ask(QUERY) };
-    let error = problem(server.client.ground(&scene, &limited).await);
+    let error = expect_problem(server.client.ground(&scene, &limited).await);
     assert_eq!(
         (error.status, error.errors[0].pointer.as_str(), script.calls()),
         (422, "/max_cost_usd", 0)
@@ -141,7 +146,7 @@ async fn budgets_need_prices() {
 /// Attempts without a response count as possibly billed, and a server that is killed during a call
 /// remembers the reserved amount.
 #[tokio::test(flavor = "multi_thread")]
-async fn what_may_be_billed_counts_and_outlives_the_server() {
+async fn possibly_billed_calls_count_and_survive_a_restart() {
     let script = Script::default();
     let url = script.serve(vec![fails(503, "overloaded")]).await;
     let dear = VlmConfig {
@@ -149,11 +154,11 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
         vlm_completion_usd: 5000.0,
         vlm_daily_usd: Some(100.0),
         vlm_attempts: 2,
-        ..config(&url)
+        ..vlm_config(&url)
     };
-    let (server, scene) = start(dear.clone()).await;
+    let (server, scene) = start_server(dear.clone()).await;
     let spent = async |server: &TestServer| {
-        let mut database = rows(server.data()).await;
+        let mut database = open_database(server.data()).await;
         let usd: Option<f64> = sqlx::query_scalar("SELECT sum(usd) FROM spending")
             .fetch_one(&mut database)
             .await
@@ -164,7 +169,10 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
             .unwrap();
         (usd.unwrap_or(0.0), open)
     };
-    assert_eq!(problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).status, 502);
+    assert_eq!(
+        expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await).status,
+        502
+    );
     let (usd, open) = spent(&server).await;
     assert!(
         usd > 1.0 && open == 0 && script.calls() == 2,
@@ -172,7 +180,10 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
     );
     // The request was refused before it was processed: nothing is billed.
     script.next(vec![fails(401, "who are you")]);
-    assert_eq!(problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).status, 502);
+    assert_eq!(
+        expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await).status,
+        502
+    );
     assert_eq!(spent(&server).await, (usd, 0));
 
     // A caller that disconnects during a call is still charged for it.
@@ -183,8 +194,8 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
     }
     assert!(spent(&server).await.0 > usd + 0.5);
 
-    let data = server.give_back().await;
-    let mut database = rows(Utf8Path::from_path(data.path()).unwrap()).await;
+    let data = server.stop_and_keep_data().await;
+    let mut database = open_database(Utf8Path::from_path(data.path()).unwrap()).await;
     // The reserved amount of an expensive call that a killed server left open.
     let today = &Timestamp::now().to_string()[..10];
     sqlx::query("INSERT INTO reservations (id, day, usd) VALUES ('killed', $1, 99.0)")
@@ -196,7 +207,7 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
     let server =
         TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::builtin()).await;
     assert_eq!(
-        problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).code,
+        expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await).code,
         "budget_spent"
     );
     assert!(spent(&server).await.0 > 99.0);

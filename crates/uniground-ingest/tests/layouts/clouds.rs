@@ -141,7 +141,7 @@ fn check(what: &str, found: &InspectedScan) {
 }
 
 #[test]
-fn every_format_is_the_same_cloud() {
+fn every_format_gives_the_same_cloud() {
     let points = cloud();
     for (name, bytes) in [
         ("room.ply", ply(&points)),
@@ -160,7 +160,7 @@ fn every_format_is_the_same_cloud() {
 
 /// A mesh that has corners only is as much of a scan as one with a point every few centimetres.
 #[test]
-fn meshes_of_few_corners_are_the_same_cloud() {
+fn meshes_with_few_vertices_give_the_same_cloud() {
     let (corners, squares) = mesh();
     let mut in_obj = obj(&corners);
     let mut in_ply = String::from_utf8_lossy(&ply(&corners))
@@ -202,7 +202,7 @@ fn meshes_of_few_corners_are_the_same_cloud() {
 }
 
 #[test]
-fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
+fn rotated_and_scaled_clouds_are_leveled_and_converted_to_meters() {
     let points = cloud();
     let y_up = crate::room::y_up();
     // What a camera that looks down at an angle would see: x right, y down, z forward.
@@ -232,7 +232,7 @@ fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
 }
 
 #[test]
-fn map_coordinates_lead_back_to_the_millimetre() {
+fn map_coordinates_are_recovered_to_the_millimeter() {
     let points = cloud();
     let there = moved(&points, |p| p + nalgebra::Vector3::new(412_345.678, 5_654_321.123, 87.5));
     for (name, bytes) in
@@ -253,7 +253,7 @@ fn map_coordinates_lead_back_to_the_millimetre() {
 
 /// Half a room, a wall, a table top: nobody can tell, so it is asked for.
 #[test]
-fn a_piece_of_something_is_refused_asking_for_up() {
+fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
     let wall: Points = cloud()
         .into_iter()
         .filter(|(p, _)| p.y > 2.05)
@@ -271,7 +271,7 @@ fn a_piece_of_something_is_refused_asking_for_up() {
 /// What has no walls is believed to have Z up when things stand on it that way; lying on its side
 /// it is asked for.
 #[test]
-fn a_floor_with_things_on_it_is_taken_as_most_files_are() {
+fn a_floor_with_objects_is_assumed_to_be_z_up() {
     let floor: Points = cloud()
         .into_iter()
         .filter(|(p, _)| p.z < 0.9 && p.x.abs() < 2.5 && p.y.abs() < 2.0)

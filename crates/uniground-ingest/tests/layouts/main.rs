@@ -80,7 +80,7 @@ const LAYOUTS: [(&str, Write, &str); 18] = [
 ];
 
 #[test]
-fn every_layout_is_the_same_scene() {
+fn every_layout_gives_the_same_scene() {
     for (what, write, format) in LAYOUTS {
         imported(write, |found| {
             let InspectedScan { frames, report, .. } =
@@ -106,7 +106,7 @@ fn every_layout_is_the_same_scene() {
 /// Eight bits are coarse, but a depth all the same where their unit is said. Without one they are a
 /// picture to look at.
 #[test]
-fn depth_of_eight_bits_wants_a_unit() {
+fn eight_bit_depth_requires_a_unit() {
     let write = |unit_m: Option<f32>| {
         move |out: &Out| {
             writers::plain(out);
@@ -147,7 +147,7 @@ fn depth_of_eight_bits_wants_a_unit() {
 
 /// What a header announces is looked at before room is made for it.
 #[test]
-fn floats_that_lie_are_refused_by_their_headers() {
+fn float_images_with_false_headers_are_refused() {
     let broken = |write: Write, name: &'static str, at: fn(&[u8]) -> usize, with: &'static [u8]| {
         move |out: &Out| {
             write(out);
@@ -177,7 +177,7 @@ fn floats_that_lie_are_refused_by_their_headers() {
 /// Its world is that of its first camera: level afterwards, and the frames stand to each other as
 /// they did.
 #[test]
-fn a_recording_without_gravity_is_levelled() {
+fn a_recording_without_gravity_is_leveled() {
     imported(writers::record3d, |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert_eq!((report.format.as_str(), frames.len()), ("record3d", FRAMES));
@@ -213,7 +213,7 @@ fn with_poses(rewrite: impl Fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>
 }
 
 #[test]
-fn the_reading_that_fits_is_taken() {
+fn the_pose_convention_that_fits_is_used() {
     type Rewrite = fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>;
     let cases: [(&str, Rewrite, &str); 3] = [
         ("world-to-camera", |m| m.try_inverse().unwrap(), "world_to_camera"),
@@ -244,7 +244,7 @@ fn the_reading_that_fits_is_taken() {
 }
 
 #[test]
-fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
+fn a_tilted_world_is_leveled_and_a_level_one_is_unchanged() {
     let tilt = Isometry3::rotation(Vector3::new(0.3, 0.35, 0.0)).to_homogeneous();
     imported(with_poses(move |m| tilt * m), |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
@@ -274,7 +274,7 @@ fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
 /// One frame in twelve is a tenth at most only by rounding down: here it is too much, so the scan
 /// is made longer.
 #[test]
-fn a_damaged_frame_in_ten_is_left_out_and_named() {
+fn one_damaged_frame_in_ten_is_skipped_and_reported() {
     let longer = |out: &Out| {
         writers::plain(out);
         for i in FRAMES..2 * FRAMES {
@@ -309,7 +309,7 @@ fn a_damaged_frame_in_ten_is_left_out_and_named() {
 }
 
 #[test]
-fn what_lacks_something_is_told_what_it_looks_like() {
+fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
     let without = |write: Write, gone: &'static str| {
         move |out: &Out| {
             write(out);
@@ -363,7 +363,7 @@ fn what_lacks_something_is_told_what_it_looks_like() {
 }
 
 #[test]
-fn the_size_of_the_test_pictures_is_what_they_say() {
+fn picture_sizes_match_the_file_headers() {
     imported(writers::plain, |found| {
         let frame = found.unwrap().frames.remove(0);
         assert_eq!(frame.decode_colour().unwrap().dimensions(), (CAMERA.width, CAMERA.height));

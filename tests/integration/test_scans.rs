@@ -41,7 +41,7 @@ impl Scan {
             let (color, depth) = render(things, &pose);
             files.insert(format!("color/{i}.png"), color);
             files.insert(format!("depth/{i}.png"), depth);
-            files.insert(format!("pose/{i}.txt"), matrix(&pose).into_bytes());
+            files.insert(format!("pose/{i}.txt"), format_pose(&pose).into_bytes());
         }
         Self(files)
     }
@@ -133,7 +133,7 @@ fn pose(angle: f32) -> Pose {
     [right, down, forward, position]
 }
 
-fn matrix(pose: &Pose) -> String {
+fn format_pose(pose: &Pose) -> String {
     let row = |i: usize| {
         format!("{:.6} {:.6} {:.6} {:.6}\n", pose[0][i], pose[1][i], pose[2][i], pose[3][i])
     };
@@ -150,7 +150,7 @@ fn render(things: &[Thing], pose: &Pose) -> (Vec<u8>, Vec<u8>) {
             let ray: [f32; 3] =
                 std::array::from_fn(|i| pose[0][i] * x + pose[1][i] * y + pose[2][i]);
             // The ray has length 1 along the optical axis, so its parameter is the depth.
-            if let Some((z, rgb)) = hit(things, &pose[3], &ray) {
+            if let Some((z, rgb)) = nearest_box(things, &pose[3], &ray) {
                 color.put_pixel(u, v, image::Rgb(rgb));
                 depth.put_pixel(u, v, image::Luma([(z * 1000.0).round() as u16]));
             }
@@ -165,7 +165,7 @@ fn render(things: &[Thing], pose: &Pose) -> (Vec<u8>, Vec<u8>) {
 }
 
 /// Returns the nearest box along a ray: depth and shaded color.
-fn hit(things: &[Thing], origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8; 3])> {
+fn nearest_box(things: &[Thing], origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8; 3])> {
     let enter = |(min, max, rgb): &Thing| {
         let (mut near, mut far, mut side) = (0.0_f32, f32::INFINITY, 0);
         for i in 0..3 {

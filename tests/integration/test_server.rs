@@ -21,7 +21,7 @@ use uniground_types::scenes::Scene;
 /// Returns where a data folder's rows are stored: in the folder itself, or, if
 /// `UNIGROUND_TEST_POSTGRES` names a server (`postgres://USER@HOST:PORT`), in a PostgreSQL database
 /// that belongs to the folder.
-pub fn location(data: &Utf8Path) -> Location {
+pub fn database_location(data: &Utf8Path) -> Location {
     let Ok(server) = std::env::var("UNIGROUND_TEST_POSTGRES") else { return Location::Folder };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
     let name = &name[name.len().saturating_sub(60)..];
@@ -36,25 +36,25 @@ pub fn location(data: &Utf8Path) -> Location {
 
 /// Returns where scans and parses are stored: in the folder itself, or, if `UNIGROUND_TEST_S3`
 /// names a bucket (`s3://BUCKET`, the rest in `AWS_…`), below a prefix that belongs to the folder.
-pub fn blobs(data: &Utf8Path) -> BlobsConfig {
+pub fn blobs_config(data: &Utf8Path) -> BlobsConfig {
     let Ok(bucket) = std::env::var("UNIGROUND_TEST_S3") else { return BlobsConfig::default() };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
     BlobsConfig { at: format!("{bucket}/{name}").parse().unwrap(), ..BlobsConfig::default() }
 }
 
 /// Returns the environment variables that tell a program both locations.
-pub fn in_places(data: &Utf8Path) -> [(&'static str, String); 2] {
-    let place = match location(data) {
+pub fn storage_env(data: &Utf8Path) -> [(&'static str, String); 2] {
+    let place = match database_location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
         _ => "sqlite".to_owned(),
     };
-    [("UNIGROUND_DATABASE", place), ("UNIGROUND_BLOBS", blobs(data).at.to_string())]
+    [("UNIGROUND_DATABASE", place), ("UNIGROUND_BLOBS", blobs_config(data).at.to_string())]
 }
 
 /// Connects to the database of a stopped or running server.
-pub async fn rows(data: &Utf8Path) -> AnyConnection {
+pub async fn open_database(data: &Utf8Path) -> AnyConnection {
     sqlx::any::install_default_drivers();
-    let url = match location(data) {
+    let url = match database_location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
         _ => format!("sqlite:{}", data.join("uniground.sqlite")),
     };
@@ -62,9 +62,9 @@ pub async fn rows(data: &Utf8Path) -> AnyConnection {
 }
 
 /// Connects without foreign key checks, so that a test can write a dangling reference.
-pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
-    let mut rows = rows(data).await;
-    let loosen = match location(data) {
+pub async fn open_database_unchecked(data: &Utf8Path) -> AnyConnection {
+    let mut rows = open_database(data).await;
+    let loosen = match database_location(data) {
         Location::Postgres(_) => "SET session_replication_role = replica",
         _ => "PRAGMA foreign_keys = OFF",
     };
@@ -73,7 +73,7 @@ pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
 }
 
 /// Returns limits for a server in this process. Its child processes run the tested program.
-pub fn limits() -> LimitsConfig {
+pub fn test_limits() -> LimitsConfig {
     LimitsConfig {
         reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()),
         ..LimitsConfig::default()
@@ -81,11 +81,14 @@ pub fn limits() -> LimitsConfig {
 }
 
 /// Returns the configuration of a server on a data folder, without models.
-pub fn config(data_dir: &Utf8Path) -> ServeConfig {
+pub fn serve_config(data_dir: &Utf8Path) -> ServeConfig {
     ServeConfig {
         listen: "127.0.0.1:0".parse().unwrap(),
-        database: DatabaseConfig { location: location(data_dir), ..DatabaseConfig::default() },
-        blobs: blobs(data_dir),
+        database: DatabaseConfig {
+            location: database_location(data_dir),
+            ..DatabaseConfig::default()
+        },
+        blobs: blobs_config(data_dir),
         data_dir: data_dir.to_owned(),
         role: Role::All,
         access: AccessConfig::default(),
@@ -93,7 +96,7 @@ pub fn config(data_dir: &Utf8Path) -> ServeConfig {
         fetch_models: false,
         vlm: VlmConfig::default(),
         webhook: WebhookConfig::default(),
-        limits: limits(),
+        limits: test_limits(),
         log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
     }
 }
@@ -125,8 +128,8 @@ impl TestServer {
         vlm: VlmConfig,
         models: ModelsConfig,
     ) -> Self {
-        let config = config(Utf8Path::from_path(data.path()).unwrap());
-        let limits = LimitsConfig { reader_program: self::limits().reader_program, ..limits };
+        let config = serve_config(Utf8Path::from_path(data.path()).unwrap());
+        let limits = LimitsConfig { reader_program: self::test_limits().reader_program, ..limits };
         let running = app::start(&ServeConfig { models, vlm, limits, ..config }).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();
         Self { client, running, data }
@@ -141,35 +144,35 @@ impl TestServer {
     }
 
     /// Uploads an archive and waits until it is parsed.
-    pub async fn parsed(&self, archive: Vec<u8>) -> Scene {
-        parsed(&self.client, "application/zip", archive).await
+    pub async fn upload_and_parse(&self, archive: Vec<u8>) -> Scene {
+        upload_and_parse(&self.client, "application/zip", archive).await
     }
 
     /// Returns the names of the entries of a folder below the data folder.
-    pub fn stored(&self, folder: &str) -> Vec<String> {
+    pub fn list_folder(&self, folder: &str) -> Vec<String> {
         let entries = self.data().join(folder).read_dir_utf8().unwrap();
         entries.map(|entry| entry.unwrap().file_name().to_owned()).collect()
     }
 
     pub async fn stop(self) {
-        self.give_back().await;
+        self.stop_and_keep_data().await;
     }
 
     /// Stops the server and returns the data folder for the next one.
-    pub async fn give_back(self) -> tempfile::TempDir {
+    pub async fn stop_and_keep_data(self) -> tempfile::TempDir {
         self.running.stop().await.unwrap();
         self.data
     }
 }
 
-pub async fn parsed(client: &Client, media_type: &str, archive: Vec<u8>) -> Scene {
+pub async fn upload_and_parse(client: &Client, media_type: &str, archive: Vec<u8>) -> Scene {
     let created = client.create_scene(None, media_type, archive).await.unwrap();
-    let job = finished(client, &created.job.unwrap().id).await;
+    let job = wait_for_job(client, &created.job.unwrap().id).await;
     assert_eq!(job.error, None, "{job:?}");
     client.scene(&created.scene.id).await.unwrap()
 }
 
-pub async fn finished(client: &Client, job_id: &str) -> Job {
+pub async fn wait_for_job(client: &Client, job_id: &str) -> Job {
     client.follow_job(job_id, |_| {}).await.unwrap()
 }
 
@@ -204,13 +207,13 @@ pub struct Process {
 
 impl Process {
     pub fn start(data: &Utf8Path) -> Self {
-        Self::started(command(data, "127.0.0.1:0").stderr(Stdio::null()))
+        Self::spawn(serve_command(data, "127.0.0.1:0").stderr(Stdio::null()))
     }
 
     /// Starts the binary with its log in a JSON file, at the default level.
     pub fn start_logging(data: &Utf8Path, log: &Utf8Path) -> Self {
-        let mut command = command(data, "127.0.0.1:0");
-        Self::started(
+        let mut command = serve_command(data, "127.0.0.1:0");
+        Self::spawn(
             command
                 .args(["--log-format", "json"])
                 .env_remove("RUST_LOG")
@@ -218,7 +221,7 @@ impl Process {
         )
     }
 
-    pub fn started(command: &mut Command) -> Self {
+    pub fn spawn(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -250,13 +253,13 @@ impl Drop for Process {
     }
 }
 
-pub fn command(data: &Utf8Path, listen: &str) -> Command {
+pub fn serve_command(data: &Utf8Path, listen: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command
         .args(["serve", "--listen", listen, "--data-dir", data.as_str()])
         .env_remove("UNIGROUND_API_KEY")
         // Ignores models in the current folder; a test that needs models sets them.
         .envs([("UNIGROUND_MASKS", "builtin"), ("UNIGROUND_ENCODER", "builtin")])
-        .envs(in_places(data));
+        .envs(storage_env(data));
     command
 }

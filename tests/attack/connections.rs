@@ -1,9 +1,9 @@
 //! Crowds: connections that send nothing, uploads that stall, streams without number; and a scene
 //! with more answers than anybody reads.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{ask, parsed};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{ask, upload_and_parse};
 use crate::{Form, Report, Target, since};
 use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
@@ -45,7 +45,7 @@ async fn refused(crowd: &mut [TcpStream]) -> usize {
 pub async fn run(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
-    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let address = client
         .request(reqwest::Method::GET, "healthz")
         .build()
@@ -158,8 +158,8 @@ pub async fn run(form: Form, report: &mut Report) {
 async fn many_answers(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = target.process.client.clone();
-    let full = parsed(&client, ZIP, Scan::neutral().with("note.txt", "full").zip()).await;
-    let quiet = parsed(&client, ZIP, Scan::neutral().zip()).await;
+    let full = upload_and_parse(&client, ZIP, Scan::neutral().with("note.txt", "full").zip()).await;
+    let quiet = upload_and_parse(&client, ZIP, Scan::neutral().zip()).await;
     let answer = client.ground(&full.id, &ask("the red sofa")).await.unwrap();
     let count = form.of(10_000, 100_000);
     let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));

@@ -1,6 +1,6 @@
 //! Uploads nobody means well with, each a few kilobytes on the wire.
 
-use crate::archives::{Scan, ply_header};
+use crate::test_scans::{Scan, ply_header};
 use std::io::{Cursor, Write};
 
 pub const ZIP: &str = "application/zip";

@@ -1,8 +1,10 @@
 //! Databases and files that are locked, lost or somebody else's.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, command, finished, parsed, problem};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{
+    Process, ask, expect_problem, serve_command, upload_and_parse, wait_for_job,
+};
 use crate::{Form, Report, Target, since};
 use camino::Utf8Path;
 use sqlx::Connection;
@@ -35,7 +37,7 @@ fn bytes_below(folder: &Utf8Path) -> u64 {
 async fn lost_database(report: &mut Report) {
     for (case, is_empty) in [("3 the database is gone", false), ("3 the database is empty", true)] {
         let target = Target::start();
-        let scene = parsed(&target.process.client, ZIP, Scan::neutral().zip()).await;
+        let scene = upload_and_parse(&target.process.client, ZIP, Scan::neutral().zip()).await;
         let Target { data, process } = target;
         process.terminate();
         let folder = Utf8Path::from_path(data.path()).unwrap();
@@ -51,7 +53,7 @@ async fn lost_database(report: &mut Report) {
         let scenes = process.client.scenes(10, None).await.unwrap().scenes.len();
         let after = bytes_below(&folder.join("blobs"));
         // The same scan again finds its place, and is whole.
-        let again = parsed(&process.client, ZIP, Scan::neutral().zip()).await;
+        let again = upload_and_parse(&process.client, ZIP, Scan::neutral().zip()).await;
         let held = before == after && scenes == 0 && again.content_hash == scene.content_hash;
         report.row(
             case,
@@ -71,7 +73,7 @@ fn strangers_folder(report: &mut Report) {
     fs::create_dir(folder.join("tmp")).unwrap();
     fs::write(folder.join("tmp/thesis.txt"), "years").unwrap();
     let start = Instant::now();
-    let output = command(folder, "127.0.0.1:0").output().unwrap();
+    let output = serve_command(folder, "127.0.0.1:0").output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     let held = !output.status.success()
         && told.contains("not a data folder")
@@ -89,7 +91,7 @@ fn strangers_folder(report: &mut Report) {
 async fn lost_files(report: &mut Report) {
     let target = Target::start();
     fs::write(target.folder().join("blobs/contents/note.txt"), "stray").unwrap();
-    let scene = parsed(&target.process.client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(&target.process.client, ZIP, Scan::neutral().zip()).await;
     let target = target.again();
     let client = &target.process.client;
     let kept = client.scene(&scene.id).await.is_ok()
@@ -111,9 +113,9 @@ async fn lost_files(report: &mut Report) {
     *bytes.last_mut().unwrap() ^= 0xff;
     fs::write(&cloud, bytes).unwrap();
     let path = format!("v1/scenes/{}/cloud.ply", scene.id);
-    let told = problem(client.bytes(&path).await);
+    let told = expect_problem(client.bytes(&path).await);
     let job = client.scene(&scene.id).await.unwrap().job_id.unwrap();
-    let healed = finished(client, &job).await.state == JobState::Succeeded
+    let healed = wait_for_job(client, &job).await.state == JobState::Succeeded
         && client.bytes(&path).await.is_ok();
     report.row(
         "11 a damaged cloud",
@@ -132,7 +134,7 @@ async fn lost_files(report: &mut Report) {
             }
         }
     }
-    let again = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let again = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let whole = client.bytes(&format!("v1/scenes/{}/cloud.ply", again.id)).await.is_ok();
     report.row(
         "11 all files lost, the scan uploaded again",
@@ -162,7 +164,7 @@ async fn lost_files(report: &mut Report) {
 async fn locked(report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
-    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let created =
         client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "2").zip()).await.unwrap();
     let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
@@ -180,7 +182,7 @@ async fn locked(report: &mut Report) {
         !answer.stored && seconds < 8.0,
     );
     let start = Instant::now();
-    let told = problem(client.rename_scene(&scene.id, "hall").await);
+    let told = expect_problem(client.rename_scene(&scene.id, "hall").await);
     let seconds = since(start);
     report.row(
         "14 a change while the database is locked",
@@ -202,9 +204,11 @@ async fn locked(report: &mut Report) {
     tokio::time::sleep(Duration::from_secs(5)).await;
     drop(other);
     let start = Instant::now();
-    let job =
-        tokio::time::timeout(Duration::from_mins(1), finished(client, &created.job.unwrap().id))
-            .await;
+    let job = tokio::time::timeout(
+        Duration::from_mins(1),
+        wait_for_job(client, &created.job.unwrap().id),
+    )
+    .await;
     let held = job.as_ref().is_ok_and(|job| job.state == JobState::Succeeded);
     report.row(
         "7 a job that ended meanwhile",
