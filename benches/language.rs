@@ -1,4 +1,4 @@
-//! Reading a question, deciding it over 200 and 5,000 instances, and the shortlist over embeddings:
+//! Parsing a question, deciding it over 200 and 5,000 instances, and the shortlist over embeddings:
 //! `cargo bench --bench language`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
@@ -25,7 +25,8 @@ const QUESTIONS: [&str; 7] = [
     "my back hurts, so I would rather have the chair beside the plant",
 ];
 
-/// A hall of `count` things of a dozen kinds on a grid, named by the encoder as in a parsed scene.
+/// Returns a hall of `count` instances of a dozen kinds on a grid, named by the encoder as in a
+/// parsed scene.
 fn hall(count: usize) -> Vec<Instance> {
     let nouns: Vec<_> = [
         "chair",
@@ -103,7 +104,7 @@ fn deciding(c: &mut Criterion) {
     group.finish();
 }
 
-/// The five instances nearest to a query of 1,024 dimensions, by exact cosines.
+/// Finds the five instances nearest to a query of 1,024 dimensions, by exact cosines.
 fn shortlisting(c: &mut Criterion) {
     const DIM: usize = 1024;
     let mut group = c.benchmark_group("shortlist");

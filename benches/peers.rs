@@ -1,9 +1,10 @@
-//! Our parts beside the public ones, on the same input and in turns: `make bench-peers`, or
-//! `cargo bench --bench peers -- [--pcl PROGRAM] [--python PYTHON] [--write FILE] [FOLDER]`.
+//! This project's steps compared with public libraries, on the same input and alternating: `make
+//! bench-peers`, or `cargo bench --bench peers -- [--pcl PROGRAM] [--python PYTHON] [--write FILE]
+//! [FOLDER]`.
 //!
-//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; `open3d` and `onnxruntime` answer
-//! from the Python given (`scripts/bench-peers.sh` makes one). A peer that is not there is a row
-//! that says so. `room1` of `../shared/scenes`, or of the folder given.
+//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; `open3d` and `onnxruntime` run in
+//! the given Python (`scripts/bench-peers.sh` makes one). A missing peer gets a row that says so.
+//! The input is `room1` of `../shared/scenes` or of the given folder.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -97,7 +98,7 @@ fn main() {
     }
 }
 
-/// A segmenter with a picture encoded: as many threads for its encoder as there are cores, one for
+/// A segmenter with an encoded image: as many threads for its encoder as there are cores, one for
 /// each of two decoders.
 fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
     let settings = RuntimeSettings {
@@ -116,7 +117,7 @@ fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
 
 const THREADS: usize = 2;
 
-/// onnxruntime with the same bundle open.
+/// onnxruntime with the same bundle loaded.
 fn model(bundle: &Utf8Path, python: Option<&str>) -> Peer {
     match bundle.join("model.json").exists() {
         true => Peer::start(python, "onnxruntime_peer.py", &[format!("load {bundle} {THREADS} 1")]),

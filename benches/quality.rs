@@ -1,13 +1,12 @@
-//! Stage 1 against annotated rooms: `make bench-quality`, or
-//! `cargo bench --bench quality -- [--settings FILE] [--misses] [--brief] [--rooms room1,room2]
-//! [FOLDER]`.
+//! Stage 1 against annotated rooms: `make bench-quality`, or `cargo bench --bench quality --
+//! [--settings FILE] [--misses] [--brief] [--rooms room1,room2] [FOLDER]`.
 //!
-//! The rooms (all archives with annotations beside them) lie in `../shared/scenes` where this
-//! project is built, or in the folder given. A single run is a matter of luck to within an object
-//! or two, so every figure is also given over several turns of the world about Z. The ladder tells,
-//! step by step, what is still recoverable. `--brief` is for whoever works on stage 1: instances
-//! only, as is and on the mean of six runs, five of which do without a fifth of the frames; boxes
-//! are those that were annotated, which they are not in a turned world.
+//! The rooms (all archives with annotations) are in `../shared/scenes` or in the given folder. A
+//! single run varies by an object or two, so every figure is also averaged over several rotations
+//! about Z. The table of stage losses shows what is still recoverable after each step. `--brief` is
+//! for work on stage 1: instances only, without rotation and averaged over six runs, five of which
+//! omit a fifth of the frames; boxes are the annotated ones, which is not possible in a rotated
+//! world.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -28,7 +27,7 @@ use uniground_evaluation::segmentation::{
 use uniground_evaluation::stage_losses;
 use uniground_evaluation::systems::{NamedBy, instances_of};
 
-/// Objects with fewer points are left out, as in the table of issue and peers.
+/// Objects with fewer points are ignored, as in the published tables.
 const MIN_POINTS: u32 = 200;
 const TURNS_DEG: [f32; 6] = [0.0, 10.0, 23.0, 45.0, 67.0, 90.0];
 
@@ -81,7 +80,7 @@ fn main() {
     }
 }
 
-/// Instances by the built-in masks.
+/// Returns instances by the built-in masks.
 fn brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     const FIFTHS: usize = 5;
     let mut table = instance_table();
@@ -170,7 +169,7 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
     );
 }
 
-/// Names of the annotated rooms in a folder, sorted.
+/// Returns the names of the annotated rooms in a folder, sorted.
 fn rooms(folder: &Utf8Path) -> Vec<String> {
     let entries = folder
         .read_dir_utf8()
@@ -185,8 +184,8 @@ fn rooms(folder: &Utf8Path) -> Vec<String> {
     names
 }
 
-/// Share of objects whose annotated name is the first, or among the kept, of the names the encoder
-/// gives: on their annotated boxes, and on the instances that cover them at least half.
+/// Returns the share of objects whose annotated name is the first, or among the stored ones, of the
+/// encoder's names: on annotated boxes, and on instances that cover at least half of them.
 fn naming(
     folder: &Utf8Path,
     room: &AnnotatedRoom,

@@ -1,4 +1,4 @@
-//! What is compared with what: each function gives the rows of one job.
+//! The comparisons: each function returns the rows of one job.
 
 use crate::duel::{Comparison, Ours, Run, Side};
 use crate::process::Peer;
@@ -21,12 +21,12 @@ use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
 use uniground_core::scene::{PointCloud, write_cloud_ply};
 use uniground_types::settings::SuperpointSettings;
 
-/// Edge of the voxels a cloud is thinned to, metres.
+/// Edge of the voxels for thinning a cloud, in meters.
 const THINNED_M: f32 = 0.05;
-/// What `scene_picture` cuts off and widens points by: the peer's mesh is to show the same.
+/// The ceiling cut and the splat size of `scene_picture`, so that the peer's mesh shows the same.
 const CEILING_PERCENTILE: f32 = 0.95;
 const SPLAT_OVERLAP: f32 = 1.6;
-/// What `scene_picture` leaves where nothing is.
+/// The background of `scene_picture`.
 const BACKGROUND: [u8; 3] = [250, 250, 250];
 
 /// The cloud in memory, the same as a file, and its extent.
@@ -37,14 +37,14 @@ pub struct Input {
 }
 
 impl Input {
-    /// Writes the cloud to `file`, whence the peers have it.
+    /// Writes the cloud to `file`, from which the peers read it.
     pub fn new(cloud: PointCloud, file: Utf8PathBuf) -> Self {
         write_cloud_ply(&cloud, std::fs::File::create(&file).unwrap()).unwrap();
         let extent = Aabb::around(&cloud.positions).unwrap();
         Self { cloud, file, extent }
     }
 
-    /// The cloud, the camera of our picture, and a mesh of the squares our picture is made of.
+    /// The cloud, the camera of the render, and a mesh of the squares that the render consists of.
     pub fn for_open3d(&self) -> [String; 3] {
         let camera = ROOM_VIEW.camera(&self.extent);
         let of = camera.intrinsics;
@@ -67,7 +67,7 @@ impl Input {
     }
 }
 
-/// Times `work`; what it gives is told outside the timing.
+/// Times `work`; its result is described outside of the timing.
 fn timed<T>(work: impl Fn() -> T, tell: impl Fn(&T) -> String) -> Run {
     let start = Instant::now();
     let result = work();
@@ -136,7 +136,7 @@ pub fn thinning<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
     }
 }
 
-/// The mean point and colour of every voxel.
+/// Returns the mean point and color of every voxel.
 fn means(cloud: &PointCloud) -> PointCloud {
     let grid = VoxelGrid::new(&cloud.positions, THINNED_M);
     let mut sums = vec![(0.0, Vector3::zeros(), Vector3::zeros()); grid.len()];
@@ -224,7 +224,7 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
     ]
 }
 
-/// A segmenter and a picture it has encoded.
+/// A segmenter and an image that it has encoded.
 pub struct Asked {
     pub segmenter: Arc<Segmenter>,
     pub picture: RgbImage,

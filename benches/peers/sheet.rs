@@ -5,7 +5,7 @@ use comfy_table::{Table, presets};
 use std::fmt::Write;
 use std::thread::available_parallelism;
 
-/// Everything the bench says: where it ran, against what, the figures, and how to read them.
+/// Formats the whole report: machine, versions, figures, and how to read them.
 pub fn written(
     input: &str,
     load: &str,
@@ -57,7 +57,7 @@ fn row(outcome: &DuelResult) -> [String; 6] {
     [what.clone(), own_ms, peer_ms, ratio, own_gives, peer_gives]
 }
 
-/// Milliseconds to what a median of nine can tell apart.
+/// Rounds milliseconds to what a median of nine runs can distinguish.
 fn figure(ms: f32) -> String {
     match ms {
         ..1.0 => format!("{ms:.3}"),
@@ -79,8 +79,8 @@ fn machine() -> String {
     )
 }
 
-/// What else kept the machine busy in the minute before: on a loaded one whoever uses more cores
-/// loses more.
+/// Returns the machine's load in the minute before: on a loaded machine the side that uses more
+/// cores loses more.
 pub fn load() -> String {
     let averages = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     averages.split(' ').next().filter(|load| !load.is_empty()).unwrap_or("unknown").to_owned()

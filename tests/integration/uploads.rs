@@ -1,5 +1,5 @@
-//! Uploads: the content decides the type, large ones are streamed to disk, and refused or interrupted
-//! ones leave nothing.
+//! Uploads: the content decides the type, large ones are streamed to disk, and refused or
+//! interrupted ones leave nothing.
 
 use crate::test_scans::Scan;
 use crate::test_server::{Process, TestServer, expect_problem, wait_for_job};

@@ -1,4 +1,4 @@
-//! The same room as a cloud and nothing else, in every format.
+//! The same room as a bare cloud in every format.
 
 use crate::room::{Points, cloud, mesh};
 use crate::writers::Out;
@@ -117,7 +117,7 @@ fn read(name: &str, bytes: &[u8]) -> InspectedScan {
     )
 }
 
-/// The room's box, to a centimetre: sampling and rounding aside it is the same cloud.
+/// Compares the room's box to a centimeter. Except for sampling and rounding it is the same cloud.
 fn check(what: &str, found: &InspectedScan) {
     let cloud = found.cloud.as_ref().unwrap();
     let extent = Aabb::around(&cloud.positions).unwrap();
@@ -126,7 +126,7 @@ fn check(what: &str, found: &InspectedScan) {
     }
     let reds = cloud.colours.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
     assert!(reds > 500, "{what}: {reds} red points");
-    // The floor is below.
+    // The floor is at the bottom.
     let low = cloud
         .positions
         .iter()
@@ -158,7 +158,7 @@ fn every_format_gives_the_same_cloud() {
     }
 }
 
-/// A mesh that has corners only is as much of a scan as one with a point every few centimetres.
+/// A mesh of vertices only is as good a scan as a cloud with a point every few centimeters.
 #[test]
 fn meshes_with_few_vertices_give_the_same_cloud() {
     let (corners, squares) = mesh();
@@ -205,7 +205,7 @@ fn meshes_with_few_vertices_give_the_same_cloud() {
 fn rotated_and_scaled_clouds_are_leveled_and_converted_to_meters() {
     let points = cloud();
     let y_up = crate::room::y_up();
-    // What a camera that looks down at an angle would see: x right, y down, z forward.
+    // The axes of a camera that looks down at an angle: x right, y down, z forward.
     let camera = crate::pose(2).inverse().to_homogeneous();
     let with = |m: Matrix4<f64>| moved(&points, |p| m.transform_point(p));
     for (what, turned) in [
@@ -251,7 +251,7 @@ fn map_coordinates_are_recovered_to_the_millimeter() {
     }
 }
 
-/// Half a room, a wall, a table top: nobody can tell, so it is asked for.
+/// Half a room, a wall, a table top: the up axis cannot be determined, so the error asks for it.
 #[test]
 fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
     let wall: Points = cloud()
@@ -268,8 +268,8 @@ fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
     );
 }
 
-/// What has no walls is believed to have Z up when things stand on it that way; lying on its side
-/// it is asked for.
+/// A cloud without walls is assumed to be Z up if objects stand on it that way. Lying on its side,
+/// it is refused and asks for the up axis.
 #[test]
 fn a_floor_with_objects_is_assumed_to_be_z_up() {
     let floor: Points = cloud()

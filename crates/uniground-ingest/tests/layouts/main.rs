@@ -1,6 +1,6 @@
-//! One small room, written down in every layout: each is read as the same canonical scene.
+//! One small room in every layout: each is read as the same canonical scene.
 
-// A helper that can not go on fails its test.
+// A helper that fails aborts its test.
 #![allow(clippy::unwrap_used)]
 
 mod clouds;
@@ -18,7 +18,7 @@ use uniground_ingest::{IngestError, InspectedScan};
 use uniground_types::settings::ImportSettings;
 use writers::Out;
 
-/// Writes, and looks before the folder goes.
+/// Writes a scan, imports it, and checks the result before the folder is removed.
 fn imported<T>(
     write: impl Fn(&Out),
     look: impl FnOnce(Result<InspectedScan, IngestError>) -> T,
@@ -40,7 +40,7 @@ fn camera_to_world(frame: &FrameRef) -> Isometry3<f64> {
     frame.camera_to_world.cast()
 }
 
-/// Depth of a picture's middle rows against what is there.
+/// Compares the middle rows of a depth image with the true depth.
 fn check_depth(what: &str, i: usize, frame: &FrameRef) {
     let depth = frame.decode_depth().unwrap();
     let expected = room::depth_m(&frame.depth_intrinsics, &pose(i));
@@ -50,14 +50,14 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
         .zip(&expected)
         .filter(|(found, there)| (*found - *there).abs() > 0.002)
         .count();
-    // Where a silhouette falls between two pixels either may be right.
+    // Where a silhouette falls between two pixels, either depth is correct.
     assert!(off * 50 < expected.len(), "{what}, frame {i}: {off} of {} pixels", expected.len());
     assert!(frame.decode_colour().is_ok(), "{what}, frame {i}");
 }
 
 type Write = fn(&Out);
 
-/// What it is, its writer, and the format it is to be recognised as.
+/// Description, writer, and the format that must be recognized.
 const LAYOUTS: [(&str, Write, &str); 18] = [
     ("plain", writers::plain, "color-depth-pose"),
     ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
@@ -103,8 +103,7 @@ fn every_layout_gives_the_same_scene() {
     }
 }
 
-/// Eight bits are coarse, but a depth all the same where their unit is said. Without one they are a
-/// picture to look at.
+/// Eight-bit images are depth only if their unit is given. Without a unit they are pictures.
 #[test]
 fn eight_bit_depth_requires_a_unit() {
     let write = |unit_m: Option<f32>| {
@@ -145,7 +144,7 @@ fn eight_bit_depth_requires_a_unit() {
     });
 }
 
-/// What a header announces is looked at before room is made for it.
+/// The size in a header is checked before memory is allocated.
 #[test]
 fn float_images_with_false_headers_are_refused() {
     let broken = |write: Write, name: &'static str, at: fn(&[u8]) -> usize, with: &'static [u8]| {
@@ -157,7 +156,7 @@ fn float_images_with_false_headers_are_refused() {
             (0..FRAMES).for_each(|i| out.put(&name.replace('0', &i.to_string()), &bytes));
         }
     };
-    // The last column of the data window: its attribute's name and type, the size, three numbers.
+    // The last column of the data window: attribute name and type, size, three numbers.
     let window: fn(&[u8]) -> usize =
         |bytes| bytes.windows(10).position(|w| w == b"dataWindow").unwrap() + 10 + 1 + 6 + 4 + 8;
     // The value of the first tag, which is the width.
@@ -174,8 +173,8 @@ fn float_images_with_false_headers_are_refused() {
     }
 }
 
-/// Its world is that of its first camera: level afterwards, and the frames stand to each other as
-/// they did.
+/// The world is that of the first camera. The import levels it and keeps the frames' relative
+/// poses.
 #[test]
 fn a_recording_without_gravity_is_leveled() {
     imported(writers::record3d, |found| {
@@ -194,7 +193,7 @@ fn a_recording_without_gravity_is_leveled() {
             );
             check_depth("Record3D", i, frame);
         }
-        // From the files' own axes to the scene's: the first camera stands at the files' origin.
+        // From the files' axes to the scene's: the first camera is at the files' origin.
         let way = report.source_to_scene.unwrap();
         let eye = frames[0].camera_to_world.translation.vector;
         let found = way.apply([0.0; 3]);
@@ -202,7 +201,7 @@ fn a_recording_without_gravity_is_leveled() {
     });
 }
 
-/// The plain layout with its poses rewritten.
+/// Writes the plain layout with rewritten poses.
 fn with_poses(rewrite: impl Fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>) -> impl Fn(&Out) {
     move |out| {
         writers::plain(out);
@@ -261,7 +260,7 @@ fn a_tilted_world_is_leveled_and_a_level_one_is_unchanged() {
             report.source_to_scene.unwrap(),
             uniground_geometry::scene::SourceToScene::IDENTITY
         );
-        // As in the file, to the last bit.
+        // Bit-identical to the file.
         let written: Vec<f64> = room::rows(&pose(3).to_homogeneous())
             .split_whitespace()
             .map(|w| w.parse().unwrap())
@@ -271,8 +270,7 @@ fn a_tilted_world_is_leveled_and_a_level_one_is_unchanged() {
     });
 }
 
-/// One frame in twelve is a tenth at most only by rounding down: here it is too much, so the scan
-/// is made longer.
+/// One frame of twelve is more than a tenth, so the scan is made longer.
 #[test]
 fn one_damaged_frame_in_ten_is_skipped_and_reported() {
     let longer = |out: &Out| {
