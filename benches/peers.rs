@@ -59,7 +59,7 @@ fn beside(path: &str) -> Utf8PathBuf {
 fn main() {
     let Options { pcl, python, write, folder } = options();
     if !folder.join("room1.zip").exists() {
-        println!("left out: no annotated rooms in {folder}");
+        println!("skipped: no annotated rooms in {folder}");
         return;
     }
     let load = sheet::load();

@@ -328,7 +328,7 @@ fn main() {
     }
     let Some(folder) = folder else {
         println!(
-            "left out: no folder with nr3d_val.json and scanrefer_val.json was given (make bench-programs PROGRAMS=folder)"
+            "skipped: no folder with nr3d_val.json and scanrefer_val.json was given (make bench-programs PROGRAMS=folder)"
         );
         return;
     };

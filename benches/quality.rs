@@ -71,7 +71,7 @@ fn main() {
     let mut rooms = rooms(&options.folder);
     rooms.retain(|room| options.rooms.as_ref().is_none_or(|wanted| wanted.contains(room)));
     if rooms.is_empty() {
-        println!("left out: no annotated rooms in {}", options.folder);
+        println!("skipped: no annotated rooms in {}", options.folder);
         return;
     }
     match options.brief {

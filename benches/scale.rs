@@ -31,7 +31,7 @@ fn main() {
     let folder = folder
         .unwrap_or_else(|| Utf8PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes"));
     if !folder.join("room1.zip").exists() {
-        println!("left out: no annotated rooms in {folder}");
+        println!("skipped: no annotated rooms in {folder}");
         return;
     }
     let temporary = tempfile::tempdir().unwrap();

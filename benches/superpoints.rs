@@ -37,7 +37,7 @@ fn main() {
         }
     }
     if !folder.join("room1.zip").exists() {
-        println!("left out: no annotated rooms in {folder}");
+        println!("skipped: no annotated rooms in {folder}");
         return;
     }
     let temporary = tempfile::tempdir().unwrap();

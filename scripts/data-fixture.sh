@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Writes a data folder as one version of the service leaves it: a small scan, its parse, two answers, jobs. Kept under tests/fixtures/ so
-# that later versions can be held to it.
+# Writes the data folder of one version of the service: a small scan, its parse, two answers, jobs. Stored in tests/fixtures/ so that later
+# versions can be tested with it.
 #   scripts/data-fixture.sh path/to/uniground tests/fixtures/NAME.tar.zst
 set -euo pipefail
 program=$(realpath "$1") out=$(realpath -m "$2")
@@ -8,7 +8,7 @@ work=$(mktemp -d)
 trap 'kill "$server" 2>/dev/null || true; rm -rf "$work"' EXIT
 cd "$work"
 
-# A floor and a red block on it, seen from four sides: depth and colour by one ray for every pixel.
+# A floor and a red block on it, seen from four sides: depth and color by one ray per pixel.
 python3 - <<'PY'
 import math, struct, zipfile, zlib
 WIDTH, HEIGHT, F = 96, 72, 80.0
@@ -73,7 +73,7 @@ for query in "the red coffee table" "the green fridge"; do
     curl -sf -X POST "$url/v1/scenes/$scene/ground" -H 'content-type: application/json' -d "{\"query\": \"$query\"}" >>answers.jsonl
     echo >>answers.jsonl
 done
-# What callers were told, to compare with: the scene, its instances, the answers.
+# The responses to compare with: the scene, its instances, the answers.
 curl -sf "$url/v1/scenes/$scene" >scene.json
 curl -sf "$url/v1/scenes/$scene/instances" >instances.json
 kill "$server" && wait "$server" || true

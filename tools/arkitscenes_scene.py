@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""An ARKitScenes scan as uniground takes it: VIDEO.zip, and VIDEO.scene.json with its annotated objects.
+"""Converts an ARKitScenes scan for uniground: VIDEO.zip, and VIDEO.scene.json with its annotated objects.
 
 usage: arkitscenes_scene.py VIDEO_FOLDER OUT_FOLDER [--every N] [--scan-only]
 
-VIDEO_FOLDER is 3dod/Training/VIDEO or raw/Training/VIDEO as downloaded. Needed, in it or in VIDEO_frames/ below it:
-    lowres_wide/  lowres_depth/  lowres_wide_intrinsics/  lowres_wide.traj, and confidence/ where it is there
-and beside them, where they are there:
-    VIDEO_3dod_mesh.ply             the cloud; without it, it is fused from the frames
+VIDEO_FOLDER is 3dod/Training/VIDEO or raw/Training/VIDEO as downloaded. Required, in it or in VIDEO_frames/ below it:
+    lowres_wide/  lowres_depth/  lowres_wide_intrinsics/  lowres_wide.traj, and optionally confidence/
+and next to them, optionally:
+    VIDEO_3dod_mesh.ply             the cloud; without it, the cloud is fused from the frames
     VIDEO_3dod_annotation.json      the objects; their ids are their places in its list, from 1
 
 Pictures, poses and cloud keep their names, layout and world (Z up), which uniground reads; a picture without depth, camera or pose is
-left out, which of raw's 60 a second are most. Boxes are segments.obbAligned: centre, full extent, and the axes as rows. --scan-only is
-for boxes from elsewhere (embodiedscan_boxes.py). The laser scans are no use as clouds: what brings them into the video's world is not
-published. Only Python's standard library is needed.
+left out, which of raw's 60 a second are most. Boxes are segments.obbAligned: center, full extent, and the axes as rows. --scan-only is
+for boxes from elsewhere (embodiedscan_boxes.py). The laser scans cannot be used as clouds, because their transform into the video's world is
+not published. Needs only Python's standard library.
 """
 import argparse
 import math
@@ -24,13 +24,13 @@ from scan_files import Tally, archive, need, read_json, read_ply, write_objects
 
 DOWNLOAD = "download_data.py of ARKitScenes fetches it: 3dod has all, raw needs --raw_dataset_assets"
 POSE_WITHIN_S, NAME_WITHIN_S = 0.005, 0.0015
-# A mesh is a centimetre or so off the box that was drawn around it.
+# A mesh can be a centimeter off the box that was annotated around it.
 SLACK_M = 0.01
 CELL_M = 0.5
 
 
 def timed(folder, ending):
-    """Files of a folder with the seconds in their names, VIDEO_SECONDS.ending, in order of time."""
+    """Returns files of a folder by the seconds in their names (VIDEO_SECONDS.ending), in order of time."""
     files = []
     for file in folder.glob(f"*.{ending}"):
         try:
@@ -47,7 +47,7 @@ def nearest(times, time, within):
 
 
 def frames_of(root, every):
-    """Files of every picture that has depth, a camera and a pose; and how many pictures have not."""
+    """Returns the files of every image with depth, camera and pose, and the number of images without."""
     trajectory = need(root / "lowres_wide.traj", DOWNLOAD + " lowres_wide.traj")
     try:
         poses = sorted(float(line.split()[0]) for line in trajectory.read_text().splitlines() if line.strip())
@@ -98,7 +98,7 @@ class Box:
         record = {"id": self.identity, "name": self.name, "min": rounded(self.low), "max": rounded(self.high)}
         upright = max(range(3), key=lambda i: abs(self.axes[i][2]))
         along, across = (i for i in range(3) if i != upright)
-        # Boxes stand upright. One that does not is left with its axis-aligned box: the format has no other turns.
+        # Boxes are upright. A tilted one keeps only its axis-aligned box, because the format has no other rotations.
         if abs(self.axes[upright][2]) > math.cos(math.radians(1)):
             yaw = math.degrees(math.atan2(self.axes[along][1], self.axes[along][0]))
             size = [2 * self.half[i] for i in (along, across, upright)]
@@ -123,7 +123,7 @@ def objects_of(file):
 
 
 def tally(mesh, boxes):
-    """Counts the points of each box; a point in several belongs to the smallest, as a cushion does and not to the sofa."""
+    """Counts the points of each box. A point in several boxes belongs to the smallest: to the cushion and not to the sofa."""
     cells = {}
     for box in sorted(boxes, key=lambda box: math.prod(box.half)):
         low, high = ([math.floor((v + slack) / CELL_M) for v in corner] for corner, slack in ((box.low, -SLACK_M), (box.high, SLACK_M)))

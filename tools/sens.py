@@ -1,4 +1,4 @@
-"""ScanNet's .sens file: all frames of a scan with their poses and both cameras. Frames are read one at a time."""
+"""Reads ScanNet's .sens file: all frames of a scan with their poses and both cameras, one frame at a time."""
 import array
 import struct
 import sys
@@ -10,7 +10,7 @@ COLOUR_ENDINGS = {1: "png", 2: "jpg"}
 
 
 def grey_png(width, height, little_endian):
-    """A 16-bit grey PNG of little-endian numbers."""
+    """Encodes a 16-bit gray PNG from little-endian numbers."""
     def chunk(kind, body):
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
     numbers = array.array("H", little_endian)
@@ -49,7 +49,7 @@ class Sens:
         return record.unpack(block)
 
     def frames(self):
-        """Number, bytes of the colour picture, bytes of the depth picture, camera-to-world pose."""
+        """Yields number, bytes of the color image, bytes of the depth image, and camera-to-world pose."""
         with self.file.open("rb") as data:
             data.seek(self.start)
             for number in range(self.count):

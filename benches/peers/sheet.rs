@@ -43,7 +43,7 @@ pub fn written(
 fn row(outcome: &DuelResult) -> [String; 6] {
     let DuelResult { what, ours, peer, bound, .. } = outcome;
     let sign = if *bound { "< " } else { "" };
-    let left_out = |why: &str| ("-".to_owned(), format!("left out: {}", why.replace('|', "/")));
+    let left_out = |why: &str| ("-".to_owned(), format!("skipped: {}", why.replace('|', "/")));
     let told = |side: &Result<Run, String>, sign: &str| match side {
         Ok(Run { ms, gives }) => (format!("{sign}{}", figure(*ms)), gives.clone()),
         Err(why) => left_out(why),

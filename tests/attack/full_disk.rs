@@ -27,7 +27,7 @@ const NOTHING: &str = "0";
 
 pub async fn run(report: &mut Report) {
     let Some(disk) = Disk::mount() else {
-        println!("left out: a full disk (no file system can be mounted here)");
+        println!("skipped: a full disk (no file system can be mounted here)");
         return;
     };
     run_while_running(&disk, report).await;

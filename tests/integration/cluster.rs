@@ -22,7 +22,7 @@ use uniground_types::keys::{NewKey, Scope};
 fn supports_several_processes(data: &Utf8Path) -> bool {
     let may = matches!(database_location(data), Location::Postgres(_));
     if !may {
-        eprintln!("left out: several processes want PostgreSQL (make test-postgres)");
+        eprintln!("skipped: several processes want PostgreSQL (make test-postgres)");
     }
     may
 }

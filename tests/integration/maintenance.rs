@@ -279,7 +279,7 @@ async fn the_doctor_finds_and_repairs_dangling_references() {
     let data = server.stop_and_keep_data().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     if matches!(database_location(folder), Location::Postgres(_)) {
-        println!("left out: PostgreSQL enforces its own references");
+        println!("skipped: PostgreSQL enforces its own references");
         return;
     }
     let mut rows = open_database_unchecked(folder).await;

@@ -69,7 +69,7 @@ async fn a_hangup_signal_stops_the_server_cleanly() {
         .lines()
         .find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
     if ignored.is_some_and(|mask| mask & SIGHUP_BIT != 0) {
-        eprintln!("left out: these tests run under nohup");
+        eprintln!("skipped: these tests run under nohup");
         return;
     }
     let data = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-"""Questions without number, no two alike, about things of a living room."""
+"""Generates any number of different questions about objects in a living room."""
 import itertools
 import random
 
@@ -10,7 +10,7 @@ ANCHORS = ["the dining table", "the coffee table", "the desk", "the door", "the 
 
 
 def questions(number, seed):
-    """So many different questions, always the same ones for a seed."""
+    """Returns this many different questions, always the same for a seed."""
     every = [f"the {colour}{noun} {relation} {anchor}"
              for colour, noun, relation, anchor in itertools.product(COLOURS, NOUNS, RELATIONS, ANCHORS) if noun not in anchor]
     return random.Random(seed).sample(every, number)
