@@ -1,7 +1,7 @@
 //! Backups of running and stopped servers, and restoring them.
 
 use crate::test_scans::Scan;
-use crate::test_server::{TestServer, ask, wait_for_job};
+use crate::test_server::{TestServer, ask, assert_contains, wait_for_job};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::process::{Command, Output};
@@ -109,7 +109,7 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
             .unwrap_or_else(|error| panic!("round {round}, archive: {error}"));
     }
     stop.store(true, Ordering::Relaxed);
-    assert!(busy.await.unwrap() > 0);
+    assert!(busy.await.unwrap() > 0, "no request was sent during the backups");
 
     let path = format!("v1/answers/{}", before.id);
     let bytes = server.client.bytes(&path).await.unwrap();
@@ -216,7 +216,7 @@ async fn a_damaged_backup_is_refused_and_nothing_is_restored() {
         fs::write(to.join(file), whole).unwrap();
     }
     fs::remove_file(to.join(&files[0].0)).unwrap();
-    assert!(refused(&to).contains("cloud.ply missing"));
+    assert_contains(refused(&to), "cloud.ply missing");
     // An archive that is truncated or has a flipped bit.
     let whole = fs::read(&archive).unwrap();
     fs::write(&archive, &whole[..whole.len() / 2]).unwrap();
@@ -225,7 +225,7 @@ async fn a_damaged_backup_is_refused_and_nothing_is_restored() {
     let at = flipped.windows(6).rposition(|bytes| bytes == b"ply\nfo").unwrap();
     flipped[at] ^= 1;
     fs::write(&archive, flipped).unwrap();
-    assert!(refused(&archive).contains("damaged"));
+    assert_contains(refused(&archive), "damaged");
     fs::write(&archive, whole).unwrap();
     // Restoring never overwrites existing data.
     let full = folders.at("full");

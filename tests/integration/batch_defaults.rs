@@ -81,7 +81,10 @@ async fn a_stored_error_does_not_repeat_the_defaults() {
     let mut database = open_database(server.data()).await;
     let of_errors =
         "SELECT CAST(sum(length(error)) AS bigint) FROM batch_items WHERE batch_id = $1";
-    assert!(query_number(&mut database, of_errors, &batch.id).await < 25_000);
+    assert!(
+        query_number(&mut database, of_errors, &batch.id).await < 25_000,
+        "the stored errors repeat the defaults"
+    );
     let told = fetch_results(&server.client, &batch.id, 0, false).await;
     assert!(
         told[0].error.as_ref().unwrap().detail.contains("unknown field `xxx"),

@@ -252,7 +252,7 @@ async fn a_batch_never_exceeds_its_budget_and_pauses_instead() {
     let client = &server.client;
     let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let one = client.ground(&scene, &ask("the red sofa")).await.unwrap().usage.cost_usd;
-    assert!(one > 0.0);
+    assert!(one > 0.0, "a call costs {one} USD");
     let calls_of_one = script.calls();
     let calls = script.calls();
     let items: String = (0..8)
@@ -312,7 +312,10 @@ async fn a_batch_survives_kills_without_repeated_or_lost_items() {
     assert_eq!((over.state, over.done as usize), (BatchState::Succeeded, ITEMS));
     assert_eq!(over.by_status.get("failed"), None);
     let told = fetch_results(&server.client, &batch.id, 0, false).await;
-    assert!(told.iter().zip(0..).all(|(result, i)| result.item == i));
+    assert!(
+        told.iter().zip(0..).all(|(result, i)| result.item == i),
+        "items are missing or out of order"
+    );
     assert_eq!(told.iter().map(|result| &result.answer_id).collect::<HashSet<_>>().len(), ITEMS);
     // The same question gets the same answer from every server.
     let core = |result: &BatchResult| {

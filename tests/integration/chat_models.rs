@@ -2,7 +2,7 @@
 //! model.
 
 use crate::scripted_model::{Script, Scripted, fails, says};
-use crate::test_server::{TestServer, ask};
+use crate::test_server::{TestServer, ask, assert_contains};
 use crate::vlm::six_field_reply;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::{Value, json};
@@ -188,7 +188,10 @@ async fn the_model_parses_questions_and_the_grammar_is_the_fallback() {
     );
     assert_eq!(answer.trace.as_ref().unwrap().calls[0].purpose, "parse");
     assert!(
-        answer.models.parser.starts_with("scripted") && plain.models.parser.starts_with("builtin")
+        answer.models.parser.starts_with("scripted") && plain.models.parser.starts_with("builtin"),
+        "{:?} {:?}",
+        answer.models,
+        plain.models
     );
     assert_eq!((plain.usage.vlm_calls, plain.usage.cost_usd), (0, 0.0));
 
@@ -380,7 +383,8 @@ fn a_recorded_evaluation_is_replayed_without_calls() {
     // An invalid record is reported with its line number.
     fs::write(&record, "{}\n{}\n").unwrap();
     let broken = run_eval(&root.join("e"), &["--replay", record.as_str()]);
-    assert!(
-        String::from_utf8_lossy(&broken.stderr).contains("answers.jsonl:1: not a recorded answer")
+    assert_contains(
+        String::from_utf8_lossy(&broken.stderr),
+        "answers.jsonl:1: not a recorded answer",
     );
 }

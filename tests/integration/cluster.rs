@@ -115,7 +115,10 @@ async fn servers_share_state_and_workers_run_jobs() {
         let told = there.ground(&scene, &ask("the bench")).await.unwrap();
         assert!(told.targets[0].name.contains(name), "{told:?}");
         let listed = there.all_instances(&scene, Levels::Things).await.unwrap();
-        assert!(listed.iter().any(|i| i.id == sofa && i.label == name));
+        assert!(
+            listed.iter().any(|i| i.id == sofa && i.label == name),
+            "{sofa:?} is not called {name}: {listed:?}"
+        );
     }
 
     // Any worker runs a batch, and every server can read it.

@@ -277,7 +277,9 @@ async fn uploads_return_at_once_unless_wait_is_given() {
     assert!(
         uploaded.status.success()
             && stderr_text(&uploaded).contains("--scene living_room")
-            && stderr_text(&uploaded).contains("--wait")
+            && stderr_text(&uploaded).contains("--wait"),
+        "{}",
+        stderr_text(&uploaded)
     );
     let early =
         dir.ask(&["ground", "--scene", "living_room", "the orange stool", "--server", &url]).await;
@@ -439,12 +441,17 @@ async fn maintenance_commands_print_json() {
     assert_eq!((&restored["scenes"], &restored["restored_to"]), (&1.into(), &"restored".into()));
     fs::create_dir_all(dir.path().join("restored/blobs/answers/stranger")).unwrap();
     let ill = dir.run(&["doctor", "--data-dir", "restored", "--json"]);
-    assert!(!ill.status.success());
+    assert!(!ill.status.success(), "{}", stderr_text(&ill));
     let found: Value = serde_json::from_slice(&ill.stdout).unwrap();
     assert_eq!(
         (&found["is_whole"], &found["findings"][0]["trouble"]),
         (&false.into(), &"unclaimed folder".into())
     );
     let refused = dir.run(&["backup", "-", "--data-dir", folder, "--json"]);
-    assert!(!refused.status.success() && refused.stdout.is_empty());
+    assert!(
+        !refused.status.success() && refused.stdout.is_empty(),
+        "{}{}",
+        stdout_text(&refused),
+        stderr_text(&refused)
+    );
 }

@@ -55,9 +55,12 @@ async fn answers_use_corrections() {
         client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![bin] }).await.unwrap();
     let answer = chosen("the green trash can").await;
     assert_ne!(answer.answer.predicted_id, Some(bin), "{answer:?}");
-    assert!(answer.candidates.unwrap().iter().all(|c| c.id != bin));
+    assert!(
+        answer.candidates.unwrap().iter().all(|c| c.id != bin),
+        "the dismissed instance is a candidate"
+    );
     let listed = client.all_instances(&scene.id, Levels::Things).await.unwrap();
-    assert!(listed.iter().all(|i| i.id != bin && !i.dismissed));
+    assert!(listed.iter().all(|i| i.id != bin && !i.dismissed), "the dismissed instance is listed");
     assert!(
         client
             .all_instances(&scene.id, Levels::All)
@@ -307,6 +310,6 @@ async fn exported_ground_truth_is_readable_by_the_evaluation() {
         .find(|i| i.id == sofa)
         .unwrap();
     assert_eq!(read.name, "red sofa");
-    assert!(read.aabb.iou(&told.aabb) > 0.999);
+    assert!(read.aabb.iou(&told.aabb) > 0.999, "{:?} {:?}", read.aabb, told.aabb);
     server.stop().await;
 }

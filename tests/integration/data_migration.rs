@@ -3,7 +3,9 @@
 
 use crate::scripted_model::Script;
 use crate::test_scans::Scan;
-use crate::test_server::{Process, database_location, open_database, serve_command, wait_for_job};
+use crate::test_server::{
+    Process, assert_contains, database_location, open_database, serve_command, wait_for_job,
+};
 use crate::vlm::six_field_reply;
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::{Method, RequestBuilder, StatusCode};
@@ -369,7 +371,7 @@ async fn a_data_folder_migrates_and_back_byte_for_byte() {
     if database != SQLITE {
         let other = house.at("other");
         migrate((&back, SQLITE), (&other, &other_database(&other)));
-        assert!(startup_error(&other, &database).contains("do not belong together"));
+        assert_contains(startup_error(&other, &database), "do not belong together");
     }
 }
 
@@ -383,14 +385,14 @@ async fn a_folder_can_switch_to_another_database() {
     let before = fetch_all(&server, &lived.paths).await;
     server.stop();
     if database == SQLITE {
-        assert!(migrate_error((&data, SQLITE), (&data, SQLITE)).contains("have the same database"));
+        assert_contains(migrate_error((&data, SQLITE), (&data, SQLITE)), "have the same database");
         return;
     }
     let moved = migrate((&data, SQLITE), (&data, &database));
     assert_eq!(moved["files"], json!([]));
     let aside = moved["set_aside"].as_str().unwrap();
     assert!(Utf8Path::new(aside).is_file() && !data.join("uniground.sqlite").exists(), "{aside}");
-    assert!(startup_error(&data, SQLITE).contains("its rows are kept in PostgreSQL"));
+    assert_contains(startup_error(&data, SQLITE), "its rows are kept in PostgreSQL");
     let server = house.server(&data, &database);
     assert_same(&fetch_all(&server, &lived.paths).await, &before);
     assert_work_continues(&server, &lived, &before).await;
@@ -464,7 +466,7 @@ async fn a_failed_migration_is_not_served_and_can_be_repeated() {
     for _ in 0..2 {
         let told = migrate_error((&old, SQLITE), (&new, &database));
         assert!(told.contains("rows of answers could not be moved"), "{told}");
-        assert!(startup_error(&new, &database).contains("run the same `uniground migrate` again"));
+        assert_contains(startup_error(&new, &database), "run the same `uniground migrate` again");
     }
     execute("DELETE FROM answers WHERE id = 'stray'").await;
     // If the next run uses another database, the partial rows in the first one are never used.
@@ -474,7 +476,7 @@ async fn a_failed_migration_is_not_served_and_can_be_repeated() {
     assert_same(&fetch_all(&server, &lived.paths).await, &before);
     server.stop();
     if database != SQLITE {
-        assert!(startup_error(&new, &database).contains("do not belong together"));
+        assert_contains(startup_error(&new, &database), "do not belong together");
     }
 }
 
@@ -508,7 +510,7 @@ async fn a_killed_migration_can_be_repeated() {
     assert!(
         new.join("uniground-moving.json").exists() && !new.join("uniground-data.json").exists()
     );
-    assert!(startup_error(&new, &database).contains("run the same `uniground migrate` again"));
+    assert_contains(startup_error(&new, &database), "run the same `uniground migrate` again");
     let moved = migrate((&old, SQLITE), (&new, &database));
     assert_eq!(moved["rows"]["audit"], json!(MANY));
     assert!(!new.join("uniground-moving.json").exists());

@@ -68,7 +68,12 @@ fn a_run_scores_every_source_and_resumes() {
     }
     // Perfect boxes and names can only raise the figures; a target's own box is the upper bound.
     let [parsed, oracle, boxes] = &report.cells[..] else { panic!("{names:?}") };
-    assert!(oracle.figures.complete[0].value >= parsed.figures.complete[0].value);
+    assert!(
+        oracle.figures.complete[0].value >= parsed.figures.complete[0].value,
+        "{:?} {:?}",
+        oracle.figures.complete,
+        parsed.figures.complete
+    );
     assert_eq!((oracle.figures.any_instance, boxes.figures.any_instance), ([1.0; 2], [1.0; 2]));
     assert!(
         oracle.figures.complete[0].value >= 0.85,
@@ -200,7 +205,7 @@ fn a_drop_against_the_baseline_fails_and_lists_the_lost_answers() {
         .args(["eval", "diff", out.as_str(), out.join("worse-out").as_str()])
         .output()
         .unwrap();
-    assert!(difference.status.success());
+    assert!(difference.status.success(), "{}", to_text(&difference.stderr));
     assert!(to_text(&difference.stdout).contains("**drop**"), "{}", to_text(&difference.stdout));
 }
 

@@ -1,6 +1,6 @@
 //! The scene graph: instances and their relations.
 
-use crate::test_server::{TestServer, expect_problem};
+use crate::test_server::{TestServer, assert_contains, expect_problem};
 use std::collections::BTreeSet;
 use uniground_types::corrections::Change;
 use uniground_types::graph::{GraphRelation, NodeKind};
@@ -80,7 +80,7 @@ async fn the_scene_graph_is_served_in_three_formats() {
         .correct(&scene.id, &Change::Rename { instance_id: id, name: "Grandma's <cup>".into() })
         .await
         .unwrap();
-    assert!(text("format=graphml").await.contains("Grandma's &lt;cup&gt;"));
+    assert_contains(text("format=graphml").await, "Grandma's &lt;cup&gt;");
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![id] }).await.unwrap();
     assert!(
         client.graph(&scene.id, Levels::All).await.unwrap().nodes.iter().all(|node| node.id != mug)

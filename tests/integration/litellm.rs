@@ -53,7 +53,11 @@ async fn litellm_accepts_requests_and_its_answers_are_used() {
             (Status::NoMatch, 1, false)
         );
         assert_eq!(answer.answer.explanation, "nothing of the kind is here");
-        assert!(answer.usage.prompt_tokens > 0 && answer.usage.cost_usd > 0.0);
+        assert!(
+            answer.usage.prompt_tokens > 0 && answer.usage.cost_usd > 0.0,
+            "{:?}",
+            answer.usage
+        );
         let cached =
             GroundRequest { evidence: EvidenceMode::CachedNames, ..request_requiring_model() };
         assert_eq!(server.client.ground(&scene, &cached).await.unwrap().usage.vlm_calls, 2);

@@ -53,7 +53,10 @@ async fn orphan_folders_are_quarantined() {
         ModelsConfig::builtin(),
     )
     .await;
-    assert!(!server.list_folder("blobs/parses").contains(&"stranger".to_owned()));
+    assert!(
+        !server.list_folder("blobs/parses").contains(&"stranger".to_owned()),
+        "the orphan is still in blobs/parses"
+    );
     let day = only_entry(&server.data().join("quarantine"));
     assert_eq!(fs::read_to_string(day.join("parses/stranger/cloud.ply")).unwrap(), "points");
 
@@ -81,7 +84,10 @@ async fn orphan_folders_are_quarantined() {
         ModelsConfig::builtin(),
     )
     .await;
-    assert!(server.list_folder("blobs/parses").contains(&"another".to_owned()));
+    assert!(
+        server.list_folder("blobs/parses").contains(&"another".to_owned()),
+        "the older folder was removed"
+    );
     assert_eq!(server.client.scene(&scene.id).await.unwrap().id, scene.id);
     server.stop().await;
 }
@@ -247,7 +253,7 @@ async fn a_batch_waits_for_disk_space() {
     let paused = server.client.tell_batch(&batch.id, "pause").await.unwrap();
     wait_for_job(&server.client, paused.job_id.as_deref().unwrap()).await;
     let before = server.client.batch(&batch.id).await.unwrap().done;
-    assert!(before < 600);
+    assert!(before < 600, "{before} items were answered before the disk check");
     let data = server.stop_and_keep_data().await;
     let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
     let server =
@@ -290,7 +296,7 @@ async fn the_doctor_finds_and_repairs_dangling_references() {
     rows.close().await.unwrap();
 
     let found = run_doctor(folder, &[]);
-    assert!(!found.status.success());
+    assert!(!found.status.success(), "{}", output_text(&found));
     let told = output_text(&found);
     assert!(
         told.contains("1 rows of scenes refer by parse_id to rows of parses that do not exist"),

@@ -1,6 +1,6 @@
 //! Tools of the Model Context Protocol on the wire. Real clients are tested in `tests/mcp`.
 
-use crate::test_server::TestServer;
+use crate::test_server::{TestServer, assert_contains};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use reqwest::{Method, StatusCode, header};
@@ -45,7 +45,7 @@ async fn an_agent_grounds_a_target_and_gets_an_approach_pose() {
         (&welcome["protocolVersion"], &welcome["serverInfo"]["name"]),
         (&json!("2025-06-18"), &json!("uniground"))
     );
-    assert!(welcome["instructions"].as_str().unwrap().contains("list_scenes"));
+    assert_contains(welcome["instructions"].as_str().unwrap(), "list_scenes");
 
     let tools = call_method(client, "tools/list", json!({})).await;
     let names: Vec<&str> = tools["tools"]

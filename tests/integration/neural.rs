@@ -1,7 +1,9 @@
 //! Neural models in the service: tiny bundles with random weights through a real server, and a
 //! misbehaving inference server.
 
-use crate::test_server::{TestServer, ask, expect_problem, serve_command, wait_for_job};
+use crate::test_server::{
+    TestServer, ask, assert_contains, expect_problem, serve_command, wait_for_job,
+};
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
@@ -113,7 +115,11 @@ async fn models_are_used_from_upload_to_answer() {
     };
     let plain = server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap();
     assert_eq!((plain.candidates.len(), plain.encoder.as_str()), (5, used.encoder.as_str()));
-    assert!(plain.candidates.windows(2).all(|pair| pair[0].score >= pair[1].score));
+    assert!(
+        plain.candidates.windows(2).all(|pair| pair[0].score >= pair[1].score),
+        "{:?}",
+        plain.candidates
+    );
     assert_eq!(
         plain,
         server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap()
@@ -148,7 +154,7 @@ async fn models_are_used_from_upload_to_answer() {
 
     // The same settings again: nothing is computed.
     let again = reparse(&server, &scene, json!({ "parsing": fast_settings() })).await;
-    assert!(again.message.unwrap_or_default().contains("stored parse"));
+    assert_contains(again.message.unwrap_or_default(), "stored parse");
 
     // Built-in models on request.
     let builtin = json!({"models": {"masks": "builtin", "encoder": "builtin"}});
@@ -183,7 +189,7 @@ async fn a_scene_parsed_with_another_encoder_degrades_the_answer() {
     let mut allowed = ask("the sofa");
     allowed.allow_builtin = true;
     let answer = plain.client.ground(&scene, &allowed).await.unwrap();
-    assert!(answer.degraded && answer.models.encoder == "attributes-2");
+    assert!(answer.degraded && answer.models.encoder == "attributes-2", "{answer:?}");
     assert!(answer.trace.unwrap().corrections[0].contains("parse it again"));
     let listed = plain
         .client

@@ -73,6 +73,6 @@ async fn the_documentation_page_loads_only_local_files() {
         loaded += 1;
     }
     assert!(loaded >= 2, "{page}");
-    assert!(server.url().starts_with("http://127.0.0.1:"));
+    assert!(server.url().starts_with("http://127.0.0.1:"), "{}", server.url());
     server.stop().await;
 }

@@ -340,7 +340,7 @@ async fn gc_requires_the_folder_of_a_stopped_server() {
                 && String::from_utf8_lossy(&refused.stderr).contains("not a data folder"),
             "{refused:?}"
         );
-        assert!(!nothing.exists());
+        assert!(!nothing.exists(), "gc created {nothing}");
     }
     server.stop().await;
 }

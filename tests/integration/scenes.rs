@@ -1,7 +1,9 @@
 //! Scenes: upload, parse, ask, list, rename and delete.
 
 use crate::test_scans::Scan;
-use crate::test_server::{TestServer, ask, expect_problem, upload_and_parse, wait_for_job};
+use crate::test_server::{
+    TestServer, ask, assert_contains, expect_problem, upload_and_parse, wait_for_job,
+};
 use reqwest::Method;
 use serde_json::json;
 use std::fs;
@@ -418,7 +420,7 @@ async fn job_events_report_progress_and_can_be_resumed() {
     let last = text.lines().find_map(|l| l.strip_prefix("id: ")).unwrap().to_owned();
     assert!(text.contains("event: done"), "{text}");
     // A client that has already seen the end gets the final event again.
-    assert!(events(Some(last)).await.contains("event: done"));
+    assert_contains(events(Some(last)).await, "event: done");
     server.stop().await;
 }
 
@@ -457,7 +459,7 @@ async fn parts_and_wholes_are_listed_next_to_things() {
         );
     }
     for part in &parts {
-        assert!(part.point_count < thing(part.things[0]).point_count);
+        assert!(part.point_count < thing(part.things[0]).point_count, "{part:?}");
         let picture = server
             .client
             .bytes(&format!("v1/scenes/{scene}/instances/{}/views/0.jpg", part.id))

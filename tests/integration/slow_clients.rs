@@ -94,7 +94,7 @@ async fn an_upload_with_progress_is_not_disconnected() {
     let mut answer = String::new();
     upload.read_to_string(&mut answer).await.unwrap();
     assert!(answer.starts_with("HTTP/1.1 202"), "{answer}");
-    assert!(is_answered(&server).await);
+    assert!(is_answered(&server).await, "a new client got no response");
     server.stop().await;
 }
 

@@ -188,6 +188,13 @@ pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
     }
 }
 
+/// Asserts that a text contains another one, and prints both if it does not.
+#[track_caller]
+pub fn assert_contains(text: impl AsRef<str>, expected: impl AsRef<str>) {
+    let (text, expected) = (text.as_ref(), expected.as_ref());
+    assert!(text.contains(expected), "{expected:?} is not in: {text}");
+}
+
 /// Sends raw bytes and returns the problem.
 pub async fn post_raw(client: &Client, path: &str, media_type: &str, body: &str) -> Problem {
     let request =

@@ -3,7 +3,8 @@
 
 use crate::test_scans::Scan;
 use crate::test_server::{
-    Process, TestServer, expect_problem, serve_command, upload_and_parse, wait_for_job,
+    Process, TestServer, assert_contains, expect_problem, serve_command, upload_and_parse,
+    wait_for_job,
 };
 use camino::Utf8Path;
 use reqwest::{Method, StatusCode, header};
@@ -59,8 +60,9 @@ async fn only_allowed_origins_can_send_requests() {
     let listed =
         client.request(Method::GET, "v1/scenes").header("origin", PAGE).send().await.unwrap();
     assert_eq!(listed.headers()["access-control-allow-origin"], PAGE);
-    assert!(
-        listed.headers()["access-control-expose-headers"].to_str().unwrap().contains("retry-after")
+    assert_contains(
+        listed.headers()["access-control-expose-headers"].to_str().unwrap(),
+        "retry-after",
     );
     // A page of the server itself; a client that is not a browser; an allowed origin.
     let made = async |origin: Option<&str>, site: Option<&str>| {
@@ -157,7 +159,7 @@ async fn signed_links_show_images_without_a_key() {
         .await
         .unwrap();
     assert_eq!(events.headers()[header::CONTENT_TYPE], "text/event-stream");
-    assert!(events.text().await.unwrap().contains("succeeded"));
+    assert_contains(events.text().await.unwrap(), "succeeded");
     // Links allow reading only.
     let wrong = process.client.request(
         Method::DELETE,

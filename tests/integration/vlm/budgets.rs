@@ -77,7 +77,10 @@ async fn question_and_daily_budgets_are_enforced() {
     assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
     assert!(error.detail.contains("this question"), "{}", error.detail);
     let answer = server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.5)).await.unwrap();
-    assert!(answer.degraded && corrections(&answer).contains("budget of this question"));
+    assert!(
+        answer.degraded && corrections(&answer).contains("budget of this question"),
+        "{answer:?}"
+    );
 
     // If the model's server reports no token counts, they are estimated.
     let uncounted =
@@ -94,7 +97,7 @@ async fn question_and_daily_budgets_are_enforced() {
         paid += 1;
         assert!(paid < 20, "the day's budget never ends");
     }
-    assert!(paid >= 1 && script.calls() == paid);
+    assert!(paid >= 1 && script.calls() == paid, "{paid} paid, {} calls", script.calls());
     let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
     assert!(
         answer.degraded && corrections(&answer).contains("budget of today"),
@@ -139,7 +142,7 @@ async fn budgets_require_prices() {
         (422, "/max_cost_usd", 0)
     );
     let unasked = GroundRequest { reasoner: ReasonerChoice::Builtin, ..limited };
-    assert!(server.client.ground(&scene, &unasked).await.is_ok());
+    server.client.ground(&scene, &unasked).await.unwrap();
     server.stop().await;
 }
 
@@ -192,7 +195,10 @@ async fn possibly_billed_calls_count_and_survive_a_restart() {
     while spent(&server).await.1 > 0 {
         tokio::time::sleep(std::time::Duration::from_millis(20)).await;
     }
-    assert!(spent(&server).await.0 > usd + 0.5);
+    assert!(
+        spent(&server).await.0 > usd + 0.5,
+        "the call of the disconnected caller was not charged"
+    );
 
     let data = server.stop_and_keep_data().await;
     let mut database = open_database(Utf8Path::from_path(data.path()).unwrap()).await;
@@ -210,6 +216,6 @@ async fn possibly_billed_calls_count_and_survive_a_restart() {
         expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await).code,
         "budget_spent"
     );
-    assert!(spent(&server).await.0 > 99.0);
+    assert!(spent(&server).await.0 > 99.0, "the call of the killed server was not charged");
     server.stop().await;
 }

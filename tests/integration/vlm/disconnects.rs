@@ -75,7 +75,10 @@ async fn a_caller_that_disconnects_during_a_model_call_frees_its_permit() {
             (0.0, 1),
             "{never:?}: money is reserved for the call"
         );
-        assert!(has_metric(&server, "uniground_vlm_questions_waiting 1").await);
+        assert!(
+            has_metric(&server, "uniground_vlm_questions_waiting 1").await,
+            "{never:?}: no question is waiting"
+        );
         assert!(!script.left.is_cancelled(), "{never:?}: the call is under way");
 
         drop(caller);
@@ -90,7 +93,10 @@ async fn a_caller_that_disconnects_during_a_model_call_frees_its_permit() {
             has_metric(&server, "uniground_vlm_questions_waiting 0").await
         })
         .await;
-        assert!(has_metric(&server, "uniground_vlm_calls_total{outcome=\"abandoned\"} 1").await);
+        assert!(
+            has_metric(&server, "uniground_vlm_calls_total{outcome=\"abandoned\"} 1").await,
+            "{never:?}: the call is not counted as abandoned"
+        );
 
         script.next(vec![six_field_reply("none", "", true, 1)]);
         let next = server.client.ground(&scene, &asked).await.unwrap();

@@ -112,7 +112,7 @@ async fn a_failing_model_is_reported_or_replaced() {
     let asked_at = std::time::Instant::now();
     let answer = server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await.unwrap();
     assert_eq!(answer.trace.unwrap().calls[0].attempts, 2);
-    assert!(asked_at.elapsed() >= Duration::from_secs(1));
+    assert!(asked_at.elapsed() >= Duration::from_secs(1), "{:?}", asked_at.elapsed());
     server.stop().await;
 
     // A body that never ends: from then on the server is considered down.

@@ -6,7 +6,7 @@ use super::{
     user_text, vlm_config,
 };
 use crate::scripted_model::{Script, Scripted, says};
-use crate::test_server::{ask, wait_for_job};
+use crate::test_server::{ask, assert_contains, wait_for_job};
 use std::time::Duration;
 use uniground::config::NamingChoice;
 use uniground::config::VlmConfig;
@@ -35,8 +35,13 @@ async fn names_are_requested_once() {
         count_images(&sent[0]) == 1 && !user_text(&sent[0]).contains("mug"),
         "names do not know the question"
     );
-    assert!(user_text(&sent[1]).contains(&format!("\"red thing number {}\"", ids[0])));
-    assert!(count_images(&sent[1]) < 1 + ids.len());
+    assert_contains(user_text(&sent[1]), format!("\"red thing number {}\"", ids[0]));
+    assert!(
+        count_images(&sent[1]) < 1 + ids.len(),
+        "{} images for {} instances",
+        count_images(&sent[1]),
+        ids.len()
+    );
     // The second question requests no names, and the names can be read.
     script.next(vec![six_field_reply(ids[0], "", true, 1)]);
     assert_eq!(call_purposes(&server.client.ground(&scene, &cached()).await.unwrap()), ["spatial"]);

@@ -38,7 +38,7 @@ async fn a_retry_is_not_billed_twice() {
     let asked = request_by(ReasonerChoice::Vlm);
 
     let (first, replayed) = read_answer(send_question(client, &scene, "k1", &asked).await).await;
-    assert!(!replayed && first.usage.cost_usd > 0.0);
+    assert!(!replayed && first.usage.cost_usd > 0.0, "{:?}", first.usage);
     let (again, replayed) = read_answer(send_question(client, &scene, "k1", &asked).await).await;
     assert_eq!((&again, replayed, script.calls()), (&first, true, 1));
     // Another question needs another key, and the same question under another key is asked again.
@@ -46,7 +46,7 @@ async fn a_retry_is_not_billed_twice() {
     let refused: Problem = send_question(client, &scene, "k1", &other).await.json().await.unwrap();
     assert_eq!((refused.status, refused.code.as_str()), (422, "idempotency_key_reused"));
     let (own, replayed) = read_answer(send_question(client, &scene, "k2", &asked).await).await;
-    assert!(own.id != first.id && !replayed);
+    assert!(own.id != first.id && !replayed, "{} {}", own.id, first.id);
 
     // Fields left out of the first response are left out of the replay.
     let brief = GroundRequest { include: Some(vec![Include::Trace]), ..asked.clone() };
