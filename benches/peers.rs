@@ -24,7 +24,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use duel::Comparison;
 use image::{Rgb, RgbImage};
 use process::Peer;
-use rows::Asked;
+use rows::EncodedImage;
 use rows::Input;
 use uniground_core::models::neural::{Models, OnnxRuntime, RuntimeSettings};
 use uniground_evaluation::annotated::AnnotatedRoom;
@@ -100,7 +100,7 @@ fn main() {
 
 /// A segmenter with an encoded image: as many threads for its encoder as there are cores, one for
 /// each of two decoders.
-fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
+fn segmenter(bundle: &Utf8Path) -> anyhow::Result<EncodedImage> {
     let settings = RuntimeSettings {
         library: Some(beside(".onnxruntime/libonnxruntime.so")),
         threads: Some(THREADS),
@@ -112,7 +112,7 @@ fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
         Rgb([(x / 3) as u8, (y / 2) as u8, ((x * y) >> 6) as u8])
     });
     let encoded = segmenter.encode(&picture)?;
-    Ok(Asked { segmenter, picture, encoded })
+    Ok(EncodedImage { segmenter, picture, encoded })
 }
 
 const THREADS: usize = 2;

@@ -15,11 +15,11 @@ pub fn written(
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN).set_header([
         "",
-        "ours, ms",
+        "uniground, ms",
         "peer, ms",
-        "ours / peer",
-        "ours gives",
-        "the peer gives",
+        "ratio",
+        "uniground returns",
+        "peer returns",
     ]);
     table.add_rows(outcomes.iter().map(row));
     let mut notes = String::new();
@@ -29,11 +29,11 @@ pub fn written(
     let versions: String = versions.iter().flatten().map(|v| format!("- {v}\n")).collect();
     let date = jiff::Timestamp::now().strftime("%Y-%m-%d");
     format!(
-        "# Beside other people's code\n\n\
+        "# Comparison with other libraries\n\n\
          Written by `make bench-peers` on {date}, {machine}, load {load} before. Input: {input}. Medians of {ROUNDS} rounds \
-         after a warm-up, ours and the peer's in turns, each run after a short silence so that threads of the last do not spin \
-         into it. Each side times itself, from data in memory to result in memory unless a file is read. Absolute times differ \
-         from machine to machine; compare the ratios.\n\n\
+         after a warm-up, alternating, with a short pause between runs so that busy-waiting threads do not affect the next \
+         run. Each side times itself, from data in memory to the result in memory unless a file is read. Absolute times \
+         differ between machines; compare the ratios.\n\n\
          {versions}\n{table}\n\n\
          How the two sides differ:\n\n{notes}",
         machine = machine()
@@ -73,7 +73,7 @@ fn machine() -> String {
         .find_map(|l| l.strip_prefix("model name")?.split_once(": ").map(|(_, m)| m.trim()));
     let cores = available_parallelism().map_or_else(|_| "?".into(), |n| n.to_string());
     format!(
-        "{}, {cores} cores, {} threads for ours",
+        "{}, {cores} cores, {} threads for uniground",
         model.unwrap_or("unknown processor"),
         rayon::current_num_threads()
     )
