@@ -81,7 +81,7 @@ fn cloud(room_m: f32, instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<Instance
 }
 
 /// Returns the milliseconds of each call in ascending order.
-fn timed(calls: usize, mut call: impl FnMut(usize)) -> Vec<f64> {
+fn time_calls(calls: usize, mut call: impl FnMut(usize)) -> Vec<f64> {
     let mut taken: Vec<f64> = (0..calls)
         .map(|i| {
             let start = Instant::now();
@@ -94,10 +94,10 @@ fn timed(calls: usize, mut call: impl FnMut(usize)) -> Vec<f64> {
 }
 
 fn main() {
-    HALLS.into_iter().for_each(|(room_m, things)| measured(room_m, things));
+    HALLS.into_iter().for_each(|(room_m, things)| measure(room_m, things));
 }
 
-fn measured(room_m: f32, things: usize) {
+fn measure(room_m: f32, things: usize) {
     println!("{room_m} x {room_m} m, {things} things");
     let instances = hall(room_m, things);
     let (positions, of_point) = cloud(room_m, &instances);
@@ -117,7 +117,7 @@ fn measured(room_m: f32, things: usize) {
         let wish =
             Wish { robot: Robot { reach_m, ..robot }, from, distances_m: [0.0, 2.5], max_poses: 3 };
         let mut found = 0;
-        let taken = timed(CALLS, |i| {
+        let taken = time_calls(CALLS, |i| {
             let id = InstanceId((i * 37 % things) as u32 + 1);
             found +=
                 usize::from(approach(&occupancy, &instances, id, &wish).unwrap().poses.is_ok());
@@ -131,7 +131,8 @@ fn measured(room_m: f32, things: usize) {
     let extent = Aabb::around(&positions).unwrap();
     let names = NameIndex::of(&instances);
     let view = SceneView { instances: &instances, extent, names: &names, appearance: None };
-    let taken =
-        timed(20, |_| assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty()));
+    let taken = time_calls(20, |_| {
+        assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty())
+    });
     println!("the graph of {things} things: p50 {:.1} ms", taken[10]);
 }

@@ -96,7 +96,7 @@ fn unpack(scan: &Utf8Path, reader: &ScanReader) -> Duration {
 }
 
 /// An unpacked scan and an empty folder for its checkpoints.
-fn unpacked(scan: &Utf8Path) -> (tempfile::TempDir, Utf8PathBuf, Utf8PathBuf) {
+fn unpack_scan(scan: &Utf8Path) -> (tempfile::TempDir, Utf8PathBuf, Utf8PathBuf) {
     let temporary = tempfile::tempdir().unwrap();
     let (content, checkpoints) =
         (folder(&temporary).join("content"), folder(&temporary).join("checkpoints"));
@@ -109,7 +109,7 @@ fn unpacked(scan: &Utf8Path) -> (tempfile::TempDir, Utf8PathBuf, Utf8PathBuf) {
 }
 
 fn import_here(scan: &Utf8Path) -> Duration {
-    let (_temporary, content, checkpoints) = unpacked(scan);
+    let (_temporary, content, checkpoints) = unpack_scan(scan);
     let start = Instant::now();
     import_scan(
         &content,
@@ -122,7 +122,7 @@ fn import_here(scan: &Utf8Path) -> Duration {
 }
 
 fn import_isolated(scan: &Utf8Path, reader: &ScanReader) -> Duration {
-    let (_temporary, content, checkpoints) = unpacked(scan);
+    let (_temporary, content, checkpoints) = unpack_scan(scan);
     let settings = ImportSettings::default();
     let task = Task::Import {
         content: content.clone(),

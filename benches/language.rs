@@ -71,7 +71,7 @@ fn hall(count: usize) -> Vec<Instance> {
     instances_of(&annotations, &PointCloud::default(), NamedBy::Encoder)
 }
 
-fn reading(c: &mut Criterion) {
+fn bench_parsing(c: &mut Criterion) {
     let mut group = c.benchmark_group("reading");
     for question in QUESTIONS {
         group.bench_function(question, |b| b.iter(|| parse(black_box(question))));
@@ -79,7 +79,7 @@ fn reading(c: &mut Criterion) {
     group.finish();
 }
 
-fn deciding(c: &mut Criterion) {
+fn bench_deciding(c: &mut Criterion) {
     let mut group = c.benchmark_group("deciding");
     group.sample_size(20);
     for count in [200, 5000] {
@@ -105,7 +105,7 @@ fn deciding(c: &mut Criterion) {
 }
 
 /// Finds the five instances nearest to a query of 1,024 dimensions, by exact cosines.
-fn shortlisting(c: &mut Criterion) {
+fn bench_shortlist(c: &mut Criterion) {
     const DIM: usize = 1024;
     let mut group = c.benchmark_group("shortlist");
     group.sample_size(10);
@@ -124,5 +124,5 @@ fn shortlisting(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, reading, deciding, shortlisting);
+criterion_group!(benches, bench_parsing, bench_deciding, bench_shortlist);
 criterion_main!(benches);

@@ -39,7 +39,7 @@ struct Options {
 }
 
 fn options() -> Options {
-    let mut options = Options { folder: beside("../shared/scenes"), ..Options::default() };
+    let mut options = Options { folder: repository_path("../shared/scenes"), ..Options::default() };
     let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
     while let Some(arg) = args.next() {
         match arg.as_str() {
@@ -52,7 +52,7 @@ fn options() -> Options {
     options
 }
 
-fn beside(path: &str) -> Utf8PathBuf {
+fn repository_path(path: &str) -> Utf8PathBuf {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
@@ -72,7 +72,7 @@ fn main() {
         .context("no --pcl PROGRAM given")
         .and_then(|program| Vccs::new(&program, &input.cloud, scratch));
     let open3d = Peer::start(python.as_deref(), "open3d_peer.py", &input.for_open3d());
-    let bundle = beside("models/sam2-hiera-tiny");
+    let bundle = repository_path("models/sam2-hiera-tiny");
     let asked = segmenter(&bundle);
     let onnxruntime = model(&bundle, python.as_deref());
 
@@ -86,7 +86,7 @@ fn main() {
 
     let versions =
         [vccs.as_ref().ok().and_then(Vccs::version), open3d.versions(), onnxruntime.versions()];
-    let text = sheet::written(
+    let text = sheet::format_report(
         &format!("room1's cloud, {} points", input.cloud.len()),
         &load,
         &versions,
@@ -102,7 +102,7 @@ fn main() {
 /// each of two decoders.
 fn segmenter(bundle: &Utf8Path) -> anyhow::Result<EncodedImage> {
     let settings = RuntimeSettings {
-        library: Some(beside(".onnxruntime/libonnxruntime.so")),
+        library: Some(repository_path(".onnxruntime/libonnxruntime.so")),
         threads: Some(THREADS),
         ..RuntimeSettings::default()
     };

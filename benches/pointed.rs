@@ -55,8 +55,8 @@ fn main() {
         "an instance already",
         "seconds",
     ]);
-    let (mut missed, mut found, mut offered) = (0, [0, 0], Offered::default());
-    for name in rooms(&folder) {
+    let (mut missed, mut found, mut offered) = (0, [0, 0], PhotographChoice::default());
+    for name in room_names(&folder) {
         let scratch = tempfile::tempdir().unwrap();
         let room =
             AnnotatedRoom::load(&folder, &name, Utf8Path::from_path(scratch.path()).unwrap())
@@ -77,7 +77,7 @@ fn main() {
         let objects: Vec<_> =
             room.objects(MIN_POINTS).into_iter().filter(|o| covered(&o.aabb) < COVERED).collect();
         let ids: Vec<u32> = objects.iter().map(|o| o.id).collect();
-        let shown = Shown::of(&room, &room.masks(), &ids);
+        let shown = ObjectViews::of(&room, &room.masks(), &ids);
         if let Some(encoder) = &loaded.encoder {
             let seen = frame_appearance::look(
                 &room.bundle.frames,
@@ -144,7 +144,7 @@ fn main() {
 }
 
 /// Where objects appear in photographs.
-struct Shown {
+struct ObjectViews {
     /// For each object its center in the photograph that shows most of it.
     best: Vec<Option<PhotographPoint>>,
     /// For each object the share of photographs that show it.
@@ -154,7 +154,7 @@ struct Shown {
 /// Pixels of a depth image that an object needs to count as visible.
 const SEEN_PX: usize = 100;
 
-impl Shown {
+impl ObjectViews {
     fn of(room: &AnnotatedRoom, masks: &AnnotatedMasks, ids: &[u32]) -> Self {
         /// Number of frames to check, spread over all, because looking up pixels in the annotations
         /// is slow.
@@ -169,7 +169,7 @@ impl Shown {
                 let pixels = pixels_of(&image, *id);
                 *showing += u32::from(pixels >= SEEN_PX);
                 if pixels > best.0 {
-                    let (u, v) = innermost(&image, *id as u16);
+                    let (u, v) = innermost_pixel(&image, *id as u16);
                     *best = (
                         pixels,
                         Some(PhotographPoint {
@@ -194,17 +194,17 @@ fn pixels_of(image: &IdImage, id: u32) -> usize {
 
 /// Returns how often the chosen photographs show the object.
 #[derive(Default)]
-struct Offered {
+struct PhotographChoice {
     asked: u32,
     shown: u32,
     by_chance: f64,
 }
 
-impl Offered {
+impl PhotographChoice {
     fn count(
         &mut self,
         room: &AnnotatedRoom,
-        shown: &Shown,
+        shown: &ObjectViews,
         at: usize,
         id: u32,
         offered: &[FrameIndex],
@@ -224,7 +224,7 @@ impl Offered {
     }
 }
 
-impl std::fmt::Display for Offered {
+impl std::fmt::Display for PhotographChoice {
     fn fmt(&self, out: &mut std::fmt::Formatter) -> std::fmt::Result {
         let Self { asked, shown, by_chance } = self;
         write!(
@@ -235,7 +235,7 @@ impl std::fmt::Display for Offered {
 }
 
 /// Returns the pixel of a mask that is farthest from its border, by repeated erosion.
-fn innermost(image: &IdImage, id: u16) -> (u32, u32) {
+fn innermost_pixel(image: &IdImage, id: u16) -> (u32, u32) {
     let mut left: Vec<(u32, u32)> = (0..image.height)
         .flat_map(|v| (0..image.width).map(move |u| (u, v)))
         .filter(|&at| image.at(at) == id)
@@ -258,7 +258,7 @@ fn innermost(image: &IdImage, id: u16) -> (u32, u32) {
 }
 
 /// Returns the names of the annotated rooms in a folder, sorted.
-fn rooms(folder: &Utf8Path) -> Vec<String> {
+fn room_names(folder: &Utf8Path) -> Vec<String> {
     let entries = folder
         .read_dir_utf8()
         .map(|entries| entries.flatten().collect::<Vec<_>>())

@@ -13,10 +13,10 @@
 //! - **anchors**: for each `LOC` used as an anchor on that path, whether the parse has an object of
 //!   that noun besides the target;
 //! - **relation**: for each operation on the path, whether the parse gives the target one of its
-//!   meanings in [`MEANT`]. Operations that are not listed there are counted but not compared.
+//!   meanings in [`MEANINGS`]. Operations that are not listed there are counted but not compared.
 //!
 //! Programs are often wrong ("in front of a chair" becomes `RIGHT`), so relations are also counted
-//! only where the sentence has a word of the operation ([`SAID`]).
+//! only where the sentence has a word of the operation ([`OPERATION_WORDS`]).
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -28,7 +28,7 @@ use uniground_core::language::{Measure, ParsedQuery, Phrase, RelationKind, Trait
 use uniground_core::models::attributes::Lexicon;
 
 /// Operations, and what a parse may contain for each: a kind of relation, a superlative or a trait.
-const MEANT: [(&str, &[&str]); 24] = [
+const MEANINGS: [(&str, &[&str]); 24] = [
     (
         "CLOSEST",
         &["closest", "near", "around", "leaning", "against_wall", "in_corner", "on", "inside"],
@@ -59,7 +59,7 @@ const MEANT: [(&str, &[&str]); 24] = [
 ];
 
 /// Prefixes of words that express an operation in a sentence.
-const SAID: [(&str, &[&str]); 12] = [
+const OPERATION_WORDS: [(&str, &[&str]); 12] = [
     ("LEFT", &["left"]),
     ("RIGHT", &["right"]),
     ("FRONT", &["front"]),
@@ -171,7 +171,7 @@ impl Program {
 
 /// Returns whether a parse's noun matches the program's phrase: the same word, the same lexicon
 /// entry, or the end of the phrase.
-fn agrees(head: &str, said: &str) -> bool {
+fn is_same_noun(head: &str, said: &str) -> bool {
     let meant = parse(said).target;
     let lexicon = Lexicon::get();
     let things = |word: &str| {
@@ -188,16 +188,16 @@ fn agrees(head: &str, said: &str) -> bool {
 }
 
 /// Returns every object that a phrase mentions besides its own.
-fn others<'a>(phrase: &'a Phrase, into: &mut Vec<&'a Phrase>) {
+fn other_nouns<'a>(phrase: &'a Phrase, into: &mut Vec<&'a Phrase>) {
     let carried = phrase.with.iter().map(|with| &with.phrase);
     for other in phrase.relations.iter().flat_map(|relation| &relation.anchors).chain(carried) {
         into.push(other);
-        others(other, into);
+        other_nouns(other, into);
     }
 }
 
-/// Returns everything that a parse states about its target, in words of [`MEANT`].
-fn said_of_target(read: &ParsedQuery) -> BTreeSet<&'static str> {
+/// Returns everything that a parse states about its target, in words of [`MEANINGS`].
+fn target_statements(read: &ParsedQuery) -> BTreeSet<&'static str> {
     let phrases = [Some(&read.target), read.other_reading.as_ref()];
     let of = |phrase: &Phrase| {
         let relations = phrase.relations.iter().map(|relation| relation.kind.word());
@@ -244,42 +244,42 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
         if list == Some(class) {
             let anchors: Vec<String> = {
                 let mut all = Vec::new();
-                others(&read.target, &mut all);
+                other_nouns(&read.target, &mut all);
                 all.iter().map(|phrase| phrase.text()).collect()
             };
             println!(
                 "{what}\t{}\t[{}] {anchors:?} {:?} ?{:?}",
                 sentence.caption,
                 read.target.text(),
-                said_of_target(&read),
+                target_statements(&read),
                 read.not_understood
             );
         }
     };
-    let target = agrees(&read.target.head, &program.target);
+    let target = is_same_noun(&read.target.head, &program.target);
     agreement.target.count(target);
     if !target {
         disagreed("target", &program.target);
     }
     let mut named: Vec<&Phrase> = Vec::new();
-    others(&read.target, &mut named);
+    other_nouns(&read.target, &mut named);
     if let Some(other) = &read.other_reading {
-        others(other, &mut named);
+        other_nouns(other, &mut named);
     }
     let seen_from =
         read.viewpoint.iter().map(|viewpoint| &viewpoint.anchor).chain(&read.standpoint);
     named.extend(seen_from);
     for anchor in &program.anchors {
-        let found = named.iter().any(|phrase| agrees(&phrase.head, anchor));
+        let found = named.iter().any(|phrase| is_same_noun(&phrase.head, anchor));
         agreement.anchors.count(found);
         if !found {
             disagreed("anchor", anchor);
         }
     }
-    let said = said_of_target(&read);
+    let said = target_statements(&read);
     let words = sentence.caption.to_lowercase();
     for operation in &program.operations {
-        let Some((operation, meant)) = MEANT.iter().find(|(known, _)| known == operation) else {
+        let Some((operation, meant)) = MEANINGS.iter().find(|(known, _)| known == operation) else {
             *agreement.uncompared.entry(operation.clone()).or_default() += 1;
             continue;
         };
@@ -287,12 +287,13 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
         let (all, told) = agreement.by_operation.entry(operation).or_default();
         agreement.relations.count(right);
         all.count(right);
-        let is_said =
-            SAID.iter().find(|(known, _)| known == operation).is_none_or(|(_, beginnings)| {
+        let is_said = OPERATION_WORDS.iter().find(|(known, _)| known == operation).is_none_or(
+            |(_, beginnings)| {
                 words
                     .split(|c: char| !c.is_alphanumeric())
                     .any(|word| beginnings.iter().any(|beginning| word.starts_with(beginning)))
-            });
+            },
+        );
         if is_said {
             agreement.relations_said.count(right);
             told.count(right);
@@ -304,14 +305,14 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
 }
 
 fn main() {
-    // A word of `MEANT` that no parse can contain would always count as wrong.
+    // A word of `MEANINGS` that no parse can contain would always count as wrong.
     let known: Vec<&str> = RelationKind::ALL
         .iter()
         .map(|kind| kind.word())
         .chain(Measure::ALL.iter().map(|measure| measure.word()))
         .chain(Trait::ALL.iter().map(|seen| seen.word()))
         .collect();
-    assert!(MEANT.iter().flat_map(|(_, words)| *words).all(|word| known.contains(word)));
+    assert!(MEANINGS.iter().flat_map(|(_, words)| *words).all(|word| known.contains(word)));
     let (mut folder, mut list, mut of, mut rest) = (None, None, 2, 0);
     let mut args = std::env::args().skip(1).filter(|arg| arg != "--bench");
     while let Some(arg) = args.next() {
@@ -337,7 +338,7 @@ fn main() {
     table.set_header(["sentences", "target", "anchors", "relation", "relation, where it is said"]);
     let mut by_operation = Table::new();
     by_operation.load_preset(presets::ASCII_MARKDOWN);
-    by_operation.set_header(["sentences", "operation", "agrees", "where it is said"]);
+    by_operation.set_header(["sentences", "operation", "agrees", "agrees if stated"]);
     for file in ["nr3d_val", "scanrefer_val"] {
         let sentences: Vec<Sentence> = serde_json::from_str(
             &std::fs::read_to_string(folder.join(format!("{file}.json"))).unwrap(),

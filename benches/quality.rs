@@ -75,13 +75,13 @@ fn main() {
         return;
     }
     match options.brief {
-        true => brief(&rooms, &options),
-        false => in_full(&rooms, &options),
+        true => run_brief(&rooms, &options),
+        false => run_full(&rooms, &options),
     }
 }
 
 /// Returns instances by the built-in masks.
-fn brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
+fn run_brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     const FIFTHS: usize = 5;
     let mut table = instance_table();
     for name in rooms {
@@ -104,11 +104,11 @@ fn brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     println!("{table}");
 }
 
-fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
+fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     let mut superpoint_table =
         table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
     let mut instance_table = instance_table();
-    let mut ladder_table =
+    let mut losses_table =
         table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"]);
     let mut structure_table = table(&["room", "masks", "recall", "precision"]);
     let mut naming_table =
@@ -150,7 +150,7 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
         let (as_is, seconds) = score(&room, &parsed, rgbd.name(), *misses);
         instance_table.add_row(row(name, rgbd.name(), "as is", &as_is, seconds));
         instance_table.add_row(mean_and_range(name, rgbd.name(), "6 turns", &runs));
-        naming_table.add_row(naming(folder, &room, name, settings));
+        naming_table.add_row(score_names(folder, &room, name, settings));
         let annotated = room.masks();
         let (score, seconds) = measure(&room, &annotated, settings, *misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
@@ -160,12 +160,12 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
                 let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
                 let head =
                     [name.clone(), masks.name().to_owned(), rung.step, rung.pieces.to_string()];
-                ladder_table.add_row(head.into_iter().chain(figures));
+                losses_table.add_row(head.into_iter().chain(figures));
             }
         }
     }
     println!(
-        "{superpoint_table}\n\n{instance_table}\n\n{structure_table}\n\n{ladder_table}\n\n{naming_table}"
+        "{superpoint_table}\n\n{instance_table}\n\n{structure_table}\n\n{losses_table}\n\n{naming_table}"
     );
 }
 
@@ -186,7 +186,7 @@ fn rooms(folder: &Utf8Path) -> Vec<String> {
 
 /// Returns the share of objects whose annotated name is the first, or among the stored ones, of the
 /// encoder's names: on annotated boxes, and on instances that cover at least half of them.
-fn naming(
+fn score_names(
     folder: &Utf8Path,
     room: &AnnotatedRoom,
     name: &str,

@@ -58,8 +58,8 @@ fn main() {
     sample.count_tokens(&queries);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let archive = fs::read(&scan).unwrap();
-    runtime.block_on(overhead(&archive, &queries));
-    runtime.block_on(beside_a_parse(&archive, &queries));
+    runtime.block_on(measure_overhead(&archive, &queries));
+    runtime.block_on(measure_during_parse(&archive, &queries));
 }
 
 /// The sample scene and the folder of its photographs.
@@ -230,7 +230,7 @@ impl Sample {
 }
 
 /// The service's overhead with a model that answers at once.
-async fn overhead(scan: &[u8], queries: &[String]) {
+async fn measure_overhead(scan: &[u8], queries: &[String]) {
     let server = Server::start(ModelsConfig::builtin()).await;
     let created = server.client.create_scene(None, "application/zip", scan.to_vec()).await.unwrap();
     server.client.follow_job(&created.job.unwrap().id, |_| {}).await.unwrap();
@@ -259,7 +259,7 @@ async fn overhead(scan: &[u8], queries: &[String]) {
 
 /// Images for questions while a parse with a segmenter runs, and on an idle server. The tiny bundle
 /// replaces a real one unless `MASKS` names one in `models/`.
-async fn beside_a_parse(scan: &[u8], queries: &[String]) {
+async fn measure_during_parse(scan: &[u8], queries: &[String]) {
     let root = Utf8Path::new(env!("CARGO_MANIFEST_DIR"));
     let (masks, folder) = match std::env::var("MASKS") {
         Ok(bundle) => (bundle, root.join("models")),

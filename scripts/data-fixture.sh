@@ -14,10 +14,10 @@ import math, struct, zipfile, zlib
 WIDTH, HEIGHT, F = 96, 72, 80.0
 BLOCK = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.5))
 
-def png(rows, bits, colour):
+def png(rows, bits, color):
     raw = b"".join(b"\0" + row for row in rows)
     chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-    head = struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, 2 if colour else 0, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, 2 if color else 0, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(raw, 9)) + chunk(b"IEND", b"")
 
 def hit(eye, ray):
@@ -45,17 +45,17 @@ with zipfile.ZipFile("scan.zip", "w", zipfile.ZIP_DEFLATED) as scan:
         forward = [v / length for v in forward]
         right = [math.sin(turn) * -1, math.cos(turn), 0.0]
         down = [forward[1] * right[2] - forward[2] * right[1], forward[2] * right[0] - forward[0] * right[2], forward[0] * right[1] - forward[1] * right[0]]
-        colours, depths = [], []
+        colors, depths = [], []
         for v in range(HEIGHT):
-            colour, depth = bytearray(), bytearray()
+            color, depth = bytearray(), bytearray()
             for u in range(WIDTH):
                 x, y = (u - WIDTH / 2 + 0.5) / F, (v - HEIGHT / 2 + 0.5) / F
                 ray = [forward[k] + x * right[k] + y * down[k] for k in range(3)]
                 z, rgb = hit(eye, ray)
-                colour += bytes(rgb)
+                color += bytes(rgb)
                 depth += struct.pack(">H", round(z * 1000))
-            colours.append(bytes(colour)), depths.append(bytes(depth))
-        scan.writestr(f"color/{i}.png", png(colours, 8, True))
+            colors.append(bytes(color)), depths.append(bytes(depth))
+        scan.writestr(f"color/{i}.png", png(colors, 8, True))
         scan.writestr(f"depth/{i}.png", png(depths, 16, False))
         rows = [[right[k], down[k], forward[k], eye[k]] for k in range(3)] + [[0, 0, 0, 1]]
         scan.writestr(f"pose/{i}.txt", "\n".join(" ".join(f"{v:.6f}" for v in row) for row in rows) + "\n")

@@ -77,8 +77,8 @@ class Box:
 
     def __init__(self, identity, record):
         box = record["segments"]["obbAligned"]
-        self.centre, lengths, axes = box["centroid"], box["axesLengths"], box["normalizedAxes"]
-        if not (finite(self.centre, 3) and finite(lengths, 3) and finite(axes, 9) and min(lengths) > 0):
+        self.center, lengths, axes = box["centroid"], box["axesLengths"], box["normalizedAxes"]
+        if not (finite(self.center, 3) and finite(lengths, 3) and finite(axes, 9) and min(lengths) > 0):
             raise ValueError("obbAligned is not centroid, axesLengths and normalizedAxes of 3, 3 and 9 numbers, lengths above 0")
         self.axes = [axes[0:3], axes[3:6], axes[6:9]]
         dots = [sum(a * b for a, b in zip(self.axes[i], self.axes[j])) - (i == j) for i in range(3) for j in range(3)]
@@ -87,10 +87,10 @@ class Box:
         self.identity, self.name, self.uid = identity, record["label"].replace("_", " "), record.get("uid")
         self.half, self.tally = [length / 2 for length in lengths], Tally()
         reach = [sum(abs(axis[k]) * half for axis, half in zip(self.axes, self.half)) for k in range(3)]
-        self.low, self.high = [c - r for c, r in zip(self.centre, reach)], [c + r for c, r in zip(self.centre, reach)]
+        self.low, self.high = [c - r for c, r in zip(self.center, reach)], [c + r for c, r in zip(self.center, reach)]
 
     def holds(self, point):
-        off = [p - c for p, c in zip(point, self.centre)]
+        off = [p - c for p, c in zip(point, self.center)]
         return all(abs(sum(o * a for o, a in zip(off, axis))) <= half + SLACK_M for axis, half in zip(self.axes, self.half))
 
     def record(self):
@@ -102,7 +102,7 @@ class Box:
         if abs(self.axes[upright][2]) > math.cos(math.radians(1)):
             yaw = math.degrees(math.atan2(self.axes[along][1], self.axes[along][0]))
             size = [2 * self.half[i] for i in (along, across, upright)]
-            record["obb"] = {"center": rounded(self.centre), "size": rounded(size), "yaw_deg": round(yaw, 3)}
+            record["obb"] = {"center": rounded(self.center), "size": rounded(size), "yaw_deg": round(yaw, 3)}
         else:
             print(f"object {self.identity} ({self.name}) is tilted: only its axis-aligned box is written")
         return {**record, **self.tally.facts(), "uid": self.uid}
@@ -130,11 +130,11 @@ def tally(mesh, boxes):
         for cell in ((x, y, z) for x in range(low[0], high[0] + 1) for y in range(low[1], high[1] + 1) for z in range(low[2], high[2] + 1)):
             cells.setdefault(cell, []).append(box)
     count, vertices = read_ply(mesh)
-    for point, colour in vertices:
+    for point, color in vertices:
         near = cells.get(tuple(math.floor(v / CELL_M) for v in point), ())
         owner = next((box for box in near if box.holds(point)), None)
         if owner:
-            owner.tally.add(point, colour)
+            owner.tally.add(point, color)
     if boxes and not any(box.tally.count for box in boxes):
         raise SystemExit(f"{mesh}: not one of its points lies in an annotated box: do mesh and annotation belong to one video?")
     return count

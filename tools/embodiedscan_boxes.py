@@ -7,7 +7,7 @@ SCAN is what the scan is called in its data set: scene0011_00 (ScanNet), the id 
 two buildings have one name), the video of ARKitScenes. --expressions writes those about these scans to OUT_FOLDER/<list>.<only>.json,
 under the same names. --present leaves out scans that are not in OUT_FOLDER yet.
 
-bbox_3d is centre, full extent and three angles in radians: the rotation is Rz(first) Rx(second) Ry(third). EmbodiedScan has its boxes in
+bbox_3d is center, full extent and three angles in radians: the rotation is Rz(first) Rx(second) Ry(third). EmbodiedScan has its boxes in
 a world of its own, which axis_align_matrix leads to. Here they are in the world the scan is read in: ScanNet's axis-aligned one
 (scannet_scene.py), for the other data sets that of their own files. Needs numpy, which the info files are pickled with.
 """

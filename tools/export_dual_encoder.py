@@ -86,7 +86,7 @@ def export(tower, example, file, names):
         )  # fmt: skip
 
 
-def quantise(file, kind):
+def quantize(file, kind):
     from onnxruntime.quantization import QuantType, quantize_dynamic
 
     small = file.with_suffix(".int8.onnx")
@@ -144,7 +144,7 @@ def main():
         export(tower, example, file, (source, f"{part}_embeds"))
         parity(tower, file, source, others, PARITY["float"])
         if args.int8:
-            file = quantise(file, args.int8)
+            file = quantize(file, args.int8)
             parity(tower, file, source, others, PARITY["int8"])
         files[part] = file.name
     tokenizer.save(str(args.out / "tokenizer.json"))

@@ -52,7 +52,7 @@ def camera_at(eye, target, roll_deg=0.0):
 
 def hit(eye, ray):
     """Returns the distance along the ray to the first surface, and its color."""
-    best, colour = math.inf, (200, 200, 190)
+    best, color = math.inf, (200, 200, 190)
     for low, high, own in [(*WALLS, None)] + [thing[1:] for thing in THINGS]:
         near, far = -math.inf, math.inf
         for e, r, a, b in zip(eye, ray, low, high):
@@ -63,8 +63,8 @@ def hit(eye, ray):
             near, far = max(near, t[0]), min(far, t[1])
         reached = far if own is None else near
         if near <= far and 0 < reached < best:
-            best, colour = reached, own or (200, 200, 190)
-    return best, colour
+            best, color = reached, own or (200, 200, 190)
+    return best, color
 
 
 def png(width, height, kind, rows):
@@ -84,9 +84,9 @@ def shots(roll_deg=0.0):
             row = bytearray()
             for u in range(WIDTH):
                 own = [(u - (WIDTH - 1) / 2) / FOCAL, (v - (HEIGHT - 1) / 2) / FOCAL, 1.0]
-                far, colour = hit(eye, [sum(pose[i][k] * own[k] for k in range(3)) for i in range(3)])
+                far, color = hit(eye, [sum(pose[i][k] * own[k] for k in range(3)) for i in range(3)])
                 depth.append(round(1000 * far))
-                row += bytes(colour)
+                row += bytes(color)
             rows.append(bytes(row))
         yield pose, png(WIDTH, HEIGHT, 2, rows), depth.tobytes()
 
@@ -105,12 +105,12 @@ def surface(low, high, step, inside_out=False):
 def mesh(world, ascii_text=False):
     """Returns the room's points in a world, as PLY, and the index in THINGS of each (-1 for the walls)."""
     points = [(p, (200, 200, 190), -1) for p in surface(*WALLS, 0.04, True)]
-    for place, (_, low, high, colour) in enumerate(THINGS):
-        points += [(p, colour, place) for p in surface(low, high, 0.03)]
+    for place, (_, low, high, color) in enumerate(THINGS):
+        points += [(p, color, place) for p in surface(low, high, 0.03)]
     head = (f"ply\nformat {'ascii' if ascii_text else 'binary_little_endian'} 1.0\ncomment made up\nelement vertex {len(points)}\n"
             + "".join(f"property float {c}\n" for c in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue", "alpha"))
             + "element face 0\nproperty list uchar int vertex_indices\nend_header\n").encode()
-    placed = [(moved(world, p), colour) for p, colour, _ in points]
+    placed = [(moved(world, p), color) for p, color, _ in points]
     if ascii_text:
         body = "".join(" ".join(f"{v:.5f}" for v in p) + f" {c[0]} {c[1]} {c[2]} 255\n" for p, c in placed).encode()
     else:
@@ -137,14 +137,14 @@ def arkitscenes(folder, video, world, frames, raw):
     for sub in ("lowres_wide", "lowres_depth", "confidence", "lowres_wide_intrinsics"):
         (inner / sub).mkdir(parents=True)
     lines, sure = [], png(WIDTH, HEIGHT, 0, [b"\2" * WIDTH] * HEIGHT)
-    for i, (pose, colour, depth) in enumerate(frames):
+    for i, (pose, color, depth) in enumerate(frames):
         second = 6845.106 + 0.1 * i
         to_camera = inverse(product(world, pose))
         turn = rotation_vector(to_camera)
         lines.append(" ".join(f"{v:.9f}" for v in [second + 0.0004] + turn + [row[3] for row in to_camera[:3]]))
         for late in (0.0, 0.017) if raw else (0.0,):
             name = f"{video}_{second + late:.3f}"
-            (inner / f"lowres_wide/{name}.png").write_bytes(colour)
+            (inner / f"lowres_wide/{name}.png").write_bytes(color)
             (inner / f"lowres_depth/{name}.png").write_bytes(grey_png(WIDTH, HEIGHT, depth))
             (inner / f"confidence/{name}.png").write_bytes(sure)
             camera = f"{WIDTH} {HEIGHT} {FOCAL} {FOCAL} {(WIDTH - 1) / 2} {(HEIGHT - 1) / 2}"
@@ -154,12 +154,12 @@ def arkitscenes(folder, video, world, frames, raw):
     (scan / f"{video}_3dod_mesh.ply").write_bytes(mesh(world, ascii_text=not raw)[0])
     records = []
     for i, (name, low, high, _) in enumerate(THINGS):
-        centre = moved(world, [(a + b) / 2 for a, b in zip(low, high)])
+        center = moved(world, [(a + b) / 2 for a, b in zip(low, high)])
         rows = [[world[k][axis] for k in range(3)] for axis in range(3)]
         # The order and direction of the axes differ from box to box.
         order = [(0, 1, 2), (1, 0, 2), (2, 0, 1)][i]
         axes = [value * (-1 if j == 1 else 1) for j, axis in enumerate(order) for value in rows[axis]]
-        box = {"centroid": centre, "axesLengths": [high[axis] - low[axis] for axis in order], "normalizedAxes": axes}
+        box = {"centroid": center, "axesLengths": [high[axis] - low[axis] for axis in order], "normalizedAxes": axes}
         records.append({"uid": f"made-up-{i}", "label": "tv_monitor" if name == "stool" else name, "objectId": 1,
                         "segments": {"obb": {"centroid": [0, 0, 0], "axesLengths": [1, 1, 1], "normalizedAxes": axes}, "obbAligned": box}})
     (scan / f"{video}_3dod_annotation.json").write_text(json.dumps({"data": records, "skipped": False}))
@@ -182,10 +182,10 @@ def scannet(folder, scene, world, frames):
     one = [float(i == j) for i in range(4) for j in range(4)]
     sens = struct.pack("<IQ", 4, 7) + b"made up" + struct.pack("<64f", *camera, *one, *camera, *one)
     sens += struct.pack("<iiIIIIfQ", 1, 1, WIDTH, HEIGHT, WIDTH, HEIGHT, 1000.0, len(frames) + 1)
-    for pose, colour, depth in frames + [(None, *frames[0][1:])]:
+    for pose, color, depth in frames + [(None, *frames[0][1:])]:
         numbers = [-math.inf] * 16 if pose is None else [v for row in product(world, pose) for v in row]
         packed = zlib.compress(depth)
-        sens += struct.pack("<16f4Q", *numbers, 0, 0, len(colour), len(packed)) + colour + packed
+        sens += struct.pack("<16f4Q", *numbers, 0, 0, len(color), len(packed)) + color + packed
     (scan / f"{scene}.sens").write_bytes(sens)
     return scan
 
@@ -198,8 +198,8 @@ def three_r_scan(folder, scan_id, world, frames):
     info = f"m_versionNumber = 4\nm_colorWidth = {WIDTH}\nm_colorHeight = {HEIGHT}\nm_depthWidth = {WIDTH}\nm_depthHeight = {HEIGHT}\n"
     info += f"m_depthShift = 1000\nm_calibrationColorIntrinsic = {matrix}\nm_calibrationDepthIntrinsic = {matrix}\n"
     (scan / "sequence/_info.txt").write_text(info)
-    for i, (pose, colour, depth) in enumerate(frames):
-        (scan / f"sequence/frame-{i:06}.color.png").write_bytes(colour)
+    for i, (pose, color, depth) in enumerate(frames):
+        (scan / f"sequence/frame-{i:06}.color.png").write_bytes(color)
         values = array.array("H", depth)
         values.byteswap()
         (scan / f"sequence/frame-{i:06}.depth.pgm").write_bytes(f"P5\n{WIDTH} {HEIGHT}\n65535\n".encode() + values.tobytes())

@@ -66,9 +66,9 @@ def read_ply(file):
     if elements[:1] != ["vertex"] or not {"x", "y", "z"} <= set(names) or any(code is None for _, code in properties):
         raise SystemExit(f"{file}: expected vertices with x, y and z as its first element")
     at = [names.index(name) for name in "xyz"]
-    colour_at = [names.index(name) for name in ("red", "green", "blue")] if "red" in names else None
+    color_at = [names.index(name) for name in ("red", "green", "blue")] if "red" in names else None
     def split(values):
-        return [values[i] for i in at], [values[i] for i in colour_at] if colour_at else None
+        return [values[i] for i in at], [values[i] for i in color_at] if color_at else None
     return count, (split(values) for values in vertex_rows(file, start, kind, count, [code for _, code in properties]))
 
 
@@ -96,18 +96,18 @@ class Tally:
     """The points of an object: number, bounds and mean color."""
 
     def __init__(self):
-        self.count, self.low, self.high, self.colour = 0, [float("inf")] * 3, [float("-inf")] * 3, [0.0] * 3
+        self.count, self.low, self.high, self.color = 0, [float("inf")] * 3, [float("-inf")] * 3, [0.0] * 3
 
-    def add(self, point, colour):
+    def add(self, point, color):
         self.count += 1
         self.low = [min(a, b) for a, b in zip(self.low, point)]
         self.high = [max(a, b) for a, b in zip(self.high, point)]
-        self.colour = [a + b for a, b in zip(self.colour, colour)] if colour and self.colour else None
+        self.color = [a + b for a, b in zip(self.color, color)] if color and self.color else None
 
     def facts(self):
         facts = {"cloud_points": self.count}
-        if self.count and self.colour:
-            facts["mean_rgb"] = [round(c / self.count, 1) for c in self.colour]
+        if self.count and self.color:
+            facts["mean_rgb"] = [round(c / self.count, 1) for c in self.color]
         return facts
 
 

@@ -88,8 +88,8 @@ class Exported:
     def frames(self):
         for number in self.numbers:
             files = [self.folder / f"color/{number}.jpg", self.folder / f"depth/{number}.png", self.folder / f"pose/{number}.txt"]
-            colour, depth, pose = (need(file, "export the .sens file again") for file in files)
-            yield number, colour.read_bytes(), depth.read_bytes(), rows(numbers_of(pose, 16))
+            color, depth, pose = (need(file, "export the .sens file again") for file in files)
+            yield number, color.read_bytes(), depth.read_bytes(), rows(numbers_of(pose, 16))
 
 
 def write_cloud(out, mesh, aligned, owners, objects):
@@ -103,24 +103,24 @@ def write_cloud(out, mesh, aligned, owners, objects):
     entry.compress_type = zipfile.ZIP_DEFLATED
     with out.open(entry, "w", force_zip64=True) as cloud:
         cloud.write(header.encode())
-        for vertex, (position, colour) in enumerate(vertices):
-            position, colour = moved(aligned, position), colour or (128, 128, 128)
-            cloud.write(struct.pack("<3f3B", *position, *colour))
+        for vertex, (position, color) in enumerate(vertices):
+            position, color = moved(aligned, position), color or (128, 128, 128)
+            cloud.write(struct.pack("<3f3B", *position, *color))
             for owner in owners[vertex] if owners is not None else ():
-                objects.setdefault(owner, Tally()).add(position, colour)
+                objects.setdefault(owner, Tally()).add(position, color)
     return count
 
 
 def write_frames(out, source, aligned, name, cloud):
     manifest = {"format": "uniground-scene/1", "name": name, "up": "z", **({"cloud": "cloud.ply"} if cloud else {}), **source.cameras,
                 "camera_axes": "opencv", "pose": "camera_to_world", "frames": []}
-    for number, colour, depth, pose in source.frames():
+    for number, color, depth, pose in source.frames():
         # A lost pose contains infinities and is copied unchanged: the importer counts and skips it.
         if all(math.isfinite(v) for row in pose for v in row):
             pose = product(aligned, pose)
         entries = {"color": f"color/{number}.{source.ending}", "depth": f"depth/{number}.png", "pose": f"pose/{number}.txt"}
         out.writestr(entries["pose"], "\n".join(" ".join(f"{v:.9g}" for v in row) for row in pose) + "\n")
-        out.writestr(entries["color"], colour)
+        out.writestr(entries["color"], color)
         out.writestr(entries["depth"], depth)
         manifest["frames"].append(entries)
     out.writestr("scene.json", json.dumps(manifest, indent=1), zipfile.ZIP_DEFLATED)

@@ -81,10 +81,10 @@ def exported_scannet(folder):
     mug = list(made_up.surface([3.0, 1.0, 0.7], [3.1, 1.1, 0.8], 0.02))
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     turned = [[c * x - s * y, s * x + c * y, z] for x, y, z in sofa + mug]
-    colours = [(180, 30, 30)] * len(sofa) + [(30, 30, 180)] * len(mug)
+    colors = [(180, 30, 30)] * len(sofa) + [(30, 30, 180)] * len(mug)
     header = (f"ply\nformat binary_little_endian 1.0\nelement vertex {len(turned)}\n" + "".join(f"property float {a}\n" for a in "xyz")
               + "".join(f"property uchar {a}\n" for a in ("red", "green", "blue", "alpha")) + "end_header\n")
-    body = b"".join(struct.pack("<3f4B", *p, *rgb, 255) for p, rgb in zip(turned, colours))
+    body = b"".join(struct.pack("<3f4B", *p, *rgb, 255) for p, rgb in zip(turned, colors))
     (scene / "scene9999_00_vh_clean_2.ply").write_bytes(header.encode() + body)
     written(scene / "scene9999_00_vh_clean_2.0.010000.segs.json", {"segIndices": [4] * len(sofa) + [7] * len(mug)})
     groups = [{"id": 0, "objectId": 0, "segments": [4], "label": "couch"}, {"id": 1, "objectId": 1, "segments": [7], "label": "mug"}]

@@ -24,8 +24,8 @@ def convert(source, target):
     for node in graph.node:
         if node.op_type != "MatMulInteger":
             continue
-        quantised, weight, _, zero = node.input
-        source_node = made_by[quantised]
+        quantized, weight, _, zero = node.input
+        source_node = made_by[quantized]
         (cast,) = used_by[node.output[0]]
         (product,) = used_by[cast.output[0]]
         scales = made_by[next(name for name in product.input if name != cast.output[0])]

@@ -18,7 +18,7 @@ pub struct Run {
 pub type Side<'a> = Box<dyn FnMut() -> anyhow::Result<Run> + 'a>;
 
 /// What this project's side measures.
-pub enum Ours<'a> {
+pub enum OwnSide<'a> {
     /// The same job as the peer's.
     Same(Side<'a>),
     /// The job is part of this one and cannot be timed alone, so its time is an upper bound.
@@ -27,7 +27,7 @@ pub enum Ours<'a> {
 
 pub struct Comparison<'a> {
     pub what: String,
-    pub ours: Ours<'a>,
+    pub ours: OwnSide<'a>,
     pub peer: Side<'a>,
     /// How the two jobs differ, for readers of the ratio.
     pub differ: String,
@@ -46,26 +46,26 @@ pub struct DuelResult {
 impl Comparison<'_> {
     pub fn run(self) -> DuelResult {
         let Self { what, ours, mut peer, differ } = self;
-        let bound = matches!(ours, Ours::Within(_));
-        let (Ours::Same(mut side) | Ours::Within(mut side)) = ours;
+        let bound = matches!(ours, OwnSide::Within(_));
+        let (OwnSide::Same(mut side) | OwnSide::Within(mut side)) = ours;
         let mut own_runs = Vec::new();
         let mut peer_runs = Vec::new();
         for _ in 0..=ROUNDS {
-            own_runs.push(turn(&mut side));
-            peer_runs.push(turn(&mut peer));
+            own_runs.push(run_once(&mut side));
+            peer_runs.push(run_once(&mut peer));
         }
-        DuelResult { what, differ, ours: summed_up(own_runs), peer: summed_up(peer_runs), bound }
+        DuelResult { what, differ, ours: summarize(own_runs), peer: summarize(peer_runs), bound }
     }
 }
 
-fn turn(side: &mut Side) -> anyhow::Result<Run> {
+fn run_once(side: &mut Side) -> anyhow::Result<Run> {
     std::thread::sleep(PAUSE);
     side()
 }
 
 /// Returns the median of all runs except the first. One failure invalidates the row, because the
 /// remaining runs would be a selection.
-fn summed_up(runs: Vec<anyhow::Result<Run>>) -> Result<Run, String> {
+fn summarize(runs: Vec<anyhow::Result<Run>>) -> Result<Run, String> {
     let runs =
         runs.into_iter().collect::<anyhow::Result<Vec<_>>>().map_err(|e| format!("{e:#}"))?;
     let mut ms: Vec<f32> = runs.iter().skip(1).map(|run| run.ms).collect();

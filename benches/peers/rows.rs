@@ -1,6 +1,6 @@
 //! The comparisons: each function returns the rows of one job.
 
-use crate::duel::{Comparison, Ours, Run, Side};
+use crate::duel::{Comparison, OwnSide, Run, Side};
 use crate::process::Peer;
 use crate::vccs::Vccs;
 use anyhow::anyhow;
@@ -75,7 +75,7 @@ fn timed<T>(work: impl Fn() -> T, tell: impl Fn(&T) -> String) -> Run {
     Run { ms, gives: tell(&result) }
 }
 
-fn asked(peer: &Peer, command: String) -> Side<'_> {
+fn ask_peer(peer: &Peer, command: String) -> Side<'_> {
     Box::new(move || peer.ask(&command))
 }
 
@@ -89,7 +89,7 @@ pub fn superpoints<'a>(input: &'a Input, vccs: &'a anyhow::Result<Vccs>) -> Vec<
     let same = SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..default };
     let against = |ours: SuperpointSettings, voxel: &'static str, differ: &str| Comparison {
         what: format!("superpoints {}/{}, PCL VCCS {voxel}/.2", ours.voxel_m, ours.seed_m),
-        ours: Ours::Same(own_superpoints(input, ours)),
+        ours: OwnSide::Same(own_superpoints(input, ours)),
         peer: Box::new(move || {
             let (seconds, labels) =
                 vccs.as_ref().map_err(|e| anyhow!("{e:#}"))?.run(voxel, ".2")?;
@@ -118,8 +118,8 @@ pub fn superpoints<'a>(input: &'a Input, vccs: &'a anyhow::Result<Vccs>) -> Vec<
 pub fn reading<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
     Comparison {
         what: "reading a binary PLY, Open3D `io.read_point_cloud`".into(),
-        ours: Ours::Same(Box::new(|| Ok(timed(|| read_cloud(&input.file).unwrap(), |cloud| format!("{} points", cloud.len()))))),
-        peer: asked(open3d, format!("read {}", input.file)),
+        ours: OwnSide::Same(Box::new(|| Ok(timed(|| read_cloud(&input.file).unwrap(), |cloud| format!("{} points", cloud.len()))))),
+        peer: ask_peer(open3d, format!("read {}", input.file)),
         differ: "The same file, in the page cache. uniground stores 32-bit coordinates and 8-bit colors and \
                  checks both; Open3D converts all to 64-bit floats."
             .into(),
@@ -129,8 +129,8 @@ pub fn reading<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
 pub fn thinning<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
     Comparison {
         what: format!("thinning to {THINNED_M} m voxels, Open3D `voxel_down_sample`"),
-        ours: Ours::Same(Box::new(|| Ok(timed(|| means(&input.cloud), |cloud| format!("{} voxels", cloud.len()))))),
-        peer: asked(open3d, format!("voxels {THINNED_M}")),
+        ours: OwnSide::Same(Box::new(|| Ok(timed(|| means(&input.cloud), |cloud| format!("{} voxels", cloud.len()))))),
+        peer: ask_peer(open3d, format!("voxels {THINNED_M}")),
         differ: "uniground has no such call: the bench uses its public `VoxelGrid::new` and computes the means \
                  of points and colors on one core. Its grid starts at the origin and cuts this room's walls \
                  into two layers; Open3D's starts at the cloud's corner and fills fewer voxels."
@@ -159,8 +159,8 @@ pub fn normals<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
     let voxel_m = SuperpointSettings::default().voxel_m;
     let against = |what: String, command: String, differ: &str| Comparison {
         what,
-        ours: Ours::Within(own_superpoints(input, SuperpointSettings::default())),
-        peer: asked(open3d, command),
+        ours: OwnSide::Within(own_superpoints(input, SuperpointSettings::default())),
+        peer: ask_peer(open3d, command),
         differ: format!(
             "{differ} uniground computes normals only as a part of superpoints: the figure is that of all \
                  of superpoints."
@@ -186,7 +186,7 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
     let size = format!("{}x{}", ROOM_VIEW.width, ROOM_VIEW.height);
     let against = |how: &str, command: &str, differ: String| Comparison {
         what: format!("render of the room, {size}, Open3D {how}"),
-        ours: Ours::Same(Box::new(|| {
+        ours: OwnSide::Same(Box::new(|| {
             let drawn = |picture: &image::RgbImage| {
                 format!("{} pixels", picture.pixels().filter(|p| p.0 != BACKGROUND).count())
             };
@@ -202,7 +202,7 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
                 drawn,
             ))
         })),
-        peer: asked(open3d, command.into()),
+        peer: ask_peer(open3d, command.into()),
         differ,
     };
     let mesh = open3d
@@ -240,8 +240,8 @@ pub fn perception<'a>(
     ours: &'a anyhow::Result<EncodedImage>,
     onnxruntime: &'a Peer,
 ) -> Vec<Comparison<'a>> {
-    let measured = |work: fn(&EncodedImage) -> String| -> Ours<'a> {
-        Ours::Same(Box::new(move || match ours {
+    let measured = |work: fn(&EncodedImage) -> String| -> OwnSide<'a> {
+        OwnSide::Same(Box::new(move || match ours {
             Ok(asked) => Ok(timed(|| work(asked), Clone::clone)),
             Err(why) => anyhow::bail!("{why:#}"),
         }))
@@ -253,7 +253,7 @@ pub fn perception<'a>(
                 asked.segmenter.encode(&asked.picture).unwrap();
                 "1 image".into()
             }),
-            peer: asked(onnxruntime, "encode".into()),
+            peer: ask_peer(onnxruntime, "encode".into()),
             differ: "The same network with the same number of threads. uniground starts from the image: resizing, \
                  normalizing and copying the features are timed; the peer's input is prepared."
                 .into(),
@@ -266,7 +266,7 @@ pub fn perception<'a>(
                     .decode(&asked.encoded, &[Prompt::inside([(300.0, 200.0)]), Prompt::inside([(100.0, 90.0)])]);
                 format!("{} masks", masks.unwrap().iter().map(Vec::len).sum::<usize>())
             }),
-            peer: asked(onnxruntime, "decode 2".into()),
+            peer: ask_peer(onnxruntime, "decode 2".into()),
             differ:
                 "One thread each, because a parse decodes two prompts at a time from two threads. uniground \
                  returns one mask after the other; the peer returns whole arrays."

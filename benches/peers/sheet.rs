@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::thread::available_parallelism;
 
 /// Formats the whole report: machine, versions, figures, and how to read them.
-pub fn written(
+pub fn format_report(
     input: &str,
     load: &str,
     versions: &[Option<String>],

@@ -41,7 +41,7 @@ punching bag, trophy, medal, flag, map, whiteboard, projector, filing cabinet, s
 wine rack, barrel, anvil, sword, shield, totem, sundial, weather vane, theremin, astrolabe""".replace("\n", " ").split(", ")
 # Words in the vocabulary of the tests' tiny encoder.
 KNOWN = ["chair", "table", "sofa", "lamp", "plant", "mug", "book", "box", "door", "window", "desk", "laptop", "clock"]
-COLOURS = ["", "", "", "red ", "blue ", "green ", "white ", "black ", "brown "]
+COLORS = ["", "", "", "red ", "blue ", "green ", "white ", "black ", "brown "]
 # Objects per room, and the number of rooms that one question may name.
 THINGS, NAMED = 12, 1000
 ID = "'01900000-0000-7000-8000-' || lpad(to_hex(i), 12, '0')"
@@ -73,10 +73,10 @@ def fill_vectors(encoder, dim, rooms, most):
     noise = f"(SELECT array_agg(random() - 0.5) FROM generate_series(1, {dim}) WHERE n > 0)::vector({dim})"
     return f"""
 SELECT setseed(0.25);
-CREATE TABLE centres AS SELECT n, l2_normalize({noise}) AS centre FROM names;
+CREATE TABLE centers AS SELECT n, l2_normalize({noise}) AS center FROM names;
 INSERT INTO instance_vectors (parse_id, encoder, embedding)
-    SELECT parse_id, '{encoder}', l2_normalize(centre + {noise}) FROM (SELECT {ID} AS parse_id, 1 + floor({len(NAMES)} * power(random(), 2.5))::int AS n
-    FROM generate_series(1, {rooms}) AS i, generate_series(1, {max(1, most // rooms)})) AS seen JOIN centres USING (n);
+    SELECT parse_id, '{encoder}', l2_normalize(center + {noise}) FROM (SELECT {ID} AS parse_id, 1 + floor({len(NAMES)} * power(random(), 2.5))::int AS n
+    FROM generate_series(1, {rooms}) AS i, generate_series(1, {max(1, most // rooms)})) AS seen JOIN centers USING (n);
 ANALYZE instance_vectors;
 """
 
@@ -85,7 +85,7 @@ def asked(number):
     """Returns different questions."""
     dice, found = random.Random(4), []
     while len(found) < number:
-        thing, other = dice.choice(COLOURS) + dice.choice(NAMES), dice.choice(NAMES)
+        thing, other = dice.choice(COLORS) + dice.choice(NAMES), dice.choice(NAMES)
         question = f"the {thing}" if dice.random() < 0.5 else f"the {thing} next to the {other}"
         if question not in found:
             found.append(question)

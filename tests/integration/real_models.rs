@@ -102,7 +102,7 @@ fn clip_embeddings_equal_the_python_runtime() {
     )
     .unwrap();
     let encoder = encoder();
-    assert_eq!(encoder.batch(), 1, "its activations are quantised over the batch");
+    assert_eq!(encoder.batch(), 1, "its activations are quantized over the batch");
     let expected = read_rows("clip-vitb16-lite/image_embeds.npy", encoder.dim());
     for (files, least) in
         [(to_strings(&known["resized"]), 0.999), (to_strings(&known["images"]), 0.97)]
