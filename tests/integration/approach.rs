@@ -150,7 +150,7 @@ async fn requests_and_poses_can_use_map_coordinates() {
     assert_eq!(
         (&here.in_frame, &here.poses),
         (&None, &there.poses),
-        "the same robot in the same place"
+        "map and scene coordinates give the same poses"
     );
     let told = there.in_frame.unwrap();
     assert_eq!(

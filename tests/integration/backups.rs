@@ -120,7 +120,7 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
             (found.counts, found.extent, found.parse_version),
             (scene.counts.clone(), scene.extent, scene.parse_version)
         );
-        assert_eq!(again.client.bytes(&path).await.unwrap(), bytes, "byte for byte");
+        assert_eq!(again.client.bytes(&path).await.unwrap(), bytes, "a restored file differs");
         let asked = again.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
         assert_eq!(
             (&asked.answer, &asked.aabb, &asked.candidates),
@@ -150,7 +150,11 @@ async fn a_second_backup_copies_only_new_files() {
     let to = folders.at("backup");
     server.upload_and_parse(room_with_note(1)).await;
     let first = run_backup(server.data(), &to).await;
-    assert_eq!((first.scenes, first.folders, first.new_folders), (1, 2, 2), "a scan and its parse");
+    assert_eq!(
+        (first.scenes, first.folders, first.new_folders),
+        (1, 2, 2),
+        "only a scan and its parse are new"
+    );
     let second = run_backup(server.data(), &to).await;
     assert_eq!((second.folders, second.new_folders, second.new_bytes), (2, 0, 0));
     let scene = server.upload_and_parse(room_with_note(2)).await;

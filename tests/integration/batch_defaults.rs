@@ -58,7 +58,7 @@ async fn defaults_are_stored_once() {
     assert_eq!(
         (over.by_status["failed"], over.by_status["grounded"]),
         (499, 1),
-        "a query that is too long is each item's own failure"
+        "a query that is too long fails each item"
     );
     let told = fetch_results(&server.client, &batch.id, 0, false).await;
     assert_eq!(
@@ -157,7 +157,7 @@ async fn a_batch_stored_without_shared_defaults_gives_the_same_results() {
     assert_eq!(
         client.create_batch(&request, Some("monday")).await.unwrap().id,
         batch.id,
-        "its key is remembered"
+        "the idempotency key is known"
     );
     server.stop().await;
 }

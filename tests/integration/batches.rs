@@ -272,10 +272,10 @@ async fn a_batch_never_exceeds_its_budget_and_pauses_instead() {
     assert_eq!(
         fetch_results(client, &batch.id, 0, true).await.len(),
         batch.done as usize,
-        "who follows is told, not kept waiting"
+        "a paused batch ends the stream of a follower"
     );
     let for_the_last = script.calls() - calls - calls_of_one * batch.done as usize;
-    assert!(for_the_last < calls_of_one, "each item was asked once, and the last perhaps begun");
+    assert!(for_the_last < calls_of_one, "an item was asked more than once");
     // With a budget of zero no item is sent to the model, and nothing else answers.
     let items = json!({"scene_id": scene, "query": "the red sofa"}).to_string();
     let calls = script.calls();
@@ -371,7 +371,7 @@ async fn the_batch_command_resumes_an_incomplete_output_file() {
     assert_eq!(
         std::fs::read_to_string(&out).unwrap(),
         whole,
-        "the rest, byte for byte, and nothing asked again"
+        "only the missing results are appended"
     );
     assert_eq!(server.client.batches(10, None).await.unwrap().batches.len(), 1);
     server.stop().await;

@@ -335,7 +335,7 @@ fn a_recorded_evaluation_is_replayed_without_calls() {
         run_eval(&root.join("a"), &[&model[..], &["--record", record.as_str()]].concat());
     assert!(recorded.status.success(), "{}", String::from_utf8_lossy(&recorded.stderr));
     let calls = script.calls();
-    assert_eq!(calls, 19, "one call for each expression of one cell");
+    assert_eq!(calls, 19, "each expression of one cell is one call");
     assert!(!fs::read_to_string(&record).unwrap().contains("127.0.0.1"));
 
     // A second recording does not pay again for recorded calls.

@@ -22,7 +22,7 @@ use uniground_types::keys::{NewKey, Scope};
 fn supports_several_processes(data: &Utf8Path) -> bool {
     let may = matches!(database_location(data), Location::Postgres(_));
     if !may {
-        eprintln!("skipped: several processes want PostgreSQL (make test-postgres)");
+        eprintln!("skipped: several processes require PostgreSQL (make test-postgres)");
     }
     may
 }
@@ -58,10 +58,7 @@ async fn an_api_or_worker_role_requires_a_shared_database() {
     let alone = ServeConfig { database: uniground::config::DatabaseConfig::default(), ..alone };
     let refused = app::start(&alone).await.err().unwrap().to_string();
     assert!(refused.contains("--database postgres://"), "{refused}");
-    assert!(
-        !data.join("uniground-data.json").exists(),
-        "nothing is made of a folder that is not used"
-    );
+    assert!(!data.join("uniground-data.json").exists(), "a refused start creates no files");
 }
 
 /// A worker runs what one server enqueues, another server reports it, and a change made at one
@@ -78,7 +75,7 @@ async fn servers_share_state_and_workers_run_jobs() {
     let created = a.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
     let job = created.job.unwrap();
     sleep(Duration::from_millis(300)).await;
-    assert_eq!(b.job(&job.id).await.unwrap().state, JobState::Queued, "nobody works yet");
+    assert_eq!(b.job(&job.id).await.unwrap().state, JobState::Queued, "no worker is running");
     let naming = start_worker(data, &[JobType::Naming]).await;
     let parsing = start_worker(data, &[JobType::Parse, JobType::Batch]).await;
     let health = reqwest::get(format!("http://{}/readyz", parsing.address)).await.unwrap();
@@ -137,12 +134,12 @@ async fn servers_share_state_and_workers_run_jobs() {
         Client::new(&format!("http://{}", running.address), Some(key.secret.clone())).unwrap()
     };
     let (a_with, b_with) = (with_key(&first), with_key(&second));
-    wait_until("the key is wanted everywhere", async || {
+    wait_until("every server requires the key", async || {
         b.scenes(1, None).await.is_err() && b_with.scenes(1, None).await.is_ok()
     })
     .await;
     a_with.revoke_key(&key.key.id).await.unwrap();
-    wait_until("the key is refused everywhere", async || b_with.scenes(1, None).await.is_err())
+    wait_until("every server refuses the key", async || b_with.scenes(1, None).await.is_err())
         .await;
 
     for running in [first, second, naming, parsing] {
@@ -184,7 +181,7 @@ async fn a_job_of_a_lost_process_is_taken_over() {
     let other = app::start_part(&worker.serve, &ProcessRole::from(&worker)).await.unwrap();
     sleep(Duration::from_secs(4)).await;
     let state = client.job(&job.id).await.unwrap();
-    assert_eq!((state.state, state.attempts), (JobState::Running, 1), "he may only be slow");
+    assert_eq!((state.state, state.attempts), (JobState::Running, 1), "the lease has not expired");
     let done = wait_for_job(&client, &job.id).await;
     assert_eq!((done.state, done.attempts), (JobState::Succeeded, 2));
     other.stop().await.unwrap();
@@ -204,7 +201,7 @@ async fn a_rate_limit_applies_across_all_servers() {
     let mut new = new_key();
     new.requests_per_minute = Some(6);
     let secret = a.create_key(&new).await.unwrap().secret;
-    wait_until("the key is wanted everywhere", async || b.scenes(1, None).await.is_err()).await;
+    wait_until("every server requires the key", async || b.scenes(1, None).await.is_err()).await;
     let with_key = |running: &RunningService| format!("http://{}/v1/scenes", running.address);
     let mut told = Vec::new();
     for at in [&first, &second, &first, &second, &first, &second, &first, &second] {
@@ -229,5 +226,5 @@ async fn wait_until(what: &str, is_so: impl AsyncFn() -> bool) {
         }
         sleep(Duration::from_millis(50)).await;
     }
-    panic!("it never came to be that {what}");
+    panic!("timed out waiting until {what}");
 }

@@ -101,7 +101,7 @@ fn a_local_scan_is_queried_without_a_server_and_parsed_once() {
     assert!(stderr_text(&first).contains("parsed in "), "{}", stderr_text(&first));
     let again = ask("the orange stool");
     assert_eq!(stdout_json(&again)["scene_id"], answer["scene_id"]);
-    assert_eq!(stderr_text(&again), "", "nothing is left to do");
+    assert_eq!(stderr_text(&again), "", "the second run must not parse again");
     assert!(dir.path().join("cache/uniground/blobs/parses").is_dir());
 }
 
@@ -171,7 +171,10 @@ fn conflicting_options_are_usage_errors() {
         assert_eq!(refused.status.code(), Some(2), "{args:?}: {}", stderr_text(&refused));
         assert!(stderr_text(&refused).contains(told), "{args:?}: {}", stderr_text(&refused));
     }
-    assert!(room.exists() && !dir.path().join("cache").exists(), "nothing was begun");
+    assert!(
+        room.exists() && !dir.path().join("cache").exists(),
+        "a usage error must not start anything"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -399,7 +402,7 @@ fn shell_completions_contain_every_subcommand() {
         assert!(script.status.success() && script.stderr.is_empty(), "{}", stderr_text(&script));
         let script = stdout_text(&script);
         for subcommand in SUBCOMMANDS {
-            assert!(script.contains(subcommand), "{shell} knows no {subcommand}");
+            assert!(script.contains(subcommand), "{shell} does not complete {subcommand}");
         }
     }
 }

@@ -55,7 +55,7 @@ async fn a_second_server_on_the_same_folder_is_refused() {
     let data = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(data.path()).unwrap();
     if matches!(database_location(data), Location::Postgres(_)) {
-        eprintln!("skipped: of PostgreSQL's databases several are members (cluster.rs)");
+        eprintln!("skipped: several processes may share a PostgreSQL database (cluster.rs)");
         return;
     }
     let first = Process::start(data);

@@ -119,7 +119,7 @@ async fn instances_can_be_merged() {
     let view = answer.candidates.unwrap().into_iter().find(|c| c.id == made).unwrap().view.unwrap();
     assert!(
         image::load_from_memory(&client.bytes(&view).await.unwrap()).is_ok(),
-        "it is drawn when it is looked at"
+        "the picture is rendered on request"
     );
 
     let refused =
@@ -187,7 +187,7 @@ async fn an_instance_can_be_split_into_its_parts() {
     let several = before
         .iter()
         .find(|i| parts_of(i.id).len() >= 2)
-        .expect("something in the living room has two parts");
+        .expect("no instance of the living room has two parts");
     let parts: Vec<InstanceId> = parts_of(several.id).iter().map(|part| part.id).collect();
     let split =
         client.correct(&scene.id, &Change::Split { instance_id: several.id }).await.unwrap();
@@ -214,7 +214,7 @@ async fn an_instance_can_be_split_into_its_parts() {
         "{one:?} {around:?}"
     );
     let refused = expect_problem(client.undo_correction(&scene.id, &split.id).await);
-    assert_eq!(refused.code, "correction_in_use", "the merge is of its parts");
+    assert_eq!(refused.code, "correction_in_use", "the merge refers to the parts");
     for correction in [&made, &split] {
         client.undo_correction(&scene.id, &correction.id).await.unwrap();
     }

@@ -115,7 +115,7 @@ async fn optional_numbers_are_stored_when_given() {
 async fn a_truncated_database_file_makes_the_server_unready() {
     let server = TestServer::start().await;
     if matches!(database_location(server.data()), Location::Postgres(_)) {
-        eprintln!("skipped: PostgreSQL watches over its own files");
+        eprintln!("skipped: PostgreSQL checks its own files");
         return server.stop().await;
     }
     let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;

@@ -100,7 +100,7 @@ fn a_run_scores_every_source_and_resumes() {
     let second = run_eval(&out, &matrix);
     assert!(second.status.success(), "{}", to_text(&second.stderr));
     assert_eq!(comparable_report(&out), report);
-    assert_eq!(fs::read(&logs[1]).unwrap(), before[1], "what was there was asked again");
+    assert_eq!(fs::read(&logs[1]).unwrap(), before[1], "a stored reply was asked again");
     let lines = |bytes: &[u8]| bytes.split(|b| *b == b'\n').count();
     assert_eq!(lines(&fs::read(&logs[0]).unwrap()), lines(&before[0]));
 }

@@ -71,7 +71,7 @@ async fn a_scene_exports_to_glb_ply_and_usdz() {
         assert_eq!(
             get(&query, None).await.bytes().await.unwrap(),
             bytes,
-            "{format}: the same scene makes the same bytes"
+            "{format}: two exports of the same scene differ"
         );
         let again = get(&query, Some(&mark)).await;
         assert_eq!(

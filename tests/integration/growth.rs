@@ -89,7 +89,7 @@ async fn ids_are_stable_and_changes_are_reported() {
     assert_eq!(
         (same.id, same.given_name.as_deref()),
         (sofa.id, Some("old settee")),
-        "what stays keeps its id and its name"
+        "an unchanged instance keeps its id and name"
     );
     assert!((same.aabb.size - sofa.aabb.size).norm() < 0.05, "{same:?}");
     let yellow = instance_at(&after, &YELLOW);
@@ -97,7 +97,7 @@ async fn ids_are_stable_and_changes_are_reported() {
     let last = before.iter().map(|thing| thing.id.0).max().unwrap();
     assert!(
         yellow.id.0 > last && moved.id.0 > last,
-        "no id is given twice: {} and {} after {last}",
+        "an id is reused: {} and {} after {last}",
         yellow.id,
         moved.id
     );
@@ -284,7 +284,7 @@ async fn unrelated_or_missing_frames_are_refused_and_change_nothing() {
         client.add_frames("nobody", FrameChoice::Source, Scan::frames_only().zip()).await,
     );
     assert_eq!(refused.code, "scene_not_found");
-    assert_eq!(server.list_folder("blobs/contents"), content, "nothing is stored");
+    assert_eq!(server.list_folder("blobs/contents"), content, "refused frames must not be stored");
     assert_eq!(client.scene(&scene.id).await.unwrap(), scene);
     assert_eq!(server.list_folder("tmp"), Vec::<String>::new());
     server.stop().await;

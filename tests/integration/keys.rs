@@ -72,7 +72,7 @@ async fn a_server_with_a_key_can_listen_on_the_network() {
     );
     assert!(
         !serde_json::to_string(&known).unwrap().contains(&robot.secret),
-        "a secret is told once"
+        "a secret is returned only once"
     );
     let revoked = boss.revoke_key(&robot.key.id).await.unwrap();
     let again = boss.revoke_key(&robot.key.id).await.unwrap();
@@ -89,7 +89,10 @@ async fn a_server_with_a_key_can_listen_on_the_network() {
     let listed = key(&["list", "--data-dir", folder.as_str()]);
     match database_location(folder) {
         Location::Postgres(_) => {
-            assert!(String::from_utf8_lossy(&listed.stdout).contains("boss"), "several may use it");
+            assert!(
+                String::from_utf8_lossy(&listed.stdout).contains("boss"),
+                "several processes may use the database"
+            );
         }
         _ => assert_contains(
             String::from_utf8_lossy(&listed.stderr),
@@ -121,7 +124,7 @@ async fn the_first_key_cannot_be_created_over_an_open_network() {
         expect_problem(stranger.create_key(&new_key("mine", Scope::Admin)).await).code,
         "first_key_by_hand"
     );
-    assert!(stranger.scenes(1, None).await.is_ok(), "and nobody is locked out");
+    assert!(stranger.scenes(1, None).await.is_ok(), "callers without a key still have access");
     assert_eq!(process.terminate(), Some(0));
 
     let server = TestServer::start().await;
@@ -158,7 +161,7 @@ async fn every_route_refuses_an_insufficient_scope() {
             let Some(scope) = operation["security"][0]["key"][0].as_str() else {
                 assert!(
                     ["/healthz", "/readyz"].contains(&path.as_str()),
-                    "{method} {path} is open to everybody"
+                    "{method} {path} requires no key"
                 );
                 continue;
             };
@@ -166,7 +169,7 @@ async fn every_route_refuses_an_insufficient_scope() {
             let changes = !method.is_safe() && !questions.contains(&path.as_str());
             assert!(
                 !changes || scope > Scope::Read,
-                "{method} {path} changes something and is open to readers"
+                "{method} {path} changes data and accepts a read key"
             );
             for (client, has) in [(&reader, Scope::Read), (&writer, Scope::Write)] {
                 let status = client
@@ -212,7 +215,7 @@ async fn a_key_has_a_rate_limit_and_a_scene_limit() {
     let refused = expect_problem(slow.scenes(1, None).await);
     assert_eq!((refused.status, refused.code.as_str()), (429, "rate_limited"));
     assert!(refused.retry_after_s.is_some_and(|wait| (1..=20).contains(&wait)), "{refused:?}");
-    assert!(admin.scenes(1, None).await.is_ok(), "one key's rate is nobody else's");
+    assert!(admin.scenes(1, None).await.is_ok(), "another key has its own rate limit");
 
     let (robot, _) = create_key_client(
         &admin,
@@ -231,7 +234,7 @@ async fn a_key_has_a_rate_limit_and_a_scene_limit() {
     assert_eq!(
         upload(&robot, "a", "k").await.unwrap().scene.id,
         first.scene.id,
-        "what was made stays made"
+        "a retry returns the created scene"
     );
     // The same idempotency key under another API key is a different key.
     assert_ne!(upload(&admin, "a", "k").await.unwrap().scene.id, first.scene.id);
@@ -269,13 +272,13 @@ async fn a_key_has_its_own_daily_budget() {
             Ok(_) => paid += 1,
             refused => break expect_problem(refused),
         }
-        assert!(paid < 40, "the key's money never ends");
+        assert!(paid < 40, "the key's budget is never exhausted");
     };
     assert!(
         paid > 1 && refused.code == "budget_spent" && refused.detail.contains("this key today"),
         "{paid} {refused:?}"
     );
-    assert!(admin.ground(&scene, &by_model).await.is_ok(), "others have money of their own");
+    assert!(admin.ground(&scene, &by_model).await.is_ok(), "another key has its own budget");
     let spent = admin
         .keys(10, None)
         .await
@@ -360,7 +363,7 @@ async fn the_audit_log_records_the_key_and_the_outcome() {
         ("POST", "/v1/keys", 201, false),
         ("POST", "/v1/keys", 201, false),
     ];
-    assert_eq!(told, expected, "reading is nobody's business");
+    assert_eq!(told, expected, "reads are not in the audit log");
     assert!(page.entries.iter().all(|entry| entry.request_id.is_some()), "{:?}", page.entries);
     server.stop().await;
 }

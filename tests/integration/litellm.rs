@@ -16,7 +16,7 @@ async fn start_server(
     json: bool,
 ) -> (TestServer, String, tempfile::TempDir) {
     let url = std::env::var("LITELLM_URL")
-        .unwrap_or_else(|_| panic!("make test-models starts the server and says where it is"));
+        .unwrap_or_else(|_| panic!("LITELLM_URL is set by make test-models"));
     let folder = tempfile::tempdir().unwrap();
     let file = Utf8PathBuf::from_path_buf(folder.path().join("key")).unwrap();
     fs::write(&file, key).unwrap();
@@ -52,7 +52,7 @@ async fn litellm_accepts_requests_and_its_answers_are_used() {
             (answer.status, answer.usage.vlm_calls, answer.degraded),
             (Status::NoMatch, 1, false)
         );
-        assert_eq!(answer.answer.explanation, "nothing of the kind is here");
+        assert_eq!(answer.answer.explanation, "the target is not in the scene");
         assert!(
             answer.usage.prompt_tokens > 0 && answer.usage.cost_usd > 0.0,
             "{:?}",

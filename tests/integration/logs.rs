@@ -84,7 +84,7 @@ async fn an_error_is_logged_once_with_route_request_and_cause() {
     );
     assert!(
         !lines.iter().any(|line| line["level"] == "ERROR" && line != about[0]),
-        "a caller's mistake is no error of the server's"
+        "a client error must not be logged as an error"
     );
 }
 

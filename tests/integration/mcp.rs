@@ -68,7 +68,7 @@ async fn an_agent_grounds_a_target_and_gets_an_approach_pose() {
         ]
     );
     let text = tools.to_string();
-    assert!(!text.contains("#/components/"), "schemas are whole");
+    assert!(!text.contains("#/components/"), "schemas must contain no references");
 
     let scenes = call_tool(client, "list_scenes", json!({"name": "LIVING"})).await;
     assert_eq!(

@@ -125,7 +125,10 @@ async fn models_are_used_from_upload_to_answer() {
         server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap()
     );
     let target = server.client.shortlist(&scene, &request(QueryText::Target, false)).await.unwrap();
-    assert_ne!(target.candidates, plain.candidates, "other words are compared");
+    assert_ne!(
+        target.candidates, plain.candidates,
+        "target and query texts give the same candidates"
+    );
     let calibrated =
         server.client.shortlist(&scene, &request(QueryText::Mean, true)).await.unwrap();
     assert_ne!(calibrated.candidates, plain.candidates);

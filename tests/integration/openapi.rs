@@ -12,7 +12,7 @@ async fn the_committed_description_equals_the_served_one() {
         serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     assert!(
         committed == served,
-        "openapi/openapi.json is not what the server serves: run `make openapi`"
+        "openapi/openapi.json differs from the served description: run `make openapi`"
     );
     server.stop().await;
 }

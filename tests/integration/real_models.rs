@@ -321,7 +321,7 @@ fn clip_retrieves_annotated_objects_by_name() {
 #[ignore = "needs models: make test-models"]
 fn questions_about_parsed_rooms_are_answered_with_clip() {
     let rooms = development_rooms(select_rooms(&["room1", "room2"]))
-        .expect("make test-models has looked for the rooms");
+        .expect("make test-models checks that the rooms exist");
     let out = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["eval", rooms.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()])

@@ -247,7 +247,7 @@ async fn an_upload_in_parts_gives_the_same_scene_as_a_single_request() {
         read_problem(send_request(client, Method::DELETE, &upload, &[], &[]).await).await,
         (404, "upload_not_found".into())
     );
-    assert!(client.scene(&scene_id).await.is_ok(), "a scene does not go with its upload");
+    assert!(client.scene(&scene_id).await.is_ok(), "deleting an upload must not delete its scene");
     server.stop().await;
 }
 
@@ -313,7 +313,10 @@ async fn an_upload_resumes_at_the_stored_offset_after_a_kill() {
     let there = fetch_offset(&server.client, &upload).await;
     assert!((32 << 20..=sent).contains(&there), "{there}");
     let file = data.join("uploads").join(upload.rsplit('/').next().unwrap());
-    assert!(fs::read(file).unwrap().starts_with(&scan[..there]), "an offset claims what is there");
+    assert!(
+        fs::read(file).unwrap().starts_with(&scan[..there]),
+        "the stored bytes differ from the sent ones"
+    );
     let last = send_part(&server.client, &upload, there, &scan[there..], &[]).await;
     let scene = server.client.scene(&header_text(&last, "uniground-scene-id")).await.unwrap();
     let hash: String = Sha256::digest(&scan).iter().map(|byte| format!("{byte:02x}")).collect();

@@ -226,7 +226,7 @@ async fn only_expired_data_is_removed() {
     assert_eq!(
         query_ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(),
         1,
-        "that of the scene"
+        "the parse in use"
     );
     assert_eq!(
         query_ids(&mut rows, "SELECT DISTINCT batch_id FROM batch_items ORDER BY 1").await.len(),
@@ -250,7 +250,7 @@ async fn only_expired_data_is_removed() {
     );
     assert!(
         removed_by_kind(&run_gc(folder, &["--json"])).values().all(|gone| gone.0 == 0),
-        "nothing is left to do"
+        "a second run must remove nothing"
     );
 
     let server = TestServer::start_on(
@@ -293,13 +293,13 @@ async fn a_referenced_parse_is_not_removed() {
     assert_eq!(
         removed_by_kind(&run_gc(folder, &["--json"]))["superseded parses"].0,
         0,
-        "the answer was given for it"
+        "an answer refers to the parse"
     );
     execute_sql(&mut rows, format!("DELETE FROM answers WHERE id = '{answer}'")).await;
     assert_eq!(
         removed_by_kind(&run_gc(folder, &["--json"]))["superseded parses"].0,
         0,
-        "only now it is superseded"
+        "the parse was superseded only now"
     );
     assert_eq!(
         (

@@ -235,7 +235,7 @@ async fn the_same_content_and_settings_are_parsed_once() {
     assert_eq!(
         server.list_folder("blobs/checkpoints").len(),
         0,
-        "what was kept for the next parse goes with the content"
+        "checkpoints are deleted with the content"
     );
     server.stop().await;
 }

@@ -101,7 +101,7 @@ async fn complete(
             (StatusCode::from_u16(status).unwrap(), [("retry-after", wait)], "later")
                 .into_response()
         }
-        Scripted::Slowly(..) => unreachable!("an answer waits once"),
+        Scripted::Slowly(..) => unreachable!("delayed responses must not be nested"),
         Scripted::Text(text) => text.into_response(),
         Scripted::Redirect(address) => {
             (StatusCode::PERMANENT_REDIRECT, [("location", address)]).into_response()

@@ -10,7 +10,7 @@ pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
         return Some(folder);
     }
     assert!(std::env::var_os("UNIGROUND_REQUIRE_SHARED").is_none(), "{folder}/{name} is missing");
-    println!("skipped: {name} is not beside this checkout");
+    println!("skipped: {name} is not in ../shared/scenes");
     None
 }
 

@@ -132,7 +132,7 @@ async fn a_client_over_the_connection_limit_gets_a_problem() {
     let mut tries = 0;
     while server.client.bytes("readyz").await.is_err() {
         tries += 1;
-        assert!(tries < 100, "places that were left are given again");
+        assert!(tries < 100, "closed connections must be available again");
         sleep(Duration::from_millis(100)).await;
     }
     server.stop().await;

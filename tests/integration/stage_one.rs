@@ -147,7 +147,7 @@ fn floor_and_walls_are_structure_and_furniture_is_not() {
                     .contains(&object.name.as_str());
                 assert!(
                     !wrong || part_of_a_wall,
-                    "{name}: the {} is taken for {:?}",
+                    "{name}: the {} is classified as {:?}",
                     object.name,
                     best.structure
                 );
@@ -236,7 +236,7 @@ fn a_cancelled_parse_resumes_where_it_stopped() {
 
     let never_stopped =
         parse(bundle.clone(), &CountingMasks::new(usize::MAX, CancellationToken::new()));
-    assert_eq!(parsed.instances, never_stopped.instances, "a resumed parse finds the same");
+    assert_eq!(parsed.instances, never_stopped.instances, "a resumed parse finds other instances");
     assert_eq!(parsed.instance_of_point, never_stopped.instance_of_point);
 
     // Other merge settings, same masks: no frame is segmented again.
@@ -272,12 +272,8 @@ fn saved_frames_of_another_scan_are_not_reused() {
     let all = bundle.frames.len();
     assert_eq!((frames_segmented(&bundle), frames_segmented(&bundle)), (all, 0));
     bundle.frames.remove(10);
-    assert_eq!(frames_segmented(&bundle), all - 11, "the first ten still fit");
-    assert_eq!(
-        frames_segmented(&bundle),
-        0,
-        "what did not fit is forgotten, what replaced it is kept"
-    );
+    assert_eq!(frames_segmented(&bundle), all - 11, "ten saved frames are reused");
+    assert_eq!(frames_segmented(&bundle), 0, "mismatched frames are replaced");
 }
 
 fn cloud_only_bundle(positions: Vec<Point3<f32>>) -> SceneBundle {
@@ -441,7 +437,7 @@ fn an_instance_is_segmented_from_a_point() {
             && again.point_count >= 20
             && !again.views.is_empty()));
     }
-    println!("pointed at: {found} of {asked} cut out again");
+    println!("points: {found} of {asked} instances segmented again");
     assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
     // A point outside of the room yields nothing.
     let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0) };

@@ -41,7 +41,7 @@ impl Scrape {
                 match what {
                     "TYPE" => assert!(
                         types.insert(name.to_owned(), said.to_owned()).is_none(),
-                        "{name} stands there twice"
+                        "{name} appears twice"
                     ),
                     "HELP" => assert!(said.len() > 10 && helped.insert(name.to_owned()), "{line}"),
                     "UNIT" => assert!(name.ends_with(said), "{line}"),
@@ -218,12 +218,12 @@ async fn metrics_and_stats_match_the_requests() {
     assert_eq!(
         first.samples["uniground_jobs_finished_total"].len(),
         9,
-        "what has not happened yet is told as 0"
+        "a counter without events is missing"
     );
     assert_eq!(
         first.value("uniground_parse_duration_seconds_count", &[]),
         1.0,
-        "the second scene took the first one's parse"
+        "the second scene reuses the parse of the first"
     );
     let stages = first.value("uniground_parse_stage_duration_seconds_sum", &[]);
     assert!(
@@ -371,10 +371,7 @@ fn assert_files_match_metrics(scrape: &Scrape) {
         alerts.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
     assert!(alerts.len() > 10, "{} alerts", alerts.len());
     for alert in alerts {
-        assert!(
-            manual.contains(&format!("| `{alert}` |")),
-            "the manual does not tell about {alert}"
-        );
+        assert!(manual.contains(&format!("| `{alert}` |")), "the manual does not describe {alert}");
     }
 }
 
@@ -585,5 +582,5 @@ async fn traces_are_continued_propagated_and_exported() {
     for span in ["request", "job", "model_call", "/v1/scenes/{scene_id}/ground"] {
         assert!(has(span.as_bytes()), "{span}");
     }
-    assert!(!has(b"the red sofa"), "questions stay here");
+    assert!(!has(b"the red sofa"), "a trace contains the text of a question");
 }

@@ -107,11 +107,7 @@ async fn a_folder_without_record_versions_is_served_completely() {
     for answer in answers_told.lines() {
         let told: Answer = serde_json::from_str(answer).unwrap();
         let stored = get(&format!("v1/answers/{}", told.id)).await;
-        assert_eq!(
-            String::from_utf8(stored).unwrap(),
-            answer,
-            "an answer is given out again byte for byte"
-        );
+        assert_eq!(String::from_utf8(stored).unwrap(), answer, "a stored answer has changed");
         let picture = get(&format!("v1/answers/{}/evidence/global.jpg", told.id)).await;
         image::load_from_memory(&picture).unwrap();
         // The same question gets the same answer, except for ids, times, versions and fields that
@@ -304,7 +300,7 @@ async fn rebuild_with_schema(data: &Utf8Path, schema: &[(i64, String)]) {
             sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
         }
         let filled = query_texts(&mut rows, format!("SELECT 'x' FROM {table} LIMIT 1")).await;
-        assert!(!filled.is_empty(), "{table} is a table without rows: LATER_ROWS wants one for it");
+        assert!(!filled.is_empty(), "{table} has no rows: add one to LATER_ROWS");
     }
     rows.close().await.unwrap();
     for beside in ["-wal", "-shm"] {
@@ -357,7 +353,7 @@ async fn databases_of_every_schema_are_migrated_without_loss() {
                 .create_scene_once(&[("name", "x")], "application/zip", scan, "block")
                 .await
                 .unwrap();
-            assert_eq!(same.scene.id, scene.id, "schema {version}: its key is remembered");
+            assert_eq!(same.scene.id, scene.id, "schema {version}: the idempotency key is unknown");
         }
         let batches = client.batches(10, None).await.unwrap().batches;
         assert_eq!(batches.len(), usize::from(version >= 5));

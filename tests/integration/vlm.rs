@@ -372,7 +372,7 @@ async fn a_disconnected_caller_or_cancelled_job_stops_the_call() {
         }
     };
     tokio::select! {
-        _ = request.send() => panic!("the model stalls: there is no answer"),
+        _ = request.send() => panic!("the model stalls, so there must be no answer"),
         called = tokio::time::timeout(Duration::from_mins(1), called) => called.unwrap(),
     }
     // The dropped request closed its connection, and the service closed the model's.
@@ -408,7 +408,7 @@ async fn evidence_is_not_stored_when_disabled() {
     assert_eq!(expect_problem(server.client.answer_reply(&answer.id).await).code, "no_transcript");
     assert!(
         server.client.bytes(&answer.evidence.unwrap()[0]).await.is_ok(),
-        "the room can always be drawn"
+        "a render is always available"
     );
     server.stop().await;
 }
@@ -492,7 +492,7 @@ fn a_model_is_evaluated_and_its_replies_are_recorded() {
     assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 6)");
     assert!(
         script.take().iter().any(|body| count_images(body) >= 6),
-        "annotated instances have photographs"
+        "annotated instances must have photographs"
     );
 
     let (output, replayed) = run_eval(

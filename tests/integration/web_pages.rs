@@ -171,7 +171,7 @@ async fn signed_links_show_images_without_a_key() {
         &format!("{}/ground?link={}", below.trim_start_matches('/'), links[1].token),
     );
     let asked = asking.json(&serde_json::json!({"query": "the sofa"})).send().await.unwrap();
-    assert_eq!(asked.status(), StatusCode::UNAUTHORIZED, "asking may cost money");
+    assert_eq!(asked.status(), StatusCode::UNAUTHORIZED, "a link must not allow questions");
     assert_eq!(known.scene(&scene.id).await.unwrap().id, scene.id);
     assert_eq!(process.terminate(), Some(0));
 }
@@ -314,7 +314,10 @@ async fn thumbnails_photographs_and_points_are_served() {
         .zip(drawn.pixels())
         .filter(|(a, b)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 40))
         .count();
-    assert!(changed > plain.pixels().len() / 10, "instances are drawn over it ({changed} pixels)");
+    assert!(
+        changed > plain.pixels().len() / 10,
+        "instances must be drawn over the photograph ({changed} pixels)"
+    );
     let missing = expect_problem(
         server.client.bytes(&format!("v1/scenes/{}/frames/9999/photograph.jpg", scene.id)).await,
     );

@@ -64,7 +64,7 @@ async fn a_webhook_is_retried_until_it_is_accepted() {
         command
     };
     let refused = start(&[]).output().unwrap();
-    assert_eq!(refused.status.code(), Some(1), "this machine's own addresses are not for webhooks");
+    assert_eq!(refused.status.code(), Some(1), "loopback addresses must be refused for webhooks");
     let process = Process::spawn(&mut start(&["--webhook-allow-private"]));
     let scene = upload_and_parse(&process.client, "application/zip", Scan::neutral().zip()).await;
     wait_for_messages(&heard, 1).await;

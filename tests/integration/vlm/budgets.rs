@@ -95,7 +95,7 @@ async fn question_and_daily_budgets_are_enforced() {
     let mut paid = 0;
     while server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await.is_ok() {
         paid += 1;
-        assert!(paid < 20, "the day's budget never ends");
+        assert!(paid < 20, "the daily budget is never exhausted");
     }
     assert!(paid >= 1 && script.calls() == paid, "{paid} paid, {} calls", script.calls());
     let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();

@@ -79,7 +79,7 @@ async fn a_caller_that_disconnects_during_a_model_call_frees_its_permit() {
             has_metric(&server, "uniground_vlm_questions_waiting 1").await,
             "{never:?}: no question is waiting"
         );
-        assert!(!script.left.is_cancelled(), "{never:?}: the call is under way");
+        assert!(!script.left.is_cancelled(), "{never:?}: the call was cancelled too early");
 
         drop(caller);
         let left = timeout(Duration::from_mins(1), script.left.cancelled()).await;
@@ -87,9 +87,9 @@ async fn a_caller_that_disconnects_during_a_model_call_frees_its_permit() {
         wait_until("the call is settled", async || fetch_spending(&server).await.1 == 0).await;
         assert!(
             fetch_spending(&server).await.0 > 0.5,
-            "{never:?}: the model was asked, whoever waits for it"
+            "{never:?}: the abandoned call was not charged"
         );
-        wait_until("its place is free", async || {
+        wait_until("its permit is free", async || {
             has_metric(&server, "uniground_vlm_questions_waiting 0").await
         })
         .await;
@@ -122,5 +122,5 @@ pub async fn time_out_during_a_call(server: &TestServer, scene: &str, script: &S
             return;
         }
     }
-    panic!("the model is never called within a question's time");
+    panic!("no question timed out during its model call");
 }

@@ -33,7 +33,7 @@ async fn names_are_requested_once() {
     let sent = script.take();
     assert!(
         count_images(&sent[0]) == 1 && !user_text(&sent[0]).contains("mug"),
-        "names do not know the question"
+        "the naming prompt must not contain the question"
     );
     assert_contains(user_text(&sent[1]), format!("\"red thing number {}\"", ids[0]));
     assert!(
@@ -73,7 +73,7 @@ async fn names_are_requested_once() {
     assert_eq!(
         of(ids[0]).model_name,
         Some(format!("red thing number {}", ids[0])),
-        "names that were given stay"
+        "existing names must not change"
     );
     assert_eq!(of(chosen.0).label, "small wooden theremin");
     let after = server.client.ground(&scene, &theremin()).await.unwrap();
@@ -84,7 +84,10 @@ async fn names_are_requested_once() {
     assert!(after.targets[0].name.ends_with("small wooden theremin"), "{}", after.targets[0].name);
     let again: Job =
         wait_for_job(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
-    assert!(again.error.is_none() && script.calls() == calls, "nothing is paid for twice");
+    assert!(
+        again.error.is_none() && script.calls() == calls,
+        "a second job must not name instances again"
+    );
     server.stop().await;
 }
 
@@ -111,7 +114,7 @@ async fn a_scene_is_named_with_its_parse_or_on_the_first_question() {
             };
             assert_eq!(wait_for_job(&server.client, &job.id).await.state, JobState::Succeeded);
         } else {
-            assert!(namings().await.is_empty(), "nobody has asked yet");
+            assert!(namings().await.is_empty(), "no question was asked yet");
         }
         let answer = server.client.ground(&scene, &request_by(ReasonerChoice::Auto)).await.unwrap();
         assert_eq!(answer.models.names.as_deref(), Some("scripted (naming 2)"), "{names:?}");

@@ -79,14 +79,14 @@ async fn a_lost_connection_causes_no_second_call() {
         send_question(client, &scene, "k", &asked),
     )
     .await;
-    assert!(gone.is_err(), "the model takes longer");
+    assert!(gone.is_err(), "the client must time out before the model answers");
     let (one, two) = tokio::join!(
         send_question(client, &scene, "k", &asked),
         send_question(client, &scene, "k", &asked)
     );
     let (one, two) = (read_answer(one).await, read_answer(two).await);
     assert_eq!((&one, script.calls()), (&two, 1));
-    assert!(one.1 && one.0.usage.cost_usd > 0.0, "both are told what the first got");
+    assert!(one.1 && one.0.usage.cost_usd > 0.0, "both requests must get the same answer");
     // A question that failed can be asked again.
     script.next(vec![crate::scripted_model::fails(400, "no")]);
     assert_eq!(send_question(client, &scene, "f", &asked).await.status(), 502);

@@ -76,8 +76,8 @@ async fn an_unlisted_object_in_a_photograph_becomes_an_instance() {
             break;
         }
     }
-    let (image, at, id) = found.expect("something in three photographs is no instance");
-    assert_eq!(id as usize, before + 1, "behind all others");
+    let (image, at, id) = found.expect("no place in three photographs is without an instance");
+    assert_eq!(id as usize, before + 1, "the new instance must have the highest id");
 
     // The instance is stored and flagged, and has views.
     let instances: Vec<InstanceView> =
@@ -161,7 +161,7 @@ async fn photographs_are_shown_when_no_candidate_matches() {
             break;
         }
     }
-    let id = found.expect("something in the photograph is no instance");
+    let id = found.expect("no place in the photograph is without an instance");
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
     assert_eq!(
         (instances.last().unwrap().id.0, instances.last().unwrap().label.as_str()),
