@@ -198,7 +198,7 @@ async fn requests_and_poses_can_use_map_coordinates() {
         .await
         .unwrap();
     assert_eq!(far.poses, here.poses);
-    // An ambiguous question yields no pose.
+    // A question for several objects yields no pose.
     let several = client.approach(&scene.id, &approach_request("all the chairs")).await.unwrap();
     assert!(
         several.status == ApproachStatus::NotGrounded && several.detail.contains("things"),

@@ -165,7 +165,7 @@ async fn a_job_of_a_lost_process_is_taken_over() {
         .unwrap()
         .job
         .unwrap();
-    // This process holds the job, sends one more heartbeat and then stops.
+    // A process that does not exist holds the job: its last heartbeat is recent, and none follows.
     let mut rows = open_database(data).await;
     for sql in [
         "INSERT INTO members (id, seen_at) VALUES ('ghost', extract(epoch FROM clock_timestamp()))"

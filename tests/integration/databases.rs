@@ -110,7 +110,7 @@ async fn optional_numbers_are_stored_when_given() {
     server.stop().await;
 }
 
-/// A truncated database file makes the server unready. Questions are still answered.
+/// The readiness check, not a question, detects a truncated database file.
 #[tokio::test]
 async fn a_truncated_database_file_makes_the_server_unready() {
     let server = TestServer::start().await;
@@ -127,7 +127,7 @@ async fn a_truncated_database_file_makes_the_server_unready() {
     let file =
         fs::OpenOptions::new().write(true).open(server.data().join("uniground.sqlite")).unwrap();
     file.set_len(file.metadata().unwrap().len() / 2).unwrap();
-    // Longer than the second for which a readiness result is cached.
+    // Readiness results are cached for a second, so ask repeatedly.
     let mut tries = 0;
     let response = loop {
         let response = server.client.request(Method::GET, "readyz").send().await.unwrap();

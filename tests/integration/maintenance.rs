@@ -211,7 +211,7 @@ async fn a_parse_over_the_memory_limit_is_refused() {
         .job
         .unwrap();
     let job = wait_for_job(client, &job.id).await;
-    // Other requests may have freed memory meanwhile.
+    // The job runs twice, because other jobs may have freed memory in between.
     assert_eq!((job.state, job.attempts), (JobState::Failed, 2));
     let error = job.error.unwrap();
     assert_eq!(error.code, "memory_short");

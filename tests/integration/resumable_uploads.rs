@@ -585,7 +585,7 @@ async fn an_upload_belongs_to_the_key_that_created_it() {
     let scan = Scan::neutral().zip();
     let upload = create_upload_path(&robot, scan.len()).await;
     assert_eq!(send_part(&robot, &upload, 0, &scan[..5000], &[]).await.status(), 204);
-    // Not even that the upload is in use.
+    // Another key cannot even see that the upload is in use.
     let stream = start_stalled_part(&robot, &upload, 5000, 10, &[]).await;
     for method in [Method::HEAD, Method::GET, Method::DELETE] {
         assert_eq!(

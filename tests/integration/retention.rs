@@ -141,7 +141,7 @@ async fn populated_folder() -> (tempfile::TempDir, String, String, String) {
     )
     .await;
     rows.close().await.unwrap();
-    // Evidence of a new answer, of an old answer, and of an answer that is past its period.
+    // Evidence of a new answer, of an old answer, and evidence past its retention period.
     for (id, days) in [(answer.as_str(), 1), (&format!("{OLD}1"), 1), (&format!("{OLD}4"), 40)] {
         fs::create_dir(folder.join("blobs/answers").join(id)).unwrap();
         fs::write(folder.join("blobs/answers").join(id).join("prompt.json"), "{}").unwrap();
@@ -263,7 +263,7 @@ async fn only_expired_data_is_removed() {
     assert_eq!(server.client.answer(&answer).await.unwrap().scene_id, scene);
     assert_eq!(server.client.scene(&scene).await.unwrap().job_id, Some(format!("{OLD}7")));
     assert_eq!(server.client.batch(&paused).await.unwrap().state, BatchState::Paused);
-    // Removed views are rendered again on request.
+    // Removed data is computed again on request.
     let again =
         server.client.parse(&scene, &serde_json::json!({"preset": "default"})).await.unwrap();
     assert_eq!(wait_for_job(&server.client, &again.id).await.error, None);

@@ -264,8 +264,8 @@ async fn inconsistent_replies_are_asked_again() {
     );
     assert!(answer.confidence < 0.7 && !answer.degraded, "{answer:?}");
 
-    // Three ids outside of the candidates: the built-in answer, marked as degraded; or the only
-    // candidate with a matching name.
+    // Three replies with ids outside of the candidates: the built-in answer, marked as degraded; or
+    // the only candidate with a matching name.
     let answer = grounded(vec![six_field_reply(4711, "", true, 1)]).await;
     assert_eq!((call_purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
     assert_eq!((&answer.answer, answer.models.reasoner.as_str()), (&plain.answer, "builtin-3"));
