@@ -10,6 +10,6 @@ command -v caddy >/dev/null || { echo "caddy is missing: apt-get install caddy" 
 # Its log is read by other users than PostgreSQL's.
 chmod 755 "$place"
 for database in proxy kills; do createdb --maintenance-db "$server/postgres" $database; done
-${PYTHON:-python3} tests/cluster/test_judgement.py
+${PYTHON:-python3} tests/cluster/test_cluster_checks.py
 ${PYTHON:-python3} tests/cluster/proxy.py --program target/release/uniground --database "$server/proxy"
 ${PYTHON:-python3} tests/cluster/kills.py --program target/release/uniground --database "$server/kills" --log "$log" --stop "$stop" --start "$start" "$@"

@@ -40,7 +40,7 @@ contract)
     ;;
 *)
     $CARGO build --release --locked --quiet
-    $PYTHON tests/cluster/objects.py --program target/release/uniground --server "$S3S_FS"
+    $PYTHON tests/cluster/object_store_outage.py --program target/release/uniground --server "$S3S_FS"
     run_tests "$@"
     ;;
 esac

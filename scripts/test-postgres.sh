@@ -26,7 +26,7 @@ run_tests() { # FILTER...
 }
 run_away() {
     createdb --maintenance-db "$server/postgres" away
-    $PYTHON tests/cluster/away.py --program target/release/uniground --database "$server/away" --stop "$stop" --start "$start"
+    $PYTHON tests/cluster/database_outage.py --program target/release/uniground --database "$server/away" --stop "$stop" --start "$start"
 }
 
 case "${1:-}" in

@@ -76,7 +76,7 @@ class Caller:
         raise AssertionError(f"the batch is not over after {self.until_s} s: {state}")
 
 
-class Crowd:
+class Clients:
     """All clients at once: uploads, batches, single questions. Remembers what was acknowledged."""
 
     def __init__(self, fleet, scans, scenes, batches, single, parses, until_s):

@@ -26,10 +26,10 @@ from pathlib import Path
 sys.dont_write_bytecode = True
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "soak"))
 
-import judgement
+import cluster_checks
 import plans
 import throughput
-from callers import Caller, Crowd
+from callers import Caller, Clients
 from fleet import Fleet
 from model import Model
 from object_store import BUCKET, ObjectStore
@@ -147,16 +147,16 @@ def run(table, options, folder, most, store):
         items = items_of(scenes, number)
         single = questions(BATCHES * number + 1000, 7)[BATCHES * number:]
         start = time.time()
-        crowd = Crowd(fleet, scans, scenes, items, single, parses, limit_s / 2)
+        crowd = Clients(fleet, scans, scenes, items, single, parses, limit_s / 2)
         done = storm(fleet, crowd, disturbances, random.Random(options.seed), lambda: outage(table, fleet, options, store))
         storm_s = time.time() - start
         crowd.end()
         # A fast machine finishes before all disturbances have happened.
         table.row("storm", f"{done} of {disturbances} disturbances in {storm_s:.0f} s; all finished after {time.time() - start:.0f} s", "half of them or more",
                   2 * done >= disturbances)
-        judgement.storm(table, fleet, database, crowd, model, items)
-        judgement.replicas(table, fleet, crowd, scenes, expected)
-        judgement.ends(table, fleet.end())
+        cluster_checks.storm(table, fleet, database, crowd, model, items)
+        cluster_checks.replicas(table, fleet, crowd, scenes, expected)
+        cluster_checks.ends(table, fleet.end())
         numbers = sum((log_lines(folder / f"{member.name}.log")[0] for member in fleet.members), start=Counter())
         table.row("errors in the logs", ", ".join(f"{count} {what}" for what, count in numbers.most_common(3)) or "0", "for information")
     if most is QUICK:

@@ -10,7 +10,7 @@ from scans import Scans
 from server import Server, log_lines
 from table import Table
 from wire import Connection, expect, request_bytes
-from work import follow_job, upload
+from workload import follow_job, upload
 
 WORKERS = 4
 

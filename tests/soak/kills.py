@@ -6,7 +6,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-import verdict
+import kill_checks
 from model import Model
 from questions import questions
 from records import Records
@@ -14,7 +14,7 @@ from scans import Scans
 from server import Server, doctor, log_lines
 from table import Table
 from wire import expect
-from work import OTHER_SETTINGS, Asker, Batch, Uploader, follow_job, instances, upload
+from workload import OTHER_SETTINGS, Asker, Batch, Uploader, follow_job, instances, upload
 
 SEED = 20261122
 # Default concurrency of a batch: the maximum number of calls in progress at a kill.
@@ -44,7 +44,7 @@ class Life:
 
 
 @dataclass
-class Storm:
+class KillRun:
     """Everything recorded during the kills."""
     items: list
     model: Model
@@ -113,7 +113,7 @@ def undisturbed(program, folder, number, scans):
         server.terminate()
     model.shutdown()
     stumbled = log_lines(folder / "calm.log", ("WARN", "ERROR"))[0]["job failed"]
-    return verdict.answers(batch.followed), (first, second), len(model.calls), stumbled
+    return kill_checks.answers(batch.followed), (first, second), len(model.calls), stumbled
 
 
 def no_reason_to_wait(lives):
@@ -221,7 +221,7 @@ def finish(program, folder, storm, workers, full):
         stop.set()
         if any(thread.is_alive() for thread in threads[:2]):
             storm.complaints.append(f"not everything was over after {END_S[full]} s")
-        told = verdict.Told(server, batch, uploader, asker)
+        told = kill_checks.FinalState(server, batch, uploader, asker)
         told.exit_code = server.terminate()
     return told
 
@@ -238,7 +238,7 @@ def run(program, folder, full, kills=None):
     with Server(program, folder / "storm", folder / "storm.log", *model.flags) as server:
         scenes = prepare(server.ready(), scans)
         server.terminate()
-    storm = Storm(items_of(scenes, number), model)
+    storm = KillRun(items_of(scenes, number), model)
     batch = Batch(storm.items)
     workers = [Uploader(scans, kills // 4 + 1, SEED), batch, Asker(scenes, questions(number + 100, SEED)[number:])]
     start = time.time()
@@ -250,12 +250,12 @@ def run(program, folder, full, kills=None):
     told = finish(program, folder, storm, workers, full)
     table.row("kills", f"{storm_s:.0f} s; the end {time.time() - start:.0f} s")
     model.shutdown()
-    verdict.judge_batch_job(table, batch)
-    verdict.judge(table, storm, told, expected, parses, folder / "storm")
+    kill_checks.judge_batch_job(table, batch)
+    kill_checks.judge(table, storm, told, expected, parses, folder / "storm")
     numbers, examples = log_lines(folder / "storm.log", ("WARN", "ERROR"))
     # The model always answers and the disk has space, so no job has a reason to fail.
     table.equal("tries of jobs that failed, by the log", numbers["job failed"], 0)
-    verdict.judge_folder(table, *doctor(program, folder / "storm"))
+    kill_checks.judge_folder(table, *doctor(program, folder / "storm"))
     for message, count in numbers.most_common(8):
         table.note(f"log, {count} times: {examples[message][:300]}")
     return table

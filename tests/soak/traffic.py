@@ -4,7 +4,7 @@ import json
 import threading
 import time
 
-from crowd import Crowd
+from flood import Flood
 from load import Load, percentile_ms
 from machine import Watch
 from model import Model
@@ -13,13 +13,13 @@ from scans import Scans
 from server import Server, log_lines
 from table import Table
 from wire import expect
-from work import follow_job, upload
+from workload import follow_job, upload
 
 CLIENTS = 64
 # For traffic without a flood: the share that counts as warm-up, and the length of the first and last memory window.
 WARM, WINDOW = 0.2, 0.2
 # Correct statuses for a flood: its own limits, no permit, and 20 s of silence.
-FOR_CROWDS = {200, 408, 429, 503}
+FLOOD_STATUSES = {200, 408, 429, 503}
 
 
 class Parses:
@@ -154,7 +154,7 @@ def run(program, folder, full, seconds=None):
         load = Load(server.address, scenes, asked, CLIENTS, course.end, seed=1000)
         time.sleep(calm_s)
         done_calm, peak_calm = parses.done, server.peak_mb()
-        crowd_told = course.follow(lambda: Crowd(server.address, job, streams, uploads))
+        crowd_told = course.follow(lambda: Flood(server.address, job, streams, uploads))
         told, closed_idle = load.told()
         peak = server.peak_mb()
         watch.row(table)
@@ -237,6 +237,6 @@ def judge_crowd(table, crowd_told, streams, uploads):
         statuses = collections.Counter()
         for told in crowd_told:
             statuses.update(told[kind])
-        strange = {status for status in statuses if status and status not in FOR_CROWDS}
-        table.row(f"flood of {number} {kind}: statuses", json.dumps(dict(sorted(statuses.items()))), f"of {sorted(FOR_CROWDS)}", not strange)
+        strange = {status for status in statuses if status and status not in FLOOD_STATUSES}
+        table.row(f"flood of {number} {kind}: statuses", json.dumps(dict(sorted(statuses.items()))), f"of {sorted(FLOOD_STATUSES)}", not strange)
     table.row("flood: connections open at its end", ", ".join(str(told["open at the end"]) for told in crowd_told), "for information")

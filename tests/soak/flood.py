@@ -9,7 +9,7 @@ from wire import read_head, request_bytes
 UPLOAD = (b"POST /v1/scenes HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/zip\r\ncontent-length: 1000000\r\n\r\nPK")
 
 
-class Crowd:
+class Flood:
     """Opens `streams` connections that request a job's events and stay open, and `uploads` that stop after two bytes. Closed connections are
     opened again."""
 

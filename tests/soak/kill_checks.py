@@ -14,7 +14,7 @@ import json
 
 from records import Records
 from wire import expect
-from work import instances
+from workload import instances
 
 # US dollars of rounding error in sums of floats.
 EPSILON_USD = 1e-6
@@ -37,7 +37,7 @@ def answers(lines):
     return [comparable(line) for line in lines]
 
 
-class Told:
+class FinalState:
     """What the last server reports before it stops."""
 
     def __init__(self, server, batch, uploader, asker):

@@ -9,9 +9,9 @@ again is not counted there.
 import collections
 import json
 
-from verdict import comparable
+from kill_checks import comparable
 from wire import Connection, request_bytes
-from work import instances
+from workload import instances
 
 # Final states of jobs and answers.
 OVER = {"succeeded", "failed", "cancelled"}

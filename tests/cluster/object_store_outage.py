@@ -2,7 +2,7 @@
 """A server whose scans and parses are in an object store: on a machine without local copies, during an outage of the store, within the limit of
 local copies, and with orphans in the store.
 
-usage: objects.py --program PROGRAM --server S3S_FS
+usage: object_store_outage.py --program PROGRAM --server S3S_FS
 """
 import argparse
 import hashlib
@@ -19,7 +19,7 @@ import urllib.error
 import urllib.request
 import zipfile
 
-from away import QUESTIONS, SCAN, Server, check, until, what_it_says
+from database_outage import QUESTIONS, SCAN, Server, check, until, comparable_answer
 from object_store import BUCKET, KEYS, ObjectStore
 
 PREFIX = "a/site"
@@ -93,7 +93,7 @@ def everything(server, scene):
              ("cloud.ply", "instances.ply", "points.bin", "thumbnail.jpg", "export?format=glb", "instances/1/views/0.jpg", "instances",
               f"frames/{frames[0]['index']}/photograph.jpg")]
     files = {path: hashlib.sha256(fetched(server, path)).hexdigest() for path in paths + pictures}
-    return files, [what_it_says(ask(server, scene, query)[2]) for query in QUESTIONS]
+    return files, [comparable_answer(ask(server, scene, query)[2]) for query in QUESTIONS]
 
 
 def a_machine_without_copies(site):
@@ -168,7 +168,7 @@ def within_the_bound(site):
             scenes.append(upload(server, another_scan(number)))
             ready(server, scenes[-1])
             most = max(most, site.bytes_of_copies())
-        answers = {what_it_says(ask(server, scene, QUESTIONS[0])[2]) for scene in scenes for _ in range(2)}
+        answers = {comparable_answer(ask(server, scene, QUESTIONS[0])[2]) for scene in scenes for _ in range(2)}
         for scene in scenes:
             fetched(server, f"/v1/scenes/{scene}/points.bin")
         until("copies within their bound", lambda: site.bytes_of_copies() <= CACHE_BYTES, 10)

@@ -7,7 +7,7 @@ sys.dont_write_bytecode = True
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "soak"))
 
 from fleet import Disturbance
-from judgement import KEPT, KILLED, LATE, NOTHING, STOPPED, repeated_calls
+from cluster_checks import KEPT, KILLED, LATE, NOTHING, STOPPED, repeated_calls
 from model import Call
 
 KILL = Disturbance("worker-1.0", KILLED, 1.0, 1.5)

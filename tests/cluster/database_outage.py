@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """An outage of the database under a running server: clear 503s, no data lost, automatic recovery.
 
-usage: away.py --program PROGRAM --database postgres://… --stop COMMAND --start COMMAND
+usage: database_outage.py --program PROGRAM --database postgres://… --stop COMMAND --start COMMAND
 (COMMANDs stop and start the database server; scripts/test-postgres.sh sets them.)
 """
 import argparse
@@ -64,7 +64,7 @@ def check(what, holds):
         sys.exit(1)
 
 
-def what_it_says(answer):
+def comparable_answer(answer):
     """Returns an answer without the fields that differ between two answers."""
     return json.dumps({key: answer[key] for key in ("status", "answer", "box", "confidence")}, sort_keys=True)
 
@@ -109,7 +109,7 @@ def outage(server, args):
 
     kept = [server.call("GET", f"/v1/answers/{answer['id']}")[2] for answer in before]
     check("answers given before are kept as they were", kept == before)
-    check("the same questions get the same answers", [what_it_says(ask(query)[2]) for query in QUESTIONS] == list(map(what_it_says, before)))
+    check("the same questions get the same answers", [comparable_answer(ask(query)[2]) for query in QUESTIONS] == list(map(comparable_answer, before)))
     state = lambda: server.call("GET", f"/v1/batches/{batch}")[2]
     until("the batch's end", lambda: state()["state"] == "succeeded", 300)
     end = state()
