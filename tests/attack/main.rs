@@ -6,7 +6,6 @@
 // A helper that fails aborts its case.
 #![allow(clippy::unwrap_used, clippy::too_many_lines)]
 
-// Some helpers in these two modules are used only by the integration tests.
 mod connections;
 mod full_disk;
 mod growth_kills;
@@ -15,6 +14,7 @@ mod kills;
 mod mutations;
 mod responsiveness;
 mod storage_faults;
+// Some helpers in these two modules are used only by the integration tests.
 #[allow(dead_code)]
 #[path = "../integration/test_scans.rs"]
 mod test_scans;

@@ -106,12 +106,12 @@ fn e57(points: &Points) -> Vec<u8> {
     std::fs::read(file.path()).unwrap()
 }
 
-fn moved(points: &Points, by: impl Fn(&Point3<f64>) -> Point3<f64>) -> Points {
+fn transform_points(points: &Points, by: impl Fn(&Point3<f64>) -> Point3<f64>) -> Points {
     points.iter().map(|(p, c)| (by(p), *c)).collect()
 }
 
 fn read(name: &str, bytes: &[u8]) -> InspectedScan {
-    crate::imported(
+    crate::with_import(
         |out: &Out| out.put(name, bytes),
         |found| found.unwrap_or_else(|e| panic!("{name}: {e}")),
     )
@@ -207,11 +207,11 @@ fn rotated_and_scaled_clouds_are_leveled_and_converted_to_meters() {
     let y_up = crate::room::y_up();
     // The axes of a camera that looks down at an angle: x right, y down, z forward.
     let camera = crate::pose(2).inverse().to_homogeneous();
-    let with = |m: Matrix4<f64>| moved(&points, |p| m.transform_point(p));
+    let with = |m: Matrix4<f64>| transform_points(&points, |p| m.transform_point(p));
     for (what, turned) in [
         ("Y up", with(y_up)),
         ("seen from a camera", with(camera)),
-        ("millimetres", moved(&points, |p| p * 1000.0)),
+        ("millimetres", transform_points(&points, |p| p * 1000.0)),
     ] {
         let found = read("room.ply", &ply(&turned));
         let cloud = found.cloud.as_ref().unwrap();
@@ -234,7 +234,8 @@ fn rotated_and_scaled_clouds_are_leveled_and_converted_to_meters() {
 #[test]
 fn map_coordinates_are_recovered_to_the_millimeter() {
     let points = cloud();
-    let there = moved(&points, |p| p + nalgebra::Vector3::new(412_345.678, 5_654_321.123, 87.5));
+    let there =
+        transform_points(&points, |p| p + nalgebra::Vector3::new(412_345.678, 5_654_321.123, 87.5));
     for (name, bytes) in
         [("site.las", las(&there, false)), ("site.ply", ply(&there)), ("site.xyz", xyz(&there))]
     {
@@ -259,7 +260,7 @@ fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
         .filter(|(p, _)| p.y > 2.05)
         .map(|(p, c)| (Point3::new(p.x, p.z, -p.y), c))
         .collect();
-    crate::imported(
+    crate::with_import(
         |out: &Out| out.put("wall.ply", ply(&wall)),
         |found| {
             let message = found.map(|found| found.report).unwrap_err().to_string();
@@ -278,6 +279,9 @@ fn a_floor_with_objects_is_assumed_to_be_z_up() {
         .collect();
     let found = read("floor.ply", &ply(&floor));
     assert_eq!(found.report.up.name(), "z", "{:?}", found.report);
-    let side = moved(&floor, |p| Point3::new(p.z, p.x, p.y));
-    crate::imported(|out: &Out| out.put("floor.ply", ply(&side)), |found| assert!(found.is_err()));
+    let side = transform_points(&floor, |p| Point3::new(p.z, p.x, p.y));
+    crate::with_import(
+        |out: &Out| out.put("floor.ply", ply(&side)),
+        |found| assert!(found.is_err()),
+    );
 }

@@ -19,7 +19,7 @@ use uniground_types::settings::ImportSettings;
 use writers::Out;
 
 /// Writes a scan, imports it, and checks the result before the folder is removed.
-fn imported<T>(
+fn with_import<T>(
     write: impl Fn(&Out),
     look: impl FnOnce(Result<InspectedScan, IngestError>) -> T,
 ) -> T {
@@ -31,7 +31,7 @@ fn imported<T>(
     }))
 }
 
-fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
+fn pose_difference(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
     let distance = (a.translation.vector - b.translation.vector).norm();
     (distance, a.rotation.angle_to(&b.rotation).to_degrees())
 }
@@ -82,7 +82,7 @@ const LAYOUTS: [(&str, Write, &str); 18] = [
 #[test]
 fn every_layout_gives_the_same_scene() {
     for (what, write, format) in LAYOUTS {
-        imported(write, |found| {
+        with_import(write, |found| {
             let InspectedScan { frames, report, .. } =
                 found.unwrap_or_else(|e| panic!("{what}: {e}"));
             assert_eq!(
@@ -92,7 +92,7 @@ fn every_layout_gives_the_same_scene() {
             );
             assert!(report.reprojection_agreement.unwrap() > 0.8, "{what}: {report:?}");
             for (i, frame) in frames.iter().enumerate() {
-                let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
+                let (metres, degrees) = pose_difference(&camera_to_world(frame), &pose(i));
                 assert!(
                     metres < 1e-3 && degrees < 0.1,
                     "{what}, frame {i}: {metres} m and {degrees} degrees off: {report:?}"
@@ -130,7 +130,7 @@ fn eight_bit_depth_requires_a_unit() {
             out.put("scene.json", manifest.to_string());
         }
     };
-    imported(write(Some(0.02)), |found| {
+    with_import(write(Some(0.02)), |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
         let (found, there) = (frames[0].decode_depth().unwrap(), room::depth_m(&CAMERA, &pose(0)));
@@ -138,7 +138,7 @@ fn eight_bit_depth_requires_a_unit() {
             found.depth_m.iter().zip(&there).all(|(found, there)| (found - there).abs() < 0.011)
         );
     });
-    imported(write(None), |found| {
+    with_import(write(None), |found| {
         let message = found.unwrap().frames[0].decode_depth().unwrap_err().to_string();
         assert!(message.contains("depth/0.png") && message.contains("depth_scale_m"), "{message}");
     });
@@ -166,7 +166,7 @@ fn float_images_with_false_headers_are_refused() {
         (writers::plain_exr as Write, "depth/0.exr", window),
         (writers::plain_tiff, "depth/0.tiff", width),
     ] {
-        imported(broken(write, name, at, &[0xff, 0xff, 0xff, 0x3f]), |found| {
+        with_import(broken(write, name, at, &[0xff, 0xff, 0xff, 0x3f]), |found| {
             let message = found.unwrap_err().to_string();
             assert!(message.contains("frames") && message.contains("depth/"), "{message}");
         });
@@ -177,7 +177,7 @@ fn float_images_with_false_headers_are_refused() {
 /// poses.
 #[test]
 fn a_recording_without_gravity_is_leveled() {
-    imported(writers::record3d, |found| {
+    with_import(writers::record3d, |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert_eq!((report.format.as_str(), frames.len()), ("record3d", FRAMES));
         let level = report.levelling.clone().unwrap();
@@ -186,7 +186,7 @@ fn a_recording_without_gravity_is_leveled() {
         let tilt = (turn.rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
         assert!(tilt < 1.0, "{tilt} degrees off: {report:?}");
         for (i, frame) in frames.iter().enumerate() {
-            let (metres, degrees) = apart(&(turn * camera_to_world(frame)), &pose(i));
+            let (metres, degrees) = pose_difference(&(turn * camera_to_world(frame)), &pose(i));
             assert!(
                 metres < 1e-3 && degrees < 0.1,
                 "frame {i}: {metres} m and {degrees} degrees off"
@@ -227,12 +227,12 @@ fn the_pose_convention_that_fits_is_used() {
         ),
     ];
     for (what, rewrite, words) in cases {
-        imported(with_poses(rewrite), |found| {
+        with_import(with_poses(rewrite), |found| {
             let InspectedScan { frames, report, .. } =
                 found.unwrap_or_else(|e| panic!("{what}: {e}"));
             assert!(report.warnings.iter().any(|w| w.contains(words)), "{what}: {report:?}");
             for (i, frame) in frames.iter().enumerate() {
-                let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
+                let (metres, degrees) = pose_difference(&camera_to_world(frame), &pose(i));
                 assert!(
                     metres < 1e-3 && degrees < 0.1,
                     "{what}, frame {i}: {metres} m and {degrees} degrees off"
@@ -245,7 +245,7 @@ fn the_pose_convention_that_fits_is_used() {
 #[test]
 fn a_tilted_world_is_leveled_and_a_level_one_is_unchanged() {
     let tilt = Isometry3::rotation(Vector3::new(0.3, 0.35, 0.0)).to_homogeneous();
-    imported(with_poses(move |m| tilt * m), |found| {
+    with_import(with_poses(move |m| tilt * m), |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         let turn = pose(0) * camera_to_world(&frames[0]).inverse();
         let left = (turn.rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
@@ -253,7 +253,7 @@ fn a_tilted_world_is_leveled_and_a_level_one_is_unchanged() {
         let level = report.levelling.unwrap();
         assert!(level.turned && (level.tilt_deg - 26.4).abs() < 1.0, "{level:?}");
     });
-    imported(writers::plain, |found| {
+    with_import(writers::plain, |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert!(!report.levelling.unwrap().turned);
         assert_eq!(
@@ -290,7 +290,7 @@ fn one_damaged_frame_in_ten_is_skipped_and_reported() {
         out.put("color/5.jpg", &jpeg[..jpeg.len() / 2]);
         out.put("pose/9.txt", "nan ".repeat(16));
     };
-    imported(one, |found| {
+    with_import(one, |found| {
         let InspectedScan { report, frames, .. } = found.unwrap();
         assert_eq!((frames.len(), report.frames_skipped), (22, 2));
         let named = |what: &str| report.warnings.iter().any(|w| w.contains(what));
@@ -300,7 +300,7 @@ fn one_damaged_frame_in_ten_is_skipped_and_reported() {
         longer(out);
         (0..4).for_each(|i| fs::remove_file(out.0.join(format!("depth/{i}.png"))).unwrap());
     };
-    imported(four, |found| {
+    with_import(four, |found| {
         let message = found.unwrap_err().to_string();
         assert!(message.contains("4 of 24 frames") && message.contains("color/0.jpg"), "{message}");
     });
@@ -335,7 +335,7 @@ fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
         (writers::rtabmap, "scan_camera_poses.txt", &["RTAB-Map", "poses"]),
     ];
     for (write, gone, words) in cases {
-        imported(without(write, gone), |found| {
+        with_import(without(write, gone), |found| {
             let message = found.unwrap_err().to_string();
             assert!(words.iter().all(|word| message.contains(word)), "without {gone}: {message}");
         });
@@ -346,7 +346,7 @@ fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
             r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#,
         );
     };
-    imported(pictures_alone, |found| {
+    with_import(pictures_alone, |found| {
         assert!(found.unwrap_err().to_string().contains("no depth_file_path"));
     });
     let fisheye = |out: &Out| {
@@ -355,14 +355,16 @@ fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
             r#"{"camera_model": "OPENCV_FISHEYE", "fl_x": 100, "frames": []}"#,
         );
     };
-    imported(fisheye, |found| assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE")));
+    with_import(fisheye, |found| {
+        assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE"))
+    });
     let colmap = |out: &Out| out.put("sparse/0/cameras.bin", [0; 8]);
-    imported(colmap, |found| assert!(found.unwrap_err().to_string().contains("COLMAP")));
+    with_import(colmap, |found| assert!(found.unwrap_err().to_string().contains("COLMAP")));
 }
 
 #[test]
 fn picture_sizes_match_the_file_headers() {
-    imported(writers::plain, |found| {
+    with_import(writers::plain, |found| {
         let frame = found.unwrap().frames.remove(0);
         assert_eq!(frame.decode_colour().unwrap().dimensions(), (CAMERA.width, CAMERA.height));
     });

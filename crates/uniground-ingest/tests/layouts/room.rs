@@ -55,7 +55,7 @@ pub fn y_up() -> Matrix4<f64> {
 }
 
 /// Returns the depth along the optical axis in meters and the color of a pixel.
-fn seen(camera: &Intrinsics, pose: &Isometry3<f64>, u: u32, v: u32) -> (f32, [u8; 3]) {
+fn cast_ray(camera: &Intrinsics, pose: &Isometry3<f64>, u: u32, v: u32) -> (f32, [u8; 3]) {
     let origin = pose.translation.vector.cast::<f32>();
     let ray =
         Vector3::new((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy, 1.0);
@@ -87,14 +87,15 @@ fn seen(camera: &Intrinsics, pose: &Isometry3<f64>, u: u32, v: u32) -> (f32, [u8
 }
 
 pub fn colour(camera: &Intrinsics, pose: &Isometry3<f64>) -> DynamicImage {
-    RgbImage::from_fn(camera.width, camera.height, |u, v| Rgb(seen(camera, pose, u, v).1)).into()
+    RgbImage::from_fn(camera.width, camera.height, |u, v| Rgb(cast_ray(camera, pose, u, v).1))
+        .into()
 }
 
 /// Returns the depth in meters, row-major.
 pub fn depth_m(camera: &Intrinsics, pose: &Isometry3<f64>) -> Vec<f32> {
     (0..camera.height)
         .flat_map(|v| (0..camera.width).map(move |u| (u, v)))
-        .map(|(u, v)| seen(camera, pose, u, v).0)
+        .map(|(u, v)| cast_ray(camera, pose, u, v).0)
         .collect()
 }
 

@@ -53,7 +53,7 @@ fn camera_matrix(c: &Intrinsics) -> String {
 }
 
 /// Formats position and quaternion as `x y z w`.
-fn seven(m: &Matrix4<f64>) -> [f64; 7] {
+fn position_and_quaternion(m: &Matrix4<f64>) -> [f64; 7] {
     let rotation = UnitQuaternion::from_matrix(&m.fixed_view::<3, 3>(0, 0).into_owned());
     let q = rotation.coords;
     [m[(0, 3)], m[(1, 3)], m[(2, 3)], q.x, q.y, q.z, q.w]
@@ -199,7 +199,7 @@ pub fn tum(out: &Out) {
         out.pictures(i, (&colour, &depth), &camera, &camera, 1.0 / 5000.0);
         let _ = writeln!(rgb, "{time:.6} {colour}");
         let _ = writeln!(deep, "{:.6} {depth}", time + 0.006);
-        let [x, y, z, qx, qy, qz, qw] = seven(&matrix(&pose(i)));
+        let [x, y, z, qx, qy, qz, qw] = position_and_quaternion(&matrix(&pose(i)));
         let _ = writeln!(
             truth,
             "{:.4} {x:.7} {y:.7} {z:.7} {qx:.8} {qy:.8} {qz:.8} {qw:.8}",
@@ -353,7 +353,8 @@ pub fn record3d(out: &Out) {
         lzfse_rust::encode_bytes(&[2; 80 * 60], &mut sure).unwrap();
         out.put(&format!("rgbd/{i}.depth"), depth);
         out.put(&format!("rgbd/{i}.conf"), sure);
-        let [x, y, z, qx, qy, qz, qw] = seven(&(first * matrix(&pose(i)) * opengl()));
+        let [x, y, z, qx, qy, qz, qw] =
+            position_and_quaternion(&(first * matrix(&pose(i)) * opengl()));
         poses.push([qx, qy, qz, qw, x, y, z]);
     }
     let c = CAMERA;
@@ -379,7 +380,7 @@ pub fn stray_scanner(out: &Out) {
             &half(),
             0.001,
         );
-        let [x, y, z, qx, qy, qz, qw] = seven(&(y_up() * matrix(&pose(i))));
+        let [x, y, z, qx, qy, qz, qw] = position_and_quaternion(&(y_up() * matrix(&pose(i))));
         let _ = writeln!(
             odometry,
             "{}, {i:06}, {x:.9}, {y:.9}, {z:.9}, {qx:.9}, {qy:.9}, {qz:.9}, {qw:.9}",
@@ -436,7 +437,7 @@ pub fn rtabmap(out: &Out) {
             &half(),
             0.001,
         );
-        let [x, y, z, qx, qy, qz, qw] = seven(&matrix(&pose(i)));
+        let [x, y, z, qx, qy, qz, qw] = position_and_quaternion(&matrix(&pose(i)));
         let _ = writeln!(poses, "{time:.6} {x:.9} {y:.9} {z:.9} {qx:.9} {qy:.9} {qz:.9} {qw:.9}");
     }
     out.put("scan_camera_poses.txt", poses);
