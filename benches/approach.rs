@@ -1,5 +1,5 @@
-//! A place to stand in halls of five million points, and the graph of their things: `cargo bench
-//! --bench approach`.
+//! Approach poses in halls of five million points, and scene graphs of their instances: `cargo
+//! bench --bench approach`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -16,11 +16,11 @@ use uniground_types::approach::{FloorPoint, Robot};
 use uniground_types::instances::Levels;
 
 const POINTS: usize = 5_000_000;
-/// Sides of a square hall, metres, and how many tables in rows and things on them there are.
+/// Side of a square hall in meters, and the number of tables in rows and objects on them.
 const HALLS: [(f32, usize); 2] = [(15.0, 100), (30.0, 300)];
 const CALLS: usize = 200;
 
-/// Things on a grid: every second one stands on the table before it.
+/// Returns instances on a grid; every second one stands on the table before it.
 fn hall(room_m: f32, things: usize) -> Vec<Instance> {
     let side = ((things / 2) as f32).sqrt().ceil() as usize;
     let apart = room_m / side as f32;
@@ -54,7 +54,7 @@ fn hall(room_m: f32, things: usize) -> Vec<Instance> {
     )
 }
 
-/// A third of the points on the floor, the rest on the surfaces of things; the same every time.
+/// Returns points: a third on the floor, the rest on the instances' surfaces; the same every time.
 fn cloud(room_m: f32, instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<InstanceId>) {
     let mut state = 1_u64;
     let mut chance = || {
@@ -80,8 +80,8 @@ fn cloud(room_m: f32, instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<Instance
     (positions, of_point)
 }
 
-/// Milliseconds of each call, in rising order.
-fn timed(calls: usize, mut call: impl FnMut(usize)) -> Vec<f64> {
+/// Returns the milliseconds of each call in ascending order.
+fn time_calls(calls: usize, mut call: impl FnMut(usize)) -> Vec<f64> {
     let mut taken: Vec<f64> = (0..calls)
         .map(|i| {
             let start = Instant::now();
@@ -94,10 +94,10 @@ fn timed(calls: usize, mut call: impl FnMut(usize)) -> Vec<f64> {
 }
 
 fn main() {
-    HALLS.into_iter().for_each(|(room_m, things)| measured(room_m, things));
+    HALLS.into_iter().for_each(|(room_m, things)| measure(room_m, things));
 }
 
-fn measured(room_m: f32, things: usize) {
+fn measure(room_m: f32, things: usize) {
     println!("{room_m} x {room_m} m, {things} things");
     let instances = hall(room_m, things);
     let (positions, of_point) = cloud(room_m, &instances);
@@ -117,7 +117,7 @@ fn measured(room_m: f32, things: usize) {
         let wish =
             Wish { robot: Robot { reach_m, ..robot }, from, distances_m: [0.0, 2.5], max_poses: 3 };
         let mut found = 0;
-        let taken = timed(CALLS, |i| {
+        let taken = time_calls(CALLS, |i| {
             let id = InstanceId((i * 37 % things) as u32 + 1);
             found +=
                 usize::from(approach(&occupancy, &instances, id, &wish).unwrap().poses.is_ok());
@@ -131,7 +131,8 @@ fn measured(room_m: f32, things: usize) {
     let extent = Aabb::around(&positions).unwrap();
     let names = NameIndex::of(&instances);
     let view = SceneView { instances: &instances, extent, names: &names, appearance: None };
-    let taken =
-        timed(20, |_| assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty()));
+    let taken = time_calls(20, |_| {
+        assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty())
+    });
     println!("the graph of {things} things: p50 {:.1} ms", taken[10]);
 }

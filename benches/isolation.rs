@@ -1,6 +1,5 @@
-//! The cost of reading uploads in child processes: the same task within this process and in a
-//! child, in turns. `cargo bench --bench isolation [-- SCAN.zip…]`; the sample scan where none is
-//! named.
+//! The cost of reading uploads in child processes: the same task in this process and in a child,
+//! alternating. `cargo bench --bench isolation [-- SCAN.zip…]`; without arguments the sample scan.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -38,13 +37,13 @@ fn main() {
             || unpack(&scan, &ScanReader::in_process()),
             || unpack(&scan, &isolated),
         );
-        // What the service did before there were children, and what it does: the child imports and
-        // tries every picture, the service reads the import.
+        // In process: import and load. With a child: the child imports and decodes every image, and
+        // the service reads the import.
         row(name, "import", || import_here(&scan), || import_isolated(&scan, &isolated));
     }
 }
 
-/// Medians of both, in turns.
+/// Prints the medians of both, measured alternately.
 fn row(
     scan: &str,
     task: &str,
@@ -96,8 +95,8 @@ fn unpack(scan: &Utf8Path, reader: &ScanReader) -> Duration {
     start.elapsed()
 }
 
-/// An unpacked scan, and an empty folder for its checkpoints.
-fn unpacked(scan: &Utf8Path) -> (tempfile::TempDir, Utf8PathBuf, Utf8PathBuf) {
+/// An unpacked scan and an empty folder for its checkpoints.
+fn unpack_scan(scan: &Utf8Path) -> (tempfile::TempDir, Utf8PathBuf, Utf8PathBuf) {
     let temporary = tempfile::tempdir().unwrap();
     let (content, checkpoints) =
         (folder(&temporary).join("content"), folder(&temporary).join("checkpoints"));
@@ -110,7 +109,7 @@ fn unpacked(scan: &Utf8Path) -> (tempfile::TempDir, Utf8PathBuf, Utf8PathBuf) {
 }
 
 fn import_here(scan: &Utf8Path) -> Duration {
-    let (_temporary, content, checkpoints) = unpacked(scan);
+    let (_temporary, content, checkpoints) = unpack_scan(scan);
     let start = Instant::now();
     import_scan(
         &content,
@@ -123,7 +122,7 @@ fn import_here(scan: &Utf8Path) -> Duration {
 }
 
 fn import_isolated(scan: &Utf8Path, reader: &ScanReader) -> Duration {
-    let (_temporary, content, checkpoints) = unpacked(scan);
+    let (_temporary, content, checkpoints) = unpack_scan(scan);
     let settings = ImportSettings::default();
     let task = Task::Import {
         content: content.clone(),

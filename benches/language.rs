@@ -1,4 +1,4 @@
-//! Reading a question, deciding it over 200 and 5,000 instances, and the shortlist over embeddings:
+//! Parsing a question, deciding it over 200 and 5,000 instances, and the shortlist over embeddings:
 //! `cargo bench --bench language`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
@@ -25,7 +25,8 @@ const QUESTIONS: [&str; 7] = [
     "my back hurts, so I would rather have the chair beside the plant",
 ];
 
-/// A hall of `count` things of a dozen kinds on a grid, named by the encoder as in a parsed scene.
+/// Returns a hall of `count` instances of a dozen kinds on a grid, named by the encoder as in a
+/// parsed scene.
 fn hall(count: usize) -> Vec<Instance> {
     let nouns: Vec<_> = [
         "chair",
@@ -70,7 +71,7 @@ fn hall(count: usize) -> Vec<Instance> {
     instances_of(&annotations, &PointCloud::default(), NamedBy::Encoder)
 }
 
-fn reading(c: &mut Criterion) {
+fn bench_parsing(c: &mut Criterion) {
     let mut group = c.benchmark_group("reading");
     for question in QUESTIONS {
         group.bench_function(question, |b| b.iter(|| parse(black_box(question))));
@@ -78,7 +79,7 @@ fn reading(c: &mut Criterion) {
     group.finish();
 }
 
-fn deciding(c: &mut Criterion) {
+fn bench_deciding(c: &mut Criterion) {
     let mut group = c.benchmark_group("deciding");
     group.sample_size(20);
     for count in [200, 5000] {
@@ -103,8 +104,8 @@ fn deciding(c: &mut Criterion) {
     group.finish();
 }
 
-/// The five instances nearest to a query of 1,024 dimensions, by exact cosines.
-fn shortlisting(c: &mut Criterion) {
+/// Finds the five instances nearest to a query of 1,024 dimensions, by exact cosines.
+fn bench_shortlist(c: &mut Criterion) {
     const DIM: usize = 1024;
     let mut group = c.benchmark_group("shortlist");
     group.sample_size(10);
@@ -123,5 +124,5 @@ fn shortlisting(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, reading, deciding, shortlisting);
+criterion_group!(benches, bench_parsing, bench_deciding, bench_shortlist);
 criterion_main!(benches);

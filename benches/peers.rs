@@ -1,9 +1,10 @@
-//! Our parts beside the public ones, on the same input and in turns: `make bench-peers`, or
-//! `cargo bench --bench peers -- [--pcl PROGRAM] [--python PYTHON] [--write FILE] [FOLDER]`.
+//! This project's steps compared with public libraries, on the same input and alternating: `make
+//! bench-peers`, or `cargo bench --bench peers -- [--pcl PROGRAM] [--python PYTHON] [--write FILE]
+//! [FOLDER]`.
 //!
-//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; `open3d` and `onnxruntime` answer
-//! from the Python given (`scripts/bench-peers.sh` makes one). A peer that is not there is a row
-//! that says so. `room1` of `../shared/scenes`, or of the folder given.
+//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; `open3d` and `onnxruntime` run in
+//! the given Python (`scripts/bench-peers.sh` makes one). A missing peer gets a row that says so.
+//! The input is `room1` of `../shared/scenes` or of the given folder.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -23,7 +24,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use duel::Comparison;
 use image::{Rgb, RgbImage};
 use process::Peer;
-use rows::Asked;
+use rows::EncodedImage;
 use rows::Input;
 use uniground_core::models::neural::{Models, OnnxRuntime, RuntimeSettings};
 use uniground_evaluation::annotated::AnnotatedRoom;
@@ -38,7 +39,7 @@ struct Options {
 }
 
 fn options() -> Options {
-    let mut options = Options { folder: beside("../shared/scenes"), ..Options::default() };
+    let mut options = Options { folder: repository_path("../shared/scenes"), ..Options::default() };
     let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
     while let Some(arg) = args.next() {
         match arg.as_str() {
@@ -51,14 +52,14 @@ fn options() -> Options {
     options
 }
 
-fn beside(path: &str) -> Utf8PathBuf {
+fn repository_path(path: &str) -> Utf8PathBuf {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
 fn main() {
     let Options { pcl, python, write, folder } = options();
     if !folder.join("room1.zip").exists() {
-        println!("left out: no annotated rooms in {folder}");
+        println!("skipped: no annotated rooms in {folder}");
         return;
     }
     let load = sheet::load();
@@ -71,7 +72,7 @@ fn main() {
         .context("no --pcl PROGRAM given")
         .and_then(|program| Vccs::new(&program, &input.cloud, scratch));
     let open3d = Peer::start(python.as_deref(), "open3d_peer.py", &input.for_open3d());
-    let bundle = beside("models/sam2-hiera-tiny");
+    let bundle = repository_path("models/sam2-hiera-tiny");
     let asked = segmenter(&bundle);
     let onnxruntime = model(&bundle, python.as_deref());
 
@@ -85,7 +86,7 @@ fn main() {
 
     let versions =
         [vccs.as_ref().ok().and_then(Vccs::version), open3d.versions(), onnxruntime.versions()];
-    let text = sheet::written(
+    let text = sheet::format_report(
         &format!("room1's cloud, {} points", input.cloud.len()),
         &load,
         &versions,
@@ -97,11 +98,11 @@ fn main() {
     }
 }
 
-/// A segmenter with a picture encoded: as many threads for its encoder as there are cores, one for
+/// A segmenter with an encoded image: as many threads for its encoder as there are cores, one for
 /// each of two decoders.
-fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
+fn segmenter(bundle: &Utf8Path) -> anyhow::Result<EncodedImage> {
     let settings = RuntimeSettings {
-        library: Some(beside(".onnxruntime/libonnxruntime.so")),
+        library: Some(repository_path(".onnxruntime/libonnxruntime.so")),
         threads: Some(THREADS),
         ..RuntimeSettings::default()
     };
@@ -111,12 +112,12 @@ fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
         Rgb([(x / 3) as u8, (y / 2) as u8, ((x * y) >> 6) as u8])
     });
     let encoded = segmenter.encode(&picture)?;
-    Ok(Asked { segmenter, picture, encoded })
+    Ok(EncodedImage { segmenter, picture, encoded })
 }
 
 const THREADS: usize = 2;
 
-/// onnxruntime with the same bundle open.
+/// onnxruntime with the same bundle loaded.
 fn model(bundle: &Utf8Path, python: Option<&str>) -> Peer {
     match bundle.join("model.json").exists() {
         true => Peer::start(python, "onnxruntime_peer.py", &[format!("load {bundle} {THREADS} 1")]),

@@ -1,11 +1,11 @@
-//! Things that stage 1 misses, pointed at in a photograph: `make bench-pointed`, or `cargo bench
-//! --bench pointed -- [--models DIR] [FOLDER]`.
+//! Objects that stage 1 misses, segmented from a point in a photograph: `make bench-pointed`, or
+//! `cargo bench --bench pointed -- [--models DIR] [FOLDER]`.
 //!
-//! Every annotated object that no instance of any level covers (box IoU under .25) is pointed at in
-//! the middle of the photograph that shows most of it, and what is cut out there is held against
-//! its annotated box: by the built-in masks, and by the segmenters among the models.
-//! Where an encoder is among them: whether the two photographs that a model is offered for the
-//! object's name show it, beside two taken by chance.
+//! For every annotated object that no instance of any level covers (box IoU below .25), a point is
+//! taken in the middle of the photograph that shows most of it. The segmented instance is compared
+//! with the annotated box, for the built-in masks and for each segmenter among the models. If there
+//! is an encoder, the bench also prints how often the two photographs chosen for the object's name
+//! show the object, compared with two random ones.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -25,7 +25,7 @@ use uniground_core::scene::{FrameIndex, Instance};
 use uniground_evaluation::annotated::{AnnotatedMasks, AnnotatedRoom};
 use uniground_evaluation::annotations::Annotations;
 
-/// Objects with fewer points are left out, as in the bench of stage 1.
+/// Objects with fewer points are ignored, as in the bench of stage 1.
 const MIN_POINTS: u32 = 200;
 const COVERED: f32 = 0.25;
 
@@ -55,8 +55,8 @@ fn main() {
         "an instance already",
         "seconds",
     ]);
-    let (mut missed, mut found, mut offered) = (0, [0, 0], Offered::default());
-    for name in rooms(&folder) {
+    let (mut missed, mut found, mut offered) = (0, [0, 0], PhotographChoice::default());
+    for name in room_names(&folder) {
         let scratch = tempfile::tempdir().unwrap();
         let room =
             AnnotatedRoom::load(&folder, &name, Utf8Path::from_path(scratch.path()).unwrap())
@@ -77,7 +77,7 @@ fn main() {
         let objects: Vec<_> =
             room.objects(MIN_POINTS).into_iter().filter(|o| covered(&o.aabb) < COVERED).collect();
         let ids: Vec<u32> = objects.iter().map(|o| o.id).collect();
-        let shown = Shown::of(&room, &room.masks(), &ids);
+        let shown = ObjectViews::of(&room, &room.masks(), &ids);
         if let Some(encoder) = &loaded.encoder {
             let seen = frame_appearance::look(
                 &room.bundle.frames,
@@ -143,21 +143,21 @@ fn main() {
     }
 }
 
-/// Where objects are in photographs.
-struct Shown {
-    /// For each object the middle of it in the photograph that shows most of it.
+/// Where objects appear in photographs.
+struct ObjectViews {
+    /// For each object its center in the photograph that shows most of it.
     best: Vec<Option<PhotographPoint>>,
     /// For each object the share of photographs that show it.
     share: Vec<f64>,
 }
 
-/// Pixels of a depth picture that an object must have to be seen there.
+/// Pixels of a depth image that an object needs to count as visible.
 const SEEN_PX: usize = 100;
 
-impl Shown {
+impl ObjectViews {
     fn of(room: &AnnotatedRoom, masks: &AnnotatedMasks, ids: &[u32]) -> Self {
-        /// Frames that are looked into, spread over all: looking pixels up in the annotations takes
-        /// its time.
+        /// Number of frames to check, spread over all, because looking up pixels in the annotations
+        /// is slow.
         const FRAMES: usize = 15;
         let mut best: Vec<(usize, Option<PhotographPoint>)> = vec![(0, None); ids.len()];
         let (mut showing, mut looked) = (vec![0_u32; ids.len()], 0_u32);
@@ -169,7 +169,7 @@ impl Shown {
                 let pixels = pixels_of(&image, *id);
                 *showing += u32::from(pixels >= SEEN_PX);
                 if pixels > best.0 {
-                    let (u, v) = innermost(&image, *id as u16);
+                    let (u, v) = innermost_pixel(&image, *id as u16);
                     *best = (
                         pixels,
                         Some(PhotographPoint {
@@ -192,19 +192,19 @@ fn pixels_of(image: &IdImage, id: u32) -> usize {
     image.ids.iter().filter(|of| u32::from(**of) == id).count()
 }
 
-/// How often photographs that are offered show what is asked for.
+/// Returns how often the chosen photographs show the object.
 #[derive(Default)]
-struct Offered {
+struct PhotographChoice {
     asked: u32,
     shown: u32,
     by_chance: f64,
 }
 
-impl Offered {
+impl PhotographChoice {
     fn count(
         &mut self,
         room: &AnnotatedRoom,
-        shown: &Shown,
+        shown: &ObjectViews,
         at: usize,
         id: u32,
         offered: &[FrameIndex],
@@ -224,7 +224,7 @@ impl Offered {
     }
 }
 
-impl std::fmt::Display for Offered {
+impl std::fmt::Display for PhotographChoice {
     fn fmt(&self, out: &mut std::fmt::Formatter) -> std::fmt::Result {
         let Self { asked, shown, by_chance } = self;
         write!(
@@ -234,9 +234,8 @@ impl std::fmt::Display for Offered {
     }
 }
 
-/// The pixel of a mask that is farthest from its rim: what is left when it is peeled as often as it
-/// can be.
-fn innermost(image: &IdImage, id: u16) -> (u32, u32) {
+/// Returns the pixel of a mask that is farthest from its border, by repeated erosion.
+fn innermost_pixel(image: &IdImage, id: u16) -> (u32, u32) {
     let mut left: Vec<(u32, u32)> = (0..image.height)
         .flat_map(|v| (0..image.width).map(move |u| (u, v)))
         .filter(|&at| image.at(at) == id)
@@ -258,8 +257,8 @@ fn innermost(image: &IdImage, id: u16) -> (u32, u32) {
     }
 }
 
-/// Names of the annotated rooms in a folder, sorted.
-fn rooms(folder: &Utf8Path) -> Vec<String> {
+/// Returns the names of the annotated rooms in a folder, sorted.
+fn room_names(folder: &Utf8Path) -> Vec<String> {
     let entries = folder
         .read_dir_utf8()
         .map(|entries| entries.flatten().collect::<Vec<_>>())

@@ -1,22 +1,22 @@
-//! How sentences that people wrote are read, beside the visual programs of ZSVG3D: `make
+//! Parsing of sentences that people wrote, compared with the visual programs of ZSVG3D: `make
 //! bench-programs PROGRAMS=folder`, or `cargo bench --bench programs -- [--list
 //! target|anchor|relation] [--of 4] [--rest 0] FOLDER`.
 //!
 //! The folder holds `nr3d_val.json` and `scanrefer_val.json` of the public repository
 //! `CurryYuan/ZSVG3D`: for each sentence a program that a chat model wrote,
 //! `BOX0=LOC(object='chair')`, `TARGET=CLOSEST(targets=BOX0, anchors=BOX1)`. They are for measuring
-//! only and no part of this project; of the scenes only those with an even number from 100 on are
-//! read, the others are kept for whoever judges this. `--of 4 --rest 2` takes scenes 4n + 2 only.
-//! What is compared:
+//! only and not part of this project. Only scenes with an even number from 100 on are read; the
+//! others are held out for final evaluation. `--of 4 --rest 2` takes only scenes 4n + 2. The bench
+//! compares:
 //!
-//! - **target**: the noun of what the last statement leads to through `targets`;
-//! - **anchors**: of each `LOC` that the way there names as an anchor, whether the reading has
-//!   something of that noun besides the target;
-//! - **relation**: of each operation on the way, whether the reading says one of those in [`MEANT`]
-//!   of the target. Operations that are not listed there are not compared, and counted.
+//! - **target**: the noun that the last statement reaches through `targets`;
+//! - **anchors**: for each `LOC` used as an anchor on that path, whether the parse has an object of
+//!   that noun besides the target;
+//! - **relation**: for each operation on the path, whether the parse gives the target one of its
+//!   meanings in [`MEANINGS`]. Operations that are not listed there are counted but not compared.
 //!
-//! Programs are often wrong ("in front of a chair" becomes `RIGHT`), so relations are counted once
-//! more where the sentence has a word of the operation ([`SAID`]).
+//! Programs are often wrong ("in front of a chair" becomes `RIGHT`), so relations are also counted
+//! only where the sentence has a word of the operation ([`OPERATION_WORDS`]).
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -27,9 +27,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use uniground_core::language::{Measure, ParsedQuery, Phrase, RelationKind, Trait, parse};
 use uniground_core::models::attributes::Lexicon;
 
-/// Operations, and what a reading may say instead of each: a kind of relation, a superlative or a
-/// trait by its word.
-const MEANT: [(&str, &[&str]); 24] = [
+/// Operations, and what a parse may contain for each: a kind of relation, a superlative or a trait.
+const MEANINGS: [(&str, &[&str]); 24] = [
     (
         "CLOSEST",
         &["closest", "near", "around", "leaning", "against_wall", "in_corner", "on", "inside"],
@@ -59,8 +58,8 @@ const MEANT: [(&str, &[&str]); 24] = [
     ("FACING", &["opposite", "facing", "in_front_of"]),
 ];
 
-/// Beginnings of words of which a sentence has one where it tells the operation.
-const SAID: [(&str, &[&str]); 12] = [
+/// Prefixes of words that express an operation in a sentence.
+const OPERATION_WORDS: [(&str, &[&str]); 12] = [
     ("LEFT", &["left"]),
     ("RIGHT", &["right"]),
     ("FRONT", &["front"]),
@@ -98,13 +97,13 @@ struct Sentence {
 }
 
 impl Sentence {
-    /// `scene0678_00` is 678.
+    /// Returns the scene number: `scene0678_00` is 678.
     fn scene(&self) -> u32 {
         self.scan_id.trim_start_matches("scene").split('_').next().unwrap().parse().unwrap()
     }
 }
 
-/// What a program says of its target.
+/// What a program states about its target.
 #[derive(Debug, Default)]
 struct Program {
     target: String,
@@ -112,7 +111,7 @@ struct Program {
     operations: BTreeSet<String>,
 }
 
-/// The words that `key=` is given: a name, or several in brackets.
+/// Returns the values of `key=`: one name, or several in brackets.
 fn argument<'a>(call: &'a str, key: &str) -> Option<&'a str> {
     let start = call.find(&format!("{key}="))? + key.len() + 1;
     let rest = &call[start..];
@@ -124,7 +123,7 @@ fn argument<'a>(call: &'a str, key: &str) -> Option<&'a str> {
 }
 
 impl Program {
-    /// `None` where the last statement leads to nothing that is located.
+    /// Returns `None` if the last statement does not lead to a located object.
     fn of(text: &str) -> Option<Self> {
         let statements: Vec<(&str, &str)> = text
             .lines()
@@ -170,9 +169,9 @@ impl Program {
     }
 }
 
-/// Whether a reading's noun is that of a program's phrase: the same word, the same thing of the
-/// lexicon, or a word of the phrase's end.
-fn agrees(head: &str, said: &str) -> bool {
+/// Returns whether a parse's noun matches the program's phrase: the same word, the same lexicon
+/// entry, or the end of the phrase.
+fn is_same_noun(head: &str, said: &str) -> bool {
     let meant = parse(said).target;
     let lexicon = Lexicon::get();
     let things = |word: &str| {
@@ -188,17 +187,17 @@ fn agrees(head: &str, said: &str) -> bool {
         || same(head.split(' ').next_back().unwrap_or_default(), last)
 }
 
-/// Every thing a phrase names besides its own.
-fn others<'a>(phrase: &'a Phrase, into: &mut Vec<&'a Phrase>) {
+/// Returns every object that a phrase mentions besides its own.
+fn other_nouns<'a>(phrase: &'a Phrase, into: &mut Vec<&'a Phrase>) {
     let carried = phrase.with.iter().map(|with| &with.phrase);
     for other in phrase.relations.iter().flat_map(|relation| &relation.anchors).chain(carried) {
         into.push(other);
-        others(other, into);
+        other_nouns(other, into);
     }
 }
 
-/// All that a reading says of its target, in words of [`MEANT`].
-fn said_of_target(read: &ParsedQuery) -> BTreeSet<&'static str> {
+/// Returns everything that a parse states about its target, in words of [`MEANINGS`].
+fn target_statements(read: &ParsedQuery) -> BTreeSet<&'static str> {
     let phrases = [Some(&read.target), read.other_reading.as_ref()];
     let of = |phrase: &Phrase| {
         let relations = phrase.relations.iter().map(|relation| relation.kind.word());
@@ -211,7 +210,7 @@ fn said_of_target(read: &ParsedQuery) -> BTreeSet<&'static str> {
     phrases.into_iter().flatten().flat_map(of).collect()
 }
 
-/// So many of so many.
+/// Formats a count of correct results.
 #[derive(Default, Clone, Copy)]
 struct Share {
     right: u32,
@@ -245,42 +244,42 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
         if list == Some(class) {
             let anchors: Vec<String> = {
                 let mut all = Vec::new();
-                others(&read.target, &mut all);
+                other_nouns(&read.target, &mut all);
                 all.iter().map(|phrase| phrase.text()).collect()
             };
             println!(
                 "{what}\t{}\t[{}] {anchors:?} {:?} ?{:?}",
                 sentence.caption,
                 read.target.text(),
-                said_of_target(&read),
+                target_statements(&read),
                 read.not_understood
             );
         }
     };
-    let target = agrees(&read.target.head, &program.target);
+    let target = is_same_noun(&read.target.head, &program.target);
     agreement.target.count(target);
     if !target {
         disagreed("target", &program.target);
     }
     let mut named: Vec<&Phrase> = Vec::new();
-    others(&read.target, &mut named);
+    other_nouns(&read.target, &mut named);
     if let Some(other) = &read.other_reading {
-        others(other, &mut named);
+        other_nouns(other, &mut named);
     }
     let seen_from =
         read.viewpoint.iter().map(|viewpoint| &viewpoint.anchor).chain(&read.standpoint);
     named.extend(seen_from);
     for anchor in &program.anchors {
-        let found = named.iter().any(|phrase| agrees(&phrase.head, anchor));
+        let found = named.iter().any(|phrase| is_same_noun(&phrase.head, anchor));
         agreement.anchors.count(found);
         if !found {
             disagreed("anchor", anchor);
         }
     }
-    let said = said_of_target(&read);
+    let said = target_statements(&read);
     let words = sentence.caption.to_lowercase();
     for operation in &program.operations {
-        let Some((operation, meant)) = MEANT.iter().find(|(known, _)| known == operation) else {
+        let Some((operation, meant)) = MEANINGS.iter().find(|(known, _)| known == operation) else {
             *agreement.uncompared.entry(operation.clone()).or_default() += 1;
             continue;
         };
@@ -288,12 +287,13 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
         let (all, told) = agreement.by_operation.entry(operation).or_default();
         agreement.relations.count(right);
         all.count(right);
-        let is_said =
-            SAID.iter().find(|(known, _)| known == operation).is_none_or(|(_, beginnings)| {
+        let is_said = OPERATION_WORDS.iter().find(|(known, _)| known == operation).is_none_or(
+            |(_, beginnings)| {
                 words
                     .split(|c: char| !c.is_alphanumeric())
                     .any(|word| beginnings.iter().any(|beginning| word.starts_with(beginning)))
-            });
+            },
+        );
         if is_said {
             agreement.relations_said.count(right);
             told.count(right);
@@ -305,14 +305,14 @@ fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
 }
 
 fn main() {
-    // A word of `MEANT` that no reading can say would be counted as wrong for ever.
+    // A word of `MEANINGS` that no parse can contain would always count as wrong.
     let known: Vec<&str> = RelationKind::ALL
         .iter()
         .map(|kind| kind.word())
         .chain(Measure::ALL.iter().map(|measure| measure.word()))
         .chain(Trait::ALL.iter().map(|seen| seen.word()))
         .collect();
-    assert!(MEANT.iter().flat_map(|(_, words)| *words).all(|word| known.contains(word)));
+    assert!(MEANINGS.iter().flat_map(|(_, words)| *words).all(|word| known.contains(word)));
     let (mut folder, mut list, mut of, mut rest) = (None, None, 2, 0);
     let mut args = std::env::args().skip(1).filter(|arg| arg != "--bench");
     while let Some(arg) = args.next() {
@@ -329,7 +329,7 @@ fn main() {
     }
     let Some(folder) = folder else {
         println!(
-            "left out: no folder with nr3d_val.json and scanrefer_val.json was given (make bench-programs PROGRAMS=folder)"
+            "skipped: no folder with nr3d_val.json and scanrefer_val.json was given (make bench-programs PROGRAMS=folder)"
         );
         return;
     };
@@ -338,7 +338,7 @@ fn main() {
     table.set_header(["sentences", "target", "anchors", "relation", "relation, where it is said"]);
     let mut by_operation = Table::new();
     by_operation.load_preset(presets::ASCII_MARKDOWN);
-    by_operation.set_header(["sentences", "operation", "agrees", "where it is said"]);
+    by_operation.set_header(["sentences", "operation", "agrees", "agrees if stated"]);
     for file in ["nr3d_val", "scanrefer_val"] {
         let sentences: Vec<Sentence> = serde_json::from_str(
             &std::fs::read_to_string(folder.join(format!("{file}.json"))).unwrap(),

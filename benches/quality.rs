@@ -1,13 +1,12 @@
-//! Stage 1 against annotated rooms: `make bench-quality`, or
-//! `cargo bench --bench quality -- [--settings FILE] [--misses] [--brief] [--rooms room1,room2]
-//! [FOLDER]`.
+//! Stage 1 against annotated rooms: `make bench-quality`, or `cargo bench --bench quality --
+//! [--settings FILE] [--misses] [--brief] [--rooms room1,room2] [FOLDER]`.
 //!
-//! The rooms (all archives with annotations beside them) lie in `../shared/scenes` where this
-//! project is built, or in the folder given. A single run is a matter of luck to within an object
-//! or two, so every figure is also given over several turns of the world about Z. The ladder tells,
-//! step by step, what is still recoverable. `--brief` is for whoever works on stage 1: instances
-//! only, as is and on the mean of six runs, five of which do without a fifth of the frames; boxes
-//! are those that were annotated, which they are not in a turned world.
+//! The rooms (all archives with annotations) are in `../shared/scenes` or in the given folder. A
+//! single run varies by an object or two, so every figure is also averaged over several rotations
+//! about Z. The table of stage losses shows what is still recoverable after each step. `--brief` is
+//! for work on stage 1: instances only, without rotation and averaged over six runs, five of which
+//! omit a fifth of the frames; boxes are the annotated ones, which is not possible in a rotated
+//! world.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -28,7 +27,7 @@ use uniground_evaluation::segmentation::{
 use uniground_evaluation::stage_losses;
 use uniground_evaluation::systems::{NamedBy, instances_of};
 
-/// Objects with fewer points are left out, as in the table of issue and peers.
+/// Objects with fewer points are ignored, as in the published tables.
 const MIN_POINTS: u32 = 200;
 const TURNS_DEG: [f32; 6] = [0.0, 10.0, 23.0, 45.0, 67.0, 90.0];
 
@@ -72,17 +71,17 @@ fn main() {
     let mut rooms = rooms(&options.folder);
     rooms.retain(|room| options.rooms.as_ref().is_none_or(|wanted| wanted.contains(room)));
     if rooms.is_empty() {
-        println!("left out: no annotated rooms in {}", options.folder);
+        println!("skipped: no annotated rooms in {}", options.folder);
         return;
     }
     match options.brief {
-        true => brief(&rooms, &options),
-        false => in_full(&rooms, &options),
+        true => run_brief(&rooms, &options),
+        false => run_full(&rooms, &options),
     }
 }
 
-/// Instances by the built-in masks.
-fn brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
+/// Returns instances by the built-in masks.
+fn run_brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     const FIFTHS: usize = 5;
     let mut table = instance_table();
     for name in rooms {
@@ -105,11 +104,11 @@ fn brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     println!("{table}");
 }
 
-fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
+fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     let mut superpoint_table =
         table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
     let mut instance_table = instance_table();
-    let mut ladder_table =
+    let mut losses_table =
         table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"]);
     let mut structure_table = table(&["room", "masks", "recall", "precision"]);
     let mut naming_table =
@@ -151,7 +150,7 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
         let (as_is, seconds) = score(&room, &parsed, rgbd.name(), *misses);
         instance_table.add_row(row(name, rgbd.name(), "as is", &as_is, seconds));
         instance_table.add_row(mean_and_range(name, rgbd.name(), "6 turns", &runs));
-        naming_table.add_row(naming(folder, &room, name, settings));
+        naming_table.add_row(score_names(folder, &room, name, settings));
         let annotated = room.masks();
         let (score, seconds) = measure(&room, &annotated, settings, *misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
@@ -161,16 +160,16 @@ fn in_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options)
                 let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
                 let head =
                     [name.clone(), masks.name().to_owned(), rung.step, rung.pieces.to_string()];
-                ladder_table.add_row(head.into_iter().chain(figures));
+                losses_table.add_row(head.into_iter().chain(figures));
             }
         }
     }
     println!(
-        "{superpoint_table}\n\n{instance_table}\n\n{structure_table}\n\n{ladder_table}\n\n{naming_table}"
+        "{superpoint_table}\n\n{instance_table}\n\n{structure_table}\n\n{losses_table}\n\n{naming_table}"
     );
 }
 
-/// Names of the annotated rooms in a folder, sorted.
+/// Returns the names of the annotated rooms in a folder, sorted.
 fn rooms(folder: &Utf8Path) -> Vec<String> {
     let entries = folder
         .read_dir_utf8()
@@ -185,9 +184,9 @@ fn rooms(folder: &Utf8Path) -> Vec<String> {
     names
 }
 
-/// Share of objects whose annotated name is the first, or among the kept, of the names the encoder
-/// gives: on their annotated boxes, and on the instances that cover them at least half.
-fn naming(
+/// Returns the share of objects whose annotated name is the first, or among the stored ones, of the
+/// encoder's names: on annotated boxes, and on instances that cover at least half of them.
+fn score_names(
     folder: &Utf8Path,
     room: &AnnotatedRoom,
     name: &str,

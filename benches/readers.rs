@@ -1,6 +1,6 @@
-//! What it takes to bring scans in: clouds of ten million points on one core, a check of a thousand
-//! frames, and a scan of five thousand frames imported by a service, beside `cp`. `cargo bench
-//! --bench readers [-- clouds|check|import]`
+//! The cost of importing scans: clouds of ten million points on one core, a check of a thousand
+//! frames, and a scan of five thousand frames imported by a service, compared with `cp`. `cargo
+//! bench --bench readers [-- clouds|check|import]`
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -22,8 +22,8 @@ use uniground_types::scenes::ImportRequest;
 const POINTS: usize = 10_000_000;
 const CHECKED_FRAMES: usize = 1000;
 const IMPORTED_FRAMES: usize = 5000;
-/// What a frame of those has: five gigabytes in all, where the disk has room for three times that;
-/// `MB=` says otherwise.
+/// Bytes of each frame. All frames together are five gigabytes if the disk has three times that;
+/// `MB=` overrides it.
 const IMPORTED_MB: usize = 5000;
 const TURNS: usize = 5;
 const UNIGROUND: &str = env!("CARGO_BIN_EXE_uniground");
@@ -43,7 +43,7 @@ fn main() {
     }
 }
 
-/// Seconds of the best, the middle and the worst of several turns.
+/// Returns the seconds of the best, the median and the worst run.
 fn timed(turns: usize, mut call: impl FnMut()) -> [f64; 3] {
     let mut taken: Vec<f64> = (0..turns)
         .map(|_| {
@@ -87,7 +87,7 @@ fn check() {
     );
 }
 
-/// Both ends on the disk: a copy that is only in memory is none.
+/// Both measurements end on the disk, because a copy in memory is not finished.
 fn import() {
     let megabytes = std::env::var("MB").map_or(IMPORTED_MB, |mb| mb.parse().unwrap());
     let folder = tempfile::tempdir().unwrap();
@@ -98,7 +98,7 @@ fn import() {
     let [copied, ..] = timed(2, || {
         let _ = fs::remove_dir_all(&copy);
         sync(root);
-        // Deleting is no part of it.
+        // Deleting is not timed.
         let done = Command::new("cp").args(["-r", scan.as_str(), copy.as_str()]).status().unwrap();
         assert!(done.success());
         sync(root);
@@ -118,7 +118,7 @@ fn sync(folder: &Utf8Path) {
     assert!(Command::new("sync").args(["-f", folder.as_str()]).status().unwrap().success());
 }
 
-/// Seconds from the request to the stored scene, and the server's peak.
+/// Returns the seconds from the request to the stored scene, and the server's peak memory.
 fn import_once(root: &Utf8Path) -> (f64, f64) {
     let data = root.join("data");
     sync(root);
@@ -163,7 +163,7 @@ impl Server {
         Self { child, address }
     }
 
-    /// Peak resident memory, MB.
+    /// Returns the peak resident memory in MB.
     fn peak_mb(&self) -> f64 {
         let status = fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
         let line = status.lines().find(|l| l.starts_with("VmHWM:")).unwrap();
@@ -173,7 +173,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // The process may be gone already; there is nothing to do about it here.
+        // The process may already have ended; there is nothing to do about it here.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,11 +1,12 @@
-//! How stage 1 grows with the scan: `make bench-scale`, or `cargo bench --bench scale -- [FOLDER]`.
+//! How the time of stage 1 grows with the scan: `make bench-scale`, or `cargo bench --bench scale
+//! -- [FOLDER]`.
 //!
-//! `room1` of `../shared/scenes` (or of the folder given) side by side, once to eight times, 75
-//! frames a room. Prints seconds, memory and what n log n would give, then how long a parse takes
-//! to stop when asked to.
+//! Places one to eight copies of `room1` of `../shared/scenes` (or of the given folder) side by
+//! side, with 75 frames each. Prints seconds, memory and the expectation for n log n, then how long
+//! a parse takes to stop when it is cancelled.
 
-// A bench that can not set up has nothing to time; the parse runs on a thread of its own to be
-// stopped from outside.
+// A bench that cannot set up has nothing to time. The parse runs on its own thread so that it can
+// be cancelled.
 #![allow(missing_docs, clippy::unwrap_used, clippy::disallowed_methods)]
 
 use camino::{Utf8Path, Utf8PathBuf};
@@ -22,7 +23,7 @@ use uniground_core::scene::SceneBundle;
 use uniground_evaluation::annotated::AnnotatedRoom;
 
 const FRAMES_PER_ROOM: usize = 75;
-/// Rooms stand this far apart, metres.
+/// Distance of the rooms in meters.
 const STEP_M: f32 = 8.0;
 
 fn main() {
@@ -30,7 +31,7 @@ fn main() {
     let folder = folder
         .unwrap_or_else(|| Utf8PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes"));
     if !folder.join("room1.zip").exists() {
-        println!("left out: no annotated rooms in {folder}");
+        println!("skipped: no annotated rooms in {folder}");
         return;
     }
     let temporary = tempfile::tempdir().unwrap();
@@ -113,7 +114,7 @@ fn side_by_side(room: &SceneBundle, rooms: usize) -> SceneBundle {
     all
 }
 
-/// Cancels when `at` is reported, and waits for the parse to end.
+/// Cancels when progress reaches `at`, and waits for the parse to end.
 fn seconds_to_stop(bundle: SceneBundle, at: f32) -> f32 {
     let (cancel, (reached, waiting)) = (CancellationToken::new(), mpsc::channel());
     let progress = Progress::new(
@@ -129,7 +130,7 @@ fn seconds_to_stop(bundle: SceneBundle, at: f32) -> f32 {
     );
     let worker =
         std::thread::spawn(move || parse(bundle, &progress).map(|parsed| parsed.report.instances));
-    // Not at the report itself, where it would be noticed at once, but a moment later.
+    // Not at the progress report itself, where it would be noticed at once, but a moment later.
     waiting.recv().unwrap();
     std::thread::sleep(Duration::from_millis(5));
     let start = Instant::now();

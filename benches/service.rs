@@ -53,7 +53,7 @@ impl Server {
         Self { child, client, _data: data }
     }
 
-    /// Peak resident memory, MB.
+    /// Returns the peak resident memory in MB.
     fn peak_mb(&self) -> f64 {
         let status = fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
         let line = status.lines().find(|l| l.starts_with("VmHWM:")).unwrap();
@@ -63,7 +63,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        // The process may be gone already; there is nothing to do about it here.
+        // The process may already have ended; there is nothing to do about it here.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -93,8 +93,8 @@ async fn main() {
         s(times[0]),
         s(times[4])
     );
-    // A parse starts the kernel's peak anew with every stage and reports each; what came after the
-    // last stage is still there.
+    // A parse resets the kernel's peak at every stage and reports each. The kernel still has the
+    // peak after the last stage.
     let stages = server.client.report(&scene).await.unwrap().parse.unwrap().stages;
     let of_stages =
         stages.iter().filter_map(|stage| stage.peak_memory_mb).max().map_or(0.0, f64::from);

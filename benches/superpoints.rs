@@ -1,9 +1,9 @@
-//! Superpoints beside PCL's VCCS on the same cloud, alternating: `make bench-superpoints`, or
-//! `cargo bench --bench superpoints -- [--pcl PROGRAM] [FOLDER]` with the program built from
+//! Superpoints compared with PCL's VCCS on the same cloud, alternating: `make bench-superpoints`,
+//! or `cargo bench --bench superpoints -- [--pcl PROGRAM] [FOLDER]` with the program built from
 //! `benches/peers/vccs.cpp`.
 //!
-//! Both are timed from points in memory to labels in memory. `room1` of `../shared/scenes`, or of
-//! the folder given.
+//! Both are timed from points in memory to labels in memory. The input is `room1` of
+//! `../shared/scenes` or of the given folder.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -23,7 +23,7 @@ use vccs::Vccs;
 
 const RUNS: usize = 9;
 
-/// One thing to time: seconds and labels of one run.
+/// A timed task: seconds and labels of one run.
 type Contestant<'a> = (String, Box<dyn Fn() -> (f32, Vec<u32>) + 'a>);
 
 fn main() {
@@ -37,7 +37,7 @@ fn main() {
         }
     }
     if !folder.join("room1.zip").exists() {
-        println!("left out: no annotated rooms in {folder}");
+        println!("skipped: no annotated rooms in {folder}");
         return;
     }
     let temporary = tempfile::tempdir().unwrap();

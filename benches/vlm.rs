@@ -1,5 +1,5 @@
-//! Stage 2 with a vision-language model, without the model's own time: pictures, prompts, and what
-//! the service adds to a call. `cargo bench --bench vlm`
+//! Stage 2 with a vision-language model, without the model's own time: images, prompts, and the
+//! service's overhead per call. `cargo bench --bench vlm`
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -37,7 +37,7 @@ use uniground_types::question::{GroundRequest, ReasonerChoice};
 use uniground_types::settings::ParseSettings;
 
 const POINTS: usize = 200_000;
-/// Candidates that contact sheets show.
+/// Number of candidates on contact sheets.
 const ON_SHEETS: usize = 24;
 const ROUNDS: usize = 15;
 
@@ -58,11 +58,11 @@ fn main() {
     sample.count_tokens(&queries);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let archive = fs::read(&scan).unwrap();
-    runtime.block_on(overhead(&archive, &queries));
-    runtime.block_on(beside_a_parse(&archive, &queries));
+    runtime.block_on(measure_overhead(&archive, &queries));
+    runtime.block_on(measure_during_parse(&archive, &queries));
 }
 
-/// The sample scene, and the folder its photographs lie in.
+/// The sample scene and the folder of its photographs.
 struct Sample {
     parsed: ParsedScan,
     _folder: ScanFolder,
@@ -100,7 +100,7 @@ impl Sample {
         .1
     }
 
-    /// The scene with nothing drawn yet, over `points` of its cloud.
+    /// The scene with nothing rendered yet, over `points` of its cloud.
     fn fresh(&self, points: usize) -> Arc<MemoryScene> {
         let (scene, all) = (&self.parsed.scene, &self.parsed.scene.cloud);
         let every = all.len() as f64 / points as f64;
@@ -115,7 +115,7 @@ impl Sample {
             .scene(scene.instances.clone().into())
     }
 
-    /// Three renders of 680 x 680 and five collages, drawn and encoded; photographs come from
+    /// Three renders of 680 x 680 and five collages, rendered and encoded; photographs come from
     /// files, the cloud is in memory.
     fn time_evidence(&self, queries: &[String]) {
         let context =
@@ -138,11 +138,11 @@ impl Sample {
         );
     }
 
-    /// Tokens of the first call, reckoned: text at four characters each, pictures by tiles of 512
-    /// pixels.
+    /// Estimated tokens of the first call: text at four characters per token, images by tiles of
+    /// 512 pixels.
     fn count_tokens(&self, queries: &[String]) {
         let scene = self.fresh(self.parsed.scene.cloud.len());
-        // Names as somebody gives them who looks; the encoder's stand in for a model's.
+        // Names as a model would give them; the encoder's names stand in.
         let name =
             |id: u32| format!("{} object", self.parsed.scene.instances[id as usize - 1].label());
         let (mut full, mut cached, mut sheet, mut two_step, mut text) = (0, 0, 0, 0, 0);
@@ -229,8 +229,8 @@ impl Sample {
     }
 }
 
-/// What the service adds to a model that answers at once.
-async fn overhead(scan: &[u8], queries: &[String]) {
+/// The service's overhead with a model that answers at once.
+async fn measure_overhead(scan: &[u8], queries: &[String]) {
     let server = Server::start(ModelsConfig::builtin()).await;
     let created = server.client.create_scene(None, "application/zip", scan.to_vec()).await.unwrap();
     server.client.follow_job(&created.job.unwrap().id, |_| {}).await.unwrap();
@@ -257,9 +257,9 @@ async fn overhead(scan: &[u8], queries: &[String]) {
     server.running.stop().await.unwrap();
 }
 
-/// Pictures for questions while a parse with a segmenter runs, and on a quiet server. The tiny
-/// bundle stands for a real one unless `MASKS` names one in `models/`.
-async fn beside_a_parse(scan: &[u8], queries: &[String]) {
+/// Images for questions while a parse with a segmenter runs, and on an idle server. The tiny bundle
+/// replaces a real one unless `MASKS` names one in `models/`.
+async fn measure_during_parse(scan: &[u8], queries: &[String]) {
     let root = Utf8Path::new(env!("CARGO_MANIFEST_DIR"));
     let (masks, folder) = match std::env::var("MASKS") {
         Ok(bundle) => (bundle, root.join("models")),
@@ -282,7 +282,7 @@ async fn beside_a_parse(scan: &[u8], queries: &[String]) {
         "\n| pictures for a question, ms | questions | p50 | p95 | worst | whole question, ms: p95 |\n|---|---|---|---|---|---|"
     );
     for (pass, share) in [("quiet", 0.3), ("beside a parse with a segmenter", 0.31)] {
-        // A parse of its own for each pass: nothing of it has been drawn.
+        // A new parse for each pass, so that no image is cached.
         let job = server.client.parse(&scene, &built_in(share)).await.unwrap();
         server.client.follow_job(&job.id, |_| {}).await.unwrap();
         let (mut pictures, mut whole) = (Vec::new(), Vec::new());
@@ -310,7 +310,7 @@ async fn beside_a_parse(scan: &[u8], queries: &[String]) {
     server.running.stop().await.unwrap();
 }
 
-/// A service whose model answers at once.
+/// Starts a service whose model answers at once.
 struct Server {
     running: app::RunningService,
     client: Client,
@@ -358,7 +358,7 @@ impl Server {
         Self { running, client, _data: data }
     }
 
-    /// An answer by the model, and the milliseconds it took from here.
+    /// Returns an answer by the model and its latency in milliseconds.
     async fn ask(&self, scene: &str, words: &str) -> (Answer, f64) {
         let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..GroundRequest::of(words) };
         let start = Instant::now();
@@ -366,7 +366,7 @@ impl Server {
         (answer, start.elapsed().as_secs_f64() * 1e3)
     }
 
-    /// Sees to it that a parse with the segmenter is under way, in its masks.
+    /// Ensures that a parse with the segmenter is running and computing masks.
     async fn keep_parsing(&self, scene: &str, job: Option<String>, number: usize) -> String {
         let running = match &job {
             Some(id) => !self.client.job(id).await.unwrap().state.is_final(),
@@ -375,7 +375,7 @@ impl Server {
         let id = if let Some(id) = job.filter(|_| running) {
             id
         } else {
-            // Other masks every time: nothing is taken from an earlier parse.
+            // Different mask settings every time, so that no earlier parse is reused.
             let masks = json!({"points_per_side": 24, "min_area": 0.0001 + 1e-6 * number as f64});
             let request = json!({"settings": {"parsing": {"sam_masks": masks}}});
             self.client.parse(scene, &request).await.unwrap().id

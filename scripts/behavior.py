@@ -1,19 +1,19 @@
 #!/usr/bin/env python3
-"""Records what the program does, and compares two recordings: for changes that must not change it.
+"""Records the program's behavior and compares two recordings, for changes that must not alter it.
 
   scripts/behavior.py record PROGRAM OUT [--open FOLDER]
   scripts/behavior.py compare BEFORE AFTER
 
 `record` runs PROGRAM without models or network (the steps below) and writes OUT: a JSON file for
-each topic, with placeholders for ids, times, ports, paths and amounts, and OUT/data, what its
-server left. At the end PROGRAM opens a copy of that, or of FOLDER: the `data` of an earlier
-recording, which tells whether a new program reads what an old one has written.
-`compare` prints every difference and exits 1 if there is one. What is written for people (details
-of problems, messages, logs, standard error) is told as "text" and does not count.
+each topic, with placeholders for ids, times, ports, paths and amounts, and OUT/data, the server's
+data folder. At the end PROGRAM opens a copy of that, or of FOLDER, the `data` of an earlier
+recording, to check that a new program reads what an old one wrote.
+`compare` prints every difference and exits 1 if there is one. Text for people (details of
+problems, messages, logs, standard error) is reported as "text" and does not count.
 
 Steps are lines: `GET PATH PATH`, `POST PATH BODY BODY` (`@FILE` sends a file), `uniground WORDS |
-WORDS`, `KEY SECRET` to show from then on, `# TOPIC`. $made is what was made last, $job the job that
-was begun last; `GET …/events` waits for its end.
+WORDS`, `KEY SECRET` to send from then on, `# TOPIC`. $made is the last created object, $job the
+last started job; `GET …/events` waits for its end.
 """
 
 import contextlib
@@ -38,9 +38,9 @@ MOST_SHOWN = 30  # differences of one entry
 NAMES = {"nobody": "00000000-0000-7000-8000-000000000000",
          "robot": '{"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2, "reach_m": 0.8}',
          "mcp": '"jsonrpc": "2.0", "id": 1, "method":'}
-# Fields for people: compared apart, because wording may change.
+# Text for people: compared separately, because wording may change.
 TEXTS = {"title", "detail", "message", "stderr", "log", "instructions", "summary", "description"}
-# Fields that differ from run to run: numbers, and whatever else.
+# Fields that differ from run to run: numbers, and others.
 VARYING = re.compile(r"(_ms|_s|seconds|elapsed|latency|_memory_mb)$|(^|(?<!checkpoints)_)bytes$")
 ALWAYS_NEW = {"token", "machine", "day", "stamp", "blob_bytes", "last_used_at"}
 UUID = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}")
@@ -225,7 +225,7 @@ def digest(content):
 
 
 class Normalizer:
-    """Replaces what differs between two runs of one program; ids are numbered as they come."""
+    """Replaces values that differ between two runs of one program; ids are numbered in order of appearance."""
 
     def __init__(self, paths):
         self.paths, self.numbers = [(str(path), name) for path, name in paths], {}
@@ -244,7 +244,7 @@ class Normalizer:
         return text
 
     def lines(self, text):
-        """What is printed for people: without progress, and amounts of time and memory."""
+        """Returns printed text without progress and without amounts of time and memory."""
         lines = [AMOUNT.sub("<amount>", DRAWN.sub("", self.text(line))).rstrip()
                  for line in text.splitlines() if not PROGRESS.match(line)]
         return [line for line in lines if line]
@@ -266,14 +266,14 @@ class Normalizer:
         return "<varies>" if varies and value is not None and value is not True else value
 
     def output(self, text):
-        """JSON where it is JSON, as a whole or line by line; else lines."""
+        """Parses JSON output, as a whole or line by line; otherwise returns lines."""
         whole, lines = parsed(text), [parsed(line) for line in text.splitlines()]
         if whole is None and lines and None not in lines:
             whole = lines
         return self.lines(text) if whole is None else self.value(whole)
 
     def content(self, kind, content):
-        """What a reply holds, or a file, by its kind."""
+        """Returns the content of a reply or a file, by its type."""
         if "json" in kind or kind in ("text/plain", "application/graphml+xml"):
             return self.output(content.decode())
         if kind == "text/csv":
@@ -288,7 +288,7 @@ class Normalizer:
 
 
 class Recording:
-    """The program, a folder to run it in, and what it was seen to do."""
+    """The program, its working folder, and its recorded behavior."""
 
     def __init__(self, program, out):
         self.program, self.out, self.topics, self.topic = program, out, {}, None
@@ -302,7 +302,7 @@ class Recording:
         self.begin_anew()
 
     def begin_anew(self):
-        """For another data folder: ids are counted from one again."""
+        """Resets the numbering of ids for another data folder."""
         self.names = dict(NAMES)
         self.normal = Normalizer([(self.work, "<work>"), (self.out, "<out>"),
                                   (self.program, "uniground"), (REPOSITORY, "<repository>"),
@@ -341,7 +341,7 @@ class Recording:
                                        "job": made.get("job_id")}
 
     def run(self, words):
-        """One command; of a folder that it writes the files are recorded, too."""
+        """Runs one command; if it writes a folder, records the files too."""
         done = subprocess.run([self.program, *words], cwd=self.work, env=self.environment,
                               capture_output=True, text=True, timeout=PATIENCE_S)
         entry = {"exit": done.returncode, "stderr": self.normal.lines(done.stderr)}
@@ -358,7 +358,7 @@ class Recording:
         self.note(f"uniground {shlex.join(words)}", entry)
 
     def send(self, method, path, body=None):
-        """One request: its response and its content."""
+        """Sends one request and returns its response and content."""
         headers = {"accept": "application/json, text/event-stream"} if path == "/mcp" else {}
         if key := self.environment.get("UNIGROUND_API_KEY"):
             headers["authorization"] = f"Bearer {key}"
@@ -375,7 +375,7 @@ class Recording:
         return response, content
 
     def call(self, method, path, body=None):
-        """One request, recorded; returns the JSON of its reply, or {}."""
+        """Sends and records one request; returns the JSON of its reply, or {}."""
         response, content = self.send(method, path, body)
         kind = response.headers.get_content_type() if content else ""
         self.note(f"{method} {path} {body or ''}".strip(), {
@@ -387,7 +387,7 @@ class Recording:
 
     @contextlib.contextmanager
     def server(self, data, *flags):
-        """The program as a server over a data folder; what is played meanwhile goes to it."""
+        """Runs the program as a server on a data folder; commands meanwhile go to it."""
         command = [self.program, "serve", "--listen", "127.0.0.1:0", "--data-dir", data, *flags]
         log = self.work / f"{data}.log"
         with log.open("w") as file:
@@ -406,7 +406,7 @@ class Recording:
 
 
 def rooms():
-    """Archives: the sample room's, and those of the two smallest annotated rooms."""
+    """Returns the archives: the sample room's, and those of the two smallest annotated rooms."""
     annotated = [file for file in ROOMS.glob("*.zip") if file.with_suffix(".queries.json").exists()]
     if not annotated:
         print(f"note: no annotated rooms in {ROOMS}: only the sample room is asked about")
@@ -415,7 +415,7 @@ def rooms():
 
 
 def record_server(recording):
-    """Scenes, questions, and everything else. Returns what is looked at when it is opened again."""
+    """Records scenes, questions, and everything else. Returns what is read again after reopening."""
     names, asked, of_sample = recording.names, [], {}
     recording.play("# empty\nGET /v1/scenes /v1/jobs /v1/answers /v1/batches /v1/keys /v1/stats")
     for archive in rooms():
@@ -443,7 +443,7 @@ def record_server(recording):
 
 
 def record_opened(recording, folder):
-    """A copy of a folder that a server has left."""
+    """Records a copy of a folder that a server has left."""
     kept = json.loads((folder.parent / "kept.json").read_text())
     shutil.copytree(folder, recording.work / "opened")
     recording.begin_anew()
@@ -484,7 +484,7 @@ def record(program, out, folder):
 
 
 def leaves(value, path=(), text=False):
-    """Every single value with the path to it, and whether it is for people."""
+    """Yields every single value with its path, and whether it is text for people."""
     if isinstance(value, dict) and value:
         for key, inner in value.items():
             for_people = text or key in TEXTS and not isinstance(inner, dict)

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Questions per second over HTTP with the built-in parts: a fresh server, the sample scene, sixteen connections (Debian's wrk).
+# Questions per second over HTTP with the built-in models: a fresh server, the sample scene, sixteen connections (Debian's wrk).
 set -euo pipefail
 cd "$(dirname "$0")/.."
-command -v wrk >/dev/null || { echo "left out: wrk is not installed" >&2; exit 1; }
+command -v wrk >/dev/null || { echo "skipped: wrk is not installed" >&2; exit 1; }
 
 work=$(mktemp -d)
 ./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$work/data" --masks builtin --encoder builtin >"$work/out" 2>"$work/log" &

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Builds PCL's VCCS, installs Open3D and onnxruntime into .venv-peers once, and times them beside ours: benches/PEERS.md.
-# What can not be built or installed here becomes a row that says so. An argument names the folder of the rooms.
+# Builds PCL's VCCS, installs Open3D and onnxruntime into .venv-peers once, and times them next to this project: benches/PEERS.md. What cannot be
+# built or installed becomes a row that says so. An argument names the folder of the rooms.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -17,7 +17,7 @@ if ! cmp --silent "$pins" "$venv/installed.txt"; then
     "${PYTHON:-python3}" -m venv "$venv" &&
         "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$pins" &&
         cp "$pins" "$venv/installed.txt" ||
-        echo "not everything in $pins could be installed" >&2
+        echo "some packages of $pins could not be installed" >&2
 fi
 [ ! -x "$venv/bin/python" ] || peers+=(--python "$venv/bin/python")
 

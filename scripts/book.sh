@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The manual as pages: docs/ to target/book. `install` only installs.
+# Builds the manual as web pages from docs/ into target/book. `install` only installs.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 venv=.venv-book

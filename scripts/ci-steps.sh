@@ -6,11 +6,11 @@
 #
 # NAME has lower-case letters, digits and hyphens. COMMAND may be a function; it sees exported variables only, and fails at its first command that fails.
 # CPU is how much of one core the step keeps busy, in percent. Steps run side by side while their sum fits the machine's cores.
-# `alone` means that nothing runs beside the step: for steps that measure times. Once it may start, no step below it starts before.
+# `alone` means that no other step runs at the same time: for steps that measure times. Once it may start, no step below it starts before it.
 # AFTER names the steps that must have passed before, separated by commas; `-` means none.
 #
 # Each step writes to a log file of its own, which is printed when the step ends. After the first failure no other step starts, and those
-# that run are stopped. A table of seconds is printed at the end, also after a failure. CI_CPU sets the capacity, where it is not the number of
+# that run are stopped. A table of seconds is printed at the end, also after a failure. CI_CPU overrides the capacity, which is the number of
 # cores times 100.
 
 step_names=()
@@ -31,7 +31,7 @@ step() { # NAME CPU AFTER COMMAND...
     step_state[$name]='not run'
 }
 
-# Names of the steps in this state.
+# Returns the names of the steps in this state.
 steps_that_are() { # STATE
     local name
     for name in "${step_names[@]}"; do
@@ -39,7 +39,7 @@ steps_that_are() { # STATE
     done
 }
 
-# Whether the steps before it have passed.
+# Returns whether the steps before it have passed.
 is_ready() { # NAME
     local name
     for name in ${step_after[$1]//,/ }; do
@@ -47,14 +47,14 @@ is_ready() { # NAME
     done
 }
 
-# Whether there is room for it beside the steps that run.
+# Returns whether it fits next to the running steps.
 has_room() { # NAME
     local name used=0
     for name in $(steps_that_are running); do
         [ "$1" != "$name" ] && [ "${step_cpu[$1]}" != alone ] && [ "${step_cpu[$name]}" != alone ] || return 1
         used=$((used + step_cpu[$name]))
     done
-    # A step that wants more than the machine has runs by itself.
+    # A step that needs more than the machine has runs by itself.
     [ $used = 0 ] || [ $((used + step_cpu[$1])) -le "$capacity" ]
 }
 
@@ -78,11 +78,11 @@ start_steps() {
     done
 }
 
-# Records how a step that has ended did.
+# Records the result of a finished step.
 end_step() { # NAME
     local code=0
     wait "${step_pid[$1]}" || code=$?
-    # What it left running.
+    # Processes that it left running.
     kill -KILL -- "-${step_pid[$1]}" 2>/dev/null || true
     step_seconds[$1]=$((SECONDS - step_began[$1]))
     step_state[$1]=passed
@@ -101,7 +101,7 @@ end_steps() {
     done
 }
 
-# Ends the steps that run: with ten seconds to clean up, then by force.
+# Ends the running steps: ten seconds to clean up, then by force.
 stop_steps() {
     local name signal tries
     for signal in TERM KILL; do
@@ -134,7 +134,7 @@ interrupted() {
     exit 143
 }
 
-# `step_logs`, the folder of the logs, is the caller's to remove.
+# The caller removes `step_logs`, the folder of the logs.
 run_steps() {
     local name
     capacity=${CI_CPU:-$((100 * $(nproc)))}

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Takes the Dockerfile's steps by hand, where there is no container engine: a clean context, every COPY and RUN as written, then the result.
+# Runs the Dockerfile's steps without a container engine: a clean context, every COPY and RUN as written, then the result.
 #
 #   container-steps.sh [--dry-run] [--keep] [REVISION]      default: HEAD. --dry-run parses and prints, copies and runs nothing
 #
-# The context is `git archive REVISION` less what .dockerignore keeps out. Every stage is a folder that stands for its root:
+# The context is `git archive REVISION` without the files in .dockerignore. Every stage is a folder that stands for its root:
 # WORKDIR and COPY go below it, RUN runs there with this machine's programs. So a RUN with an absolute path is refused, and one that
-# begins with apt-get is left out (and named): it would change this machine. What only an engine can do is named as well: the base
-# images, USER, VOLUME and the like. At the end: --version, ONNX Runtime found beside the binary, the HEALTHCHECK against the running service.
+# begins with apt-get is skipped (and named): it would change this machine. What only an engine can do is named as well: the base
+# images, USER, VOLUME and the like. At the end: --version, ONNX Runtime found next to the binary, the HEALTHCHECK against the running service.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -58,12 +58,12 @@ done <"$work/files" >"$work/kept"
 tar -c -C "$all" -T "$work/kept" | tar -x -C "$context"
 say "context: $(wc -l <"$work/kept") of $(wc -l <"$work/files") files of $revision, $(du -sh "$context" | cut -f1)"
 
-# One instruction a line: comments out, continued lines joined.
+# One instruction per line: comments removed, continued lines joined.
 sed -e '/^[[:space:]]*#/d' "$all/Dockerfile" | sed -e ':again' -e '/\\$/{N;s/\\\n[[:space:]]*/ /;b again' -e '}' | sed '/^[[:space:]]*$/d' >"$work/instructions"
 
 root='' folder='' stage=0 variables=() left_out=() health=''
 
-# A place in the image, absolute or below WORKDIR, as a path here.
+# Maps a path in the image, absolute or below WORKDIR, to a path here.
 place() { case $1 in /*) printf '%s' "$root$1" ;; *) printf '%s' "$folder/$1" ;; esac; }
 
 begin_stage() { # image [AS name]
@@ -77,7 +77,7 @@ begin_stage() { # image [AS name]
         rust:*)
             local wanted=${1#rust:}
             wanted=${wanted%%-*}
-            # From the root, where no toolchain file has a say: the context has none either.
+            # From the root, where no toolchain file applies: the context has none either.
             case $(cd / && rustc --version) in
                 "rustc $wanted."* | "rustc $wanted "*) ;;
                 *) die "the Dockerfile builds with Rust $wanted, here is $(cd / && rustc --version)" ;;
@@ -106,7 +106,7 @@ copy() {
 
 run() {
     case $1 in apt-get*) left_out+=("RUN $1"); say "   left out"; return ;; esac
-    # What follows a blank, a quote, = or > and begins with / lies outside the stage's folder.
+    # A path that follows a blank, a quote, = or > and begins with / is outside of the stage's folder.
     if grep -qE "(^|[[:space:]\"'=>])/[[:alnum:]]" <<<"$1"; then die "an absolute path in: RUN $1"; fi
     [ -z "$dry_run" ] || return 0
     (cd "$folder" && env -u CARGO_TARGET_DIR -u RUSTUP_TOOLCHAIN "${variables[@]}" sh -c "$1" </dev/null)
@@ -117,7 +117,7 @@ while IFS= read -r line; do
     word=${line%%[[:space:]]*}
     rest=${line#"$word"}
     rest=${rest#"${rest%%[![:space:]]*}"}
-    # Split at blanks, as the instructions below are; nothing here may expand.
+    # Split at blanks, like the instructions below; nothing may expand here.
     read -ra words <<<"$rest"
     case $word in
         FROM) begin_stage "${words[@]}" ;;
@@ -140,7 +140,7 @@ binary=$root/opt/uniground/uniground
 find "$root" -type f -exec du -h {} +
 missing=$(ldd "$binary" "$root/opt/uniground/libonnxruntime.so" | grep 'not found' || true)
 [ -z "$missing" ] || die "libraries missing: $missing"
-# An empty folder and an empty environment: only the library beside the binary can be found.
+# An empty folder and an empty environment: only the library next to the binary can be found.
 mkdir "$work/empty"
 (cd "$work/empty" && env -i "PATH=$PATH" "$binary" models verify "$all/crates/uniground-models/tests/data/tiny-dual-encoder")
 

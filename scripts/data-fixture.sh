@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Writes a data folder as one version of the service leaves it: a small scan, its parse, two answers, jobs. Kept under tests/fixtures/ so
-# that later versions can be held to it.
+# Writes the data folder of one version of the service: a small scan, its parse, two answers, jobs. Stored in tests/fixtures/ so that later
+# versions can be tested with it.
 #   scripts/data-fixture.sh path/to/uniground tests/fixtures/NAME.tar.zst
 set -euo pipefail
 program=$(realpath "$1") out=$(realpath -m "$2")
@@ -8,16 +8,16 @@ work=$(mktemp -d)
 trap 'kill "$server" 2>/dev/null || true; rm -rf "$work"' EXIT
 cd "$work"
 
-# A floor and a red block on it, seen from four sides: depth and colour by one ray for every pixel.
+# A floor and a red block on it, seen from four sides: depth and color by one ray per pixel.
 python3 - <<'PY'
 import math, struct, zipfile, zlib
 WIDTH, HEIGHT, F = 96, 72, 80.0
 BLOCK = ((-0.4, -0.3, 0.0), (0.4, 0.3, 0.5))
 
-def png(rows, bits, colour):
+def png(rows, bits, color):
     raw = b"".join(b"\0" + row for row in rows)
     chunk = lambda kind, data: struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-    head = struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, 2 if colour else 0, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", WIDTH, HEIGHT, bits, 2 if color else 0, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(raw, 9)) + chunk(b"IEND", b"")
 
 def hit(eye, ray):
@@ -45,17 +45,17 @@ with zipfile.ZipFile("scan.zip", "w", zipfile.ZIP_DEFLATED) as scan:
         forward = [v / length for v in forward]
         right = [math.sin(turn) * -1, math.cos(turn), 0.0]
         down = [forward[1] * right[2] - forward[2] * right[1], forward[2] * right[0] - forward[0] * right[2], forward[0] * right[1] - forward[1] * right[0]]
-        colours, depths = [], []
+        colors, depths = [], []
         for v in range(HEIGHT):
-            colour, depth = bytearray(), bytearray()
+            color, depth = bytearray(), bytearray()
             for u in range(WIDTH):
                 x, y = (u - WIDTH / 2 + 0.5) / F, (v - HEIGHT / 2 + 0.5) / F
                 ray = [forward[k] + x * right[k] + y * down[k] for k in range(3)]
                 z, rgb = hit(eye, ray)
-                colour += bytes(rgb)
+                color += bytes(rgb)
                 depth += struct.pack(">H", round(z * 1000))
-            colours.append(bytes(colour)), depths.append(bytes(depth))
-        scan.writestr(f"color/{i}.png", png(colours, 8, True))
+            colors.append(bytes(color)), depths.append(bytes(depth))
+        scan.writestr(f"color/{i}.png", png(colors, 8, True))
         scan.writestr(f"depth/{i}.png", png(depths, 16, False))
         rows = [[right[k], down[k], forward[k], eye[k]] for k in range(3)] + [[0, 0, 0, 1]]
         scan.writestr(f"pose/{i}.txt", "\n".join(" ".join(f"{v:.6f}" for v in row) for row in rows) + "\n")
@@ -73,7 +73,7 @@ for query in "the red coffee table" "the green fridge"; do
     curl -sf -X POST "$url/v1/scenes/$scene/ground" -H 'content-type: application/json' -d "{\"query\": \"$query\"}" >>answers.jsonl
     echo >>answers.jsonl
 done
-# What callers were told, to compare with: the scene, its instances, the answers.
+# The responses to compare with: the scene, its instances, the answers.
 curl -sf "$url/v1/scenes/$scene" >scene.json
 curl -sf "$url/v1/scenes/$scene/instances" >instances.json
 kill "$server" && wait "$server" || true

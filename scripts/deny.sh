@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# cargo-deny without its advisory database, which needs the network: licences, bans and sources. `install` only installs.
+# Runs cargo-deny without its advisory database, which needs the network: licenses, bans and sources. `install` only installs.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 venv=.venv-deny

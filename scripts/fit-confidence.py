@@ -1,23 +1,23 @@
 #!/usr/bin/env python3
-"""Fits crates/uniground-grounding/src/reasoner/confidence.tsv: how often answers were right, by the belief they were given with.
+"""Fits crates/uniground-grounding/src/reasoner/confidence.tsv: the share of correct answers by belief.
 
     scripts/fit-confidence.py measures REPORT.json ...     # reports of `uniground eval`, source=parsed, before calibration
 
-Prints the table's rows for names from that source (measures or encoder), and what they are worth: the expected calibration error of every
-room under a table fitted to the other rooms, beside that of the beliefs as they are. Isotonic regression (pool adjacent violators), read
-at fixed beliefs. Standard library only.
+Prints the table's rows for names from that source (measures or encoder), and the expected calibration error of every room under a table
+fitted to the other rooms, compared with that of the raw beliefs. Uses isotonic regression (pool adjacent violators), read at fixed beliefs.
+Needs only Python's standard library.
 """
 
 import json
 import sys
 
 AT = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0]
-# So many answers of 0 % at belief 0 and of the mean at belief 1 are added: few answers have the highest beliefs.
+# Prior: this many answers with 0 % at belief 0 and with the mean at belief 1, because few answers have the highest beliefs.
 PRIOR = 5
 
 
 def answers(report):
-    """(scene, belief, right) of every answer with a box."""
+    """Yields (scene, belief, right) of every answer with a box."""
     for cell in json.load(open(report))["cells"]:
         if cell["configuration"]["source"] != "parsed":
             continue
@@ -29,7 +29,7 @@ def answers(report):
 
 
 def isotonic(rows):
-    """Belief -> share right, never falling: a list of (belief, share, weight)."""
+    """Isotonic regression from belief to share right: a list of (belief, share, weight)."""
     mean = sum(right for _, right in rows) / len(rows)
     points = sorted([(b, r, 1) for b, r in rows] + [(0.0, 0.0, PRIOR), (1.0, mean, PRIOR)])
     pools = []
@@ -54,7 +54,7 @@ def table(rows):
 
 
 def error(rows):
-    """Expected calibration error over tenths."""
+    """Returns the expected calibration error over tenths."""
     bins = {}
     for belief, right in rows:
         bins.setdefault(min(int(belief * 10), 9), []).append((belief, right))

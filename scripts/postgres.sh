@@ -1,6 +1,6 @@
 # shellcheck shell=sh disable=SC2034,SC2012
-# To be read by scripts that need a PostgreSQL: starts one of Debian's (postgresql) in a folder of its own, on a port the system picks, and ends it
-# with the script. Gives $server, its address; $log, its log; $start and $stop, commands that start and stop it.
+# Sourced by scripts that need PostgreSQL: starts Debian's postgresql in a folder of its own on a free port, and stops it when the script ends.
+# Sets $server, its URL; $log, its log; $start and $stop, commands that start and stop it.
 PG_BIN=${PG_BIN:-$(ls -d /usr/lib/postgresql/*/bin 2>/dev/null | sort -V | tail -1)}
 [ -x "$PG_BIN/initdb" ] || { echo "PostgreSQL is missing: apt-get install postgresql" >&2; exit 1; }
 PATH=$PG_BIN:$PATH

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Writes the two files of clients/python that nobody writes by hand. Needs nothing but Python.
+"""Writes the two generated files of clients/python. Needs only Python.
 
     python-client.py            write them
-    python-client.py --check    fail where they are not what this would write
+    python-client.py --check    fail if they are not up to date
 
 `models.py` is openapi/openapi.json as Python: what a request can carry is a `TypedDict`, everything else a dataclass, an enumeration
 a `Literal`. `_sync.py` is `_async.py` without the `await`s, so that the two clients cannot drift apart.
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "clients/python/src/uniground"
 WIDTH = 140
 
-# Dataclasses that get methods written by hand, in `_values.py`.
+# Dataclasses that get handwritten methods, in `_values.py`.
 METHODS = {"Aabb": "BoxMethods", "OrientedBox": "BoxMethods", "Answer": "AnswerMethods"}
 NUMBERS_AND_WORDS = {"integer": "int", "number": "float", "string": "str", "boolean": "bool"}
 
@@ -56,7 +56,7 @@ SYNC_WORDS = [
     (r"__aexit__", "__exit__"),
     (r"\basyncio\.sleep\b", "time.sleep"),
     (r"\bimport asyncio\n", ""),
-    # What tells which of the two one reads.
+    # The field that tells the two variants apart.
     (r'"""The asynchronous client\. The other one, .*?"""', '"""The client that waits."""'),
 ]
 
@@ -66,14 +66,14 @@ class Models:
 
     def __init__(self, description: dict[str, Any]) -> None:
         self.schemas: dict[str, Any] = description["components"]["schemas"]
-        # A request is written by the caller, in part at times: a dictionary, and so is all it consists of.
+        # The caller may write a request partially, so it is a dictionary, and so are all its parts.
         self.requests: set[str] = set()
         for path in description["paths"].values():
             for operation in path.values():
                 self.reach(operation.get("requestBody", {}))
 
     def reach(self, node: Any) -> None:
-        """Notes every schema that a request leads to."""
+        """Notes every schema that a request refers to."""
         if isinstance(node, list):
             for part in node:
                 self.reach(part)
@@ -85,7 +85,7 @@ class Models:
                 self.reach(part)
 
     def write(self) -> str:
-        # Annotations are read late, aliases at once: those that name a class come after it.
+        # Annotations are evaluated late and aliases at once, so aliases that name a class come after it.
         def place(name: str) -> int:
             return 1 if "properties" in self.whole(name) else 2 if "$ref" in json.dumps(self.schemas[name]) else 0
 
@@ -95,12 +95,12 @@ class Models:
         return "\n".join(parts)
 
     def whole(self, name: str) -> Any:
-        """A schema with what it is made of put together."""
+        """Returns a schema with its parts merged."""
         schema = self.schemas[name]
         if "allOf" in schema:
             parts = [self.whole(name_of(part)) if "$ref" in part else part for part in schema["allOf"]]
         elif all(part.get("type") == "object" for part in schema.get("oneOf", [{}])):
-            # Variants told apart by a word: one class with the fields of all.
+            # Variants distinguished by a word: one class with the fields of all.
             parts = schema["oneOf"]
         else:
             return schema
@@ -129,18 +129,18 @@ class Models:
             default = ""
             if key not in required:
                 kind, default = self.default(kind)
-            # A word of Python's, like `import`, gets an underscore behind it; `decode` knows.
+            # A Python keyword such as `import` gets a trailing underscore; `decode` handles it.
             lines += [f"    {key}{'_' * iskeyword(key)}: {kind}{default}", docstring(schema["properties"][key].get("description", ""))]
         return joined(lines)
 
     def dictionary(self, name: str, description: str, fields: dict[str, Any], required: list[str], optional: list[str]) -> str:
-        """What must be given stands in a class of its own, so that `GroundOptions` can be keyword arguments beside the query."""
+        """Puts required fields into a class of their own, so that `GroundOptions` can be keyword arguments next to the query."""
         lines: list[str] = []
         base = "TypedDict"
         options = name.replace("Request", "") + "Options" if required else name
         for class_name, keys, total in [(options, optional, False), (name, required, True)]:
             if words := {key: self.type_of(fields[key], True) for key in keys if iskeyword(key)}:
-                # A class can not have fields called like words of Python's.
+                # A class cannot have fields that are Python keywords.
                 lines += ["", f'_{class_name} = TypedDict("_{class_name}", {json.dumps(words)}, total={total})']
                 base = f"_{class_name}"
             if keys:
@@ -159,7 +159,7 @@ class Models:
         return (kind if kind.startswith("Optional[") or kind == "Any" else f"Optional[{kind}]"), " = None"
 
     def type_of(self, schema: dict[str, Any], request: bool) -> str:
-        """As an annotation that Python 3.9 can read at run time."""
+        """Returns the annotation in a form that Python 3.9 can evaluate at run time."""
         if "$ref" in schema:
             return name_of(schema)
         if "oneOf" in schema:

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Scores the annotated rooms with the built-in parts and fails on a drop against benches/quality.json that is more than luck. The baseline
-# is of the rooms this was developed with; what the others come to is printed, and holds nothing.
-# UPDATE=1 writes the baseline instead; `baseline` scores the rooms of the baseline only.
+# Scores the annotated rooms with the built-in models and fails on a significant drop against benches/quality.json. The baseline consists of the rooms
+# used for development; figures of the others are printed but not checked. UPDATE=1 writes the baseline instead; `baseline` scores only the rooms of
+# the baseline.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 rooms=${ROOMS:-../shared/scenes}
 baseline=benches/quality.json
 if [ ! -d "$rooms" ]; then
-    echo "left out: no annotated rooms in $rooms" >&2
+    echo "skipped: no annotated rooms in $rooms" >&2
     [ -z "${UNIGROUND_REQUIRE_SHARED:-}" ]
     exit
 fi
@@ -27,7 +27,7 @@ matrix="source=parsed,oracle-boxes,oracle;top_k=10"
 only=${1:-all}
 label=$(git rev-parse --short HEAD 2>/dev/null || echo unknown)
 if [ "$only" != baseline ] && [ -n "$(ls "$folders/others")" ]; then
-    echo "Rooms nobody has developed with:"
+    echo "Rooms not used for development:"
     ./target/release/uniground eval "$folders/others" --out target/quality-others --matrix "$matrix" --label "$label"
     echo "Rooms of the baseline:"
 fi
@@ -35,5 +35,5 @@ against=(--baseline "$baseline")
 [ -n "${UPDATE:-}" ] && against=(--write-baseline "$baseline")
 ./target/release/uniground eval "$folders/scenes" --out target/quality --matrix "$matrix" --label "$label" "${against[@]}"
 [ "$only" != baseline ] || exit 0
-echo "All rooms, with names as somebody gives them who looks (benches/names), and 24 candidates:"
+echo "All rooms, with names written by a person (benches/names), and 24 candidates:"
 ./target/release/uniground eval "$folders/named" --out target/quality-named --matrix "source=parsed,oracle-boxes;names=seen;top_k=24" --label "$label"

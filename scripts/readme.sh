@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the README's question and its request as printed, the request against a server with built-in parts, and checks the answers.
+# Runs the README's question and its request as printed, the request against a server with built-in models, and checks the answers.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Whether two versions of uniground answer alike: the sample scene and its questions through both, byte for byte but for ids and times.
+"""Compares the answers of two versions of uniground: the sample scene and its questions through both, byte for byte except for ids and times.
 
 scripts/same-answers.py path/to/uniground path/to/other/uniground [scan.zip queries.json]
 """
@@ -37,7 +37,7 @@ class Server:
             return error.read()
 
 
-# What differs between two runs of the same version.
+# Fields that differ between two runs of the same version.
 CHANGING = re.compile(rb'"timings_ms":\{[^}]*\}|[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}')
 
 
@@ -68,9 +68,9 @@ def main():
     )
     questions = [entry["query"] for entry in json.loads(queries.read_text())]
     replies = [told(program, scan.read_bytes(), questions) for program in (ours, theirs)]
-    # Two servers that both refuse everything would answer alike too.
+    # Two servers that both refuse everything would also give equal answers.
     if not any(b'"status":"grounded"' in reply for _, reply in replies[0]):
-        sys.exit("nothing was found at all: there is nothing to compare")
+        sys.exit("neither version found anything: there is nothing to compare")
     unlike = 0
     for (what, one), (_, other) in zip(*replies):
         one, other = CHANGING.sub(b"", one), CHANGING.sub(b"", other)

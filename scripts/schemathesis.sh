@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Requests made up from the served OpenAPI description, against a real server: whatever comes, the answer is as described.
-# Needs ./target/release/uniground and Python 3; installs Schemathesis into .venv once (with `install` only that).
+# Sends generated requests from the served OpenAPI description to a real server: every response must match the description. Needs
+# ./target/release/uniground and Python 3; installs Schemathesis into .venv once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -15,7 +15,7 @@ fi
 data=$(mktemp -d)
 server=
 trap '[ -z "$server" ] || { kill "$server" && wait "$server" || true; }; rm -rf "$data"' EXIT
-# With a key, as a server for others has one.
+# With a key, like a public server.
 export UNIGROUND_API_KEY=ug_schemathesis_0123456789
 show=(-H "Authorization: Bearer $UNIGROUND_API_KEY")
 ./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$data/data" --masks builtin --encoder builtin >"$data/out" 2>"$data/log" &
@@ -51,7 +51,7 @@ expected-statuses = ["2xx", "3xx", "4xx"]
 "path.job_id" = "$job"
 "path.upload_id" = "$upload"
 "path.view" = "0.jpg"
-# Deleting the scene would leave the rest nothing to talk to.
+# Deleting the scene would leave nothing for the other requests.
 [[operations]]
 include-name = "DELETE /v1/scenes/{scene_id}"
 enabled = false

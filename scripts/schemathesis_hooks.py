@@ -1,4 +1,4 @@
-"""Archives, parts of them and JSONL for Schemathesis: it makes up the bytes, which the server must refuse politely."""
+"""Marks archives, parts of them and JSONL for Schemathesis as arbitrary bytes, which the server must refuse with a problem."""
 
 import schemathesis
 

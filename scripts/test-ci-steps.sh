@@ -7,14 +7,14 @@ scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 failed=0
 
-# Runs declared steps with two cores, and keeps the output and the exit code.
+# Runs declared steps with two cores, and stores the output and the exit code.
 run() { # DECLARATIONS
     code=0
     SCRATCH=$scratch CI_CPU=200 bash -euo pipefail -c "source ./ci-steps.sh; $1
 run_steps" >"$scratch/out" 2>&1 || code=$?
 }
 check() { # WHAT CONDITION...
-    if "${@:2}"; then echo "held: $1"; else
+    if "${@:2}"; then echo "passed: $1"; else
         echo "FAILED: $1"
         sed 's/^/    /' "$scratch/out"
         failed=1
@@ -54,7 +54,7 @@ check "a function fails at its first command that fails" lacks unreachable
 check "what runs is stopped, with time to clean up" [ "$(cat "$scratch/cleaned")" = cleaned ]
 check "the table says what failed, was stopped and did not run" \
     [ "$(grep -cE '^bad .* FAILED$|^slow .* stopped$|^never .* not run$|^left-behind .* passed$' "$scratch/out")" = 4 ]
-# One that has ended may still be in the table of processes.
+# A finished process may still be in the process table.
 check "no process stays behind" [ "$(ps -o stat= -p "$(cat "$scratch/left")" | grep -vc Z)" = 0 ]
 
 run 'step noisy 10 - bash -c "echo to stdout; echo to stderr >&2; cat; exit 3"

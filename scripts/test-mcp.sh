@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# MCP clients that exist against the real server. Needs ./target/release/uniground and Python 3.10 or newer, and npx for the inspector (where it
-# is missing it says so); installs the Python SDK into .venv-mcp once (with `install` only that).
+# Tests existing MCP clients against the real server. Needs ./target/release/uniground and Python 3.10 or newer, and npx for the inspector (if it is
+# missing, a line says so); installs the Python SDK into .venv-mcp once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,23 +1,23 @@
 #!/usr/bin/env bash
-# Tests with real weights: what can be fetched is fetched, then parity with the Python runtime, annotated rooms, and real servers of both
-# protocols. `golden` stops after SAM 2 tiny and CLIP against the Python runtime, which takes half a minute instead of ten.
-# The golden outputs and rooms lie beside the checkout where this project is built.
+# Tests with real weights: downloads what is available, then checks parity with the Python runtime, annotated rooms, and real servers of both
+# protocols. `golden` stops after SAM 2 tiny and CLIP against the Python runtime, which takes half a minute instead of ten. The golden outputs and
+# rooms are in a folder next to the checkout.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 shared=../shared/models
 if [ ! -d "$shared/golden" ]; then
-    echo "left out: no golden outputs in $shared" >&2
+    echo "skipped: no golden outputs in $shared" >&2
     [ -z "${UNIGROUND_REQUIRE_SHARED:-}" ]
     exit
 fi
 
-# The program and the tests in one build.
+# Builds the program and the tests together.
 ${CARGO:-cargo} test --release --locked --quiet --test integration --no-run
 ./target/release/uniground models fetch
 if [ "${1:-}" = golden ]; then
     ${CARGO:-cargo} test --release --locked --quiet --test integration -- --ignored --show-output \
-        clip_embeddings_are_those_of_the_python_runtime sam2_masks_are_those_of_the_python_reference | tee target/golden
-    # A test under another name would be left out without a word.
+        clip_embeddings_equal_the_python_runtime sam2_masks_equal_the_python_reference | tee target/golden
+    # A renamed test would silently be skipped.
     grep -q '^test result: ok. 2 passed' target/golden
     exit
 fi
@@ -33,14 +33,14 @@ if [ ! -f models/pe-tokenizer.json ]; then
     rm -rf "$work"
 fi
 
-# A server of the chat protocol, in an environment of its own: it pins other versions of what the inference server needs.
+# A chat server in an environment of its own, because it pins other versions than the inference server needs.
 litellm=.venv-litellm
 [ -x $litellm/bin/python ] || "${PYTHON:-python3}" -m venv $litellm
 $litellm/bin/pip install -q "litellm[proxy]==1.106.2"
 
 logs=$(mktemp -d)
 free_port() { $venv/bin/python -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }
-# Waits for the server with this process number to answer at this address; tells its log if it ends.
+# Waits until the server with this process id answers at this address; prints its log if it ends.
 ready() {
     for _ in $(seq 120); do
         curl -sf "$3" >/dev/null && return

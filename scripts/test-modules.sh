@@ -1,6 +1,6 @@
 #!/bin/sh
-# Filters for modules of tests/integration, one a line: `batches` becomes `batches::`. Fails on a name that is no module, whose tests a filter
-# would leave out without a word.
+# Prints a test filter for each module of tests/integration: `batches` becomes `batches::`. Fails on an unknown module, because a filter that matches
+# nothing would silently skip its tests.
 set -eu
 cd "$(dirname "$0")/.."
 for module in "$@"; do

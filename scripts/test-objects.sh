@@ -1,30 +1,32 @@
 #!/bin/sh
-# The service with its scans and parses in an object store: the crate s3s-fs, a real S3 server on loopback (it checks signatures and
-# conditions, and what it keeps are files: killed and started again it has what it had). First what is about an object store (a machine without
-# its copies, outages, the bound of copies, orphans, torn uploads), then the tests of the whole service. Left out of those is what is about
-# files in the data folder itself (backups, old schemas, dry runs, the quarantine; a file that is lost there, which is brought anew) and what uses
-# no store.
+# The service with its scans and parses in an object store: the crate s3s-fs, a real S3 server on loopback. It checks signatures and conditions,
+# and stores objects as files, so that a killed server still has them after a restart. First the tests of an object store itself (a machine without
+# local copies, outages, the limit of local copies, orphans, torn uploads), then the tests of the whole service. Left out are tests of files in the
+# data folder (backups, old schemas, dry runs, the quarantine, a lost file, which is fetched again) and tests that use no store.
 #
-#   scripts/test-objects.sh [FILTER...]   all of that
-#   scripts/test-objects.sh contract      only the tests of files, which have to hold in every store
-#   scripts/test-objects.sh install       only the S3 server
+#   scripts/test-objects.sh [FILTER...]   everything
+#   scripts/test-objects.sh contract      only the tests of files, which every store must pass
+#   scripts/test-objects.sh install       only installs the S3 server
 set -eu
 cd "$(dirname "$0")/.."
 CARGO=${CARGO:-cargo}
 PYTHON=${PYTHON:-python3}
 S3S_FS=${S3S_FS:-target/tools/bin/s3s-fs}
-contract="corrections growth keeping moving restart resumable uploads"
+contract="corrections data_migration growth maintenance restart resumable_uploads uploads"
+skipped="backups:: upgrades:: command_line::maintenance_commands_print_json retention::only_expired_data_is_removed
+    maintenance::orphan_folders_are_quarantined maintenance::the_doctor_finds_damage_and_the_next_start_repairs_it
+    logs::an_error_is_logged_once_with_route_request_and_cause chat_models:: coordinate_conventions:: evaluation:: layering:: language:: neural::
+    openapi:: web_pages:: real_models:: stage_one::"
 
-# Unoptimised and without debug information: that is built sooner, and quick enough for tests.
+# Unoptimized and without debug information: this builds faster and is fast enough for tests.
 [ -x "$S3S_FS" ] || CARGO_PROFILE_DEV_DEBUG=0 $CARGO install --quiet --root target/tools s3s-fs --version 0.14.1 --features binary --locked --debug
 
 run_tests() { # FILTER...
+    # shellcheck disable=SC2086
+    skips=$(scripts/test-skips.sh $skipped)
+    # shellcheck disable=SC2086
     $PYTHON tests/cluster/object_store.py --server "$S3S_FS" -- \
-        "$CARGO" test --release --locked --quiet --test integration -- "$@" \
-        --skip backups:: --skip upgrades:: --skip hurry::the_keepers --skip care::what_was_kept_long_enough \
-        --skip keeping::what_no_record_speaks_of --skip keeping::the_doctor_finds_damage --skip logs::an_error_is_told_once \
-        --skip chat_models:: --skip conventions:: --skip evaluation:: --skip layering:: --skip language:: --skip neural:: --skip openapi:: \
-        --skip pages:: --skip real_models:: --skip shared_scenes:: --skip stage_one::
+        "$CARGO" test --release --locked --quiet --test integration -- "$@" $skips
 }
 
 case "${1:-}" in
@@ -38,7 +40,7 @@ contract)
     ;;
 *)
     $CARGO build --release --locked --quiet
-    $PYTHON tests/cluster/objects.py --program target/release/uniground --server "$S3S_FS"
+    $PYTHON tests/cluster/object_store_outage.py --program target/release/uniground --server "$S3S_FS"
     run_tests "$@"
     ;;
 esac

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# The committed description by those who read it: a linter, and clients made of it in two languages, compiled.
+# Checks the committed OpenAPI description with a linter, and with generated clients in two languages, which are compiled.
 #
-# Needs Python 3, and npm for the linter and the TypeScript client (where npm is missing it says so and leaves these out); installs
+# Needs Python 3, and npm for the linter and the TypeScript client (if npm is missing, a line says so and these are skipped); installs
 # openapi-python-client and mypy into .venv-openapi once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -21,7 +21,7 @@ fi
 [ "${1:-}" != install ] || exit 0
 PATH=$PWD/$venv/bin:$PATH openapi-python-client generate --path openapi/openapi.json --config openapi/python-client.yaml \
     --output-path "$made/uniground_made" --meta none --fail-on-warning
-# The generator's own: how it leaves httpx's client, and a field that is called as its class is.
+# The generator's own errors: its handling of httpx's client, and a field with the name of its class.
 cat >"$made/mypy.ini" <<'INI'
 [mypy]
 [mypy-uniground_made.client]
@@ -31,9 +31,9 @@ disable_error_code = assignment, return-value
 INI
 (cd "$made" && "$OLDPWD/$venv/bin/mypy" --config-file mypy.ini uniground_made)
 
-command -v npm >/dev/null || { echo "left out: the linter and the TypeScript client, there is no npm"; exit 0; }
+command -v npm >/dev/null || { echo "skipped: the linter and the TypeScript client, there is no npm"; exit 0; }
 npx --yes "@redocly/cli@$redocly" lint openapi/openapi.json --config openapi/redocly.yaml --format=summary
-# The page's types are made of the description; that they are, and compile, is looked at once more here.
+# The page's types are generated from the description; this checks that they are current and compile.
 scripts/web.sh install
 (cd web && npx openapi-typescript ../openapi/openapi.json -o "$made/schema.ts" >/dev/null &&
     npx tsc --noEmit --strict --target es2022 --typeRoots "$made/types" "$made/schema.ts")

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# The Python package against a real server: what is generated, formatting and lints, types, Python 3.9, tests, blocks of the documentation,
-# the notebook; and the ROS 2 example. Needs ./target/release/uniground (or UNIGROUND_PROGRAM) and Python 3.11; installs into .venv-python once
-# (with `install` only that).
+# Tests the Python package against a real server: generated files, formatting and lints, types, Python 3.9, tests, code blocks of the documentation,
+# the notebook, and the ROS 2 example. Needs ./target/release/uniground (or UNIGROUND_PROGRAM) and Python 3.11; installs into .venv-python once (with
+# `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 venv=.venv-python
 packages=$venv/packages
 [ -x $venv/bin/python ] || "${PYTHON:-python3}" -m venv $venv
-# Again where what is asked for has changed.
+# Installed again if the requirements have changed.
 if ! cmp -s clients/python/pyproject.toml $packages; then
     $venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --editable 'clients/python[test]'
     cp clients/python/pyproject.toml $packages

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Clients of tus that exist against a real server that is killed in the middle. Needs ./target/release/uniground and Python 3.10 or newer, and
-# npm for tus-js-client (where it is missing it says so); installs tuspy into .venv-tus once (with `install` only that).
+# Tests existing tus clients against a real server that is killed during the upload. Needs ./target/release/uniground and Python 3.10 or newer, and
+# npm for tus-js-client (if it is missing, a line says so); installs tuspy into .venv-tus once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
-# The page: types, whether web/dist belongs to its sources, and a headless browser against the real server.
+# Tests the page: types, whether web/dist is up to date, and a headless browser against the real server.
 #
 # Needs Node 20.19 with npm, Debian's chromium (or CHROMIUM=program), and the server built (or UNIGROUND=program).
-# Where Node or Chromium is missing it says so and leaves out what wants them. `browser` leaves out everything but the browser.
+# If Node or Chromium is missing, a line says so and their tests are skipped. `browser` runs only the browser tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-command -v npm >/dev/null || { scripts/web.sh check && echo "left out: the page's tests, there is no npm" && exit 0; }
+command -v npm >/dev/null || { scripts/web.sh check && echo "skipped: the page's tests, there is no npm" && exit 0; }
 if [ "${1:-}" = browser ]; then scripts/web.sh install; else scripts/web.sh check; fi
 
 chromium=${CHROMIUM:-$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)}
-[ -n "$chromium" ] || { echo "left out: the page in a browser, there is no chromium (Debian: apt-get install chromium)"; exit 0; }
+[ -n "$chromium" ] || { echo "skipped: the page in a browser, there is no chromium (Debian: apt-get install chromium)"; exit 0; }
 program=${UNIGROUND:-$PWD/target/release/uniground}
 [ -x "$program" ] || { echo "build the server first: cargo build --release" >&2; exit 1; }
 cd web

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# What a package must not lean on, however many others stand between: a robot's process needs no server, a client no pipelines.
+# Checks forbidden dependencies between packages, also transitive ones: a robot's process needs no server, a client no pipelines.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -11,7 +11,7 @@ wall() { # PACKAGE STRANGERS
     echo "$1 depends on" $found >&2
     exit 1
 }
-# Crates of the method, which a robot runs in its own process.
+# Crates that a robot runs in its own process.
 method='uniground-(client|telemetry|storage|jobs|isolation|endpoints|service|evaluation)|tokio|reqwest|hyper|sqlx|axum|clap|utoipa'
 wall uniground-types 'uniground-.*|tokio|ort|image|rayon|utoipa'
 wall uniground-core "$method"

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Builds the page into web/dist, which is committed so that cargo alone builds a whole program; or checks that it belongs to its sources.
+# Builds the page into web/dist, which is committed so that cargo alone builds the whole program; or checks that it is up to date.
 #
 #   scripts/web.sh          builds (needs Node 20.19 or newer and npm)
-#   scripts/web.sh install  what it takes to build (npm), into web/node_modules, unless it is there
-#   scripts/web.sh check    compares the hash of the sources with the one that was built; where npm is there, builds again and compares
+#   scripts/web.sh install  installs the build's packages (npm) into web/node_modules, unless they are there
+#   scripts/web.sh check    compares the hash of the sources with the recorded one; if npm is installed, builds again and compares
 set -euo pipefail
 cd "$(dirname "$0")/../web"
 
-# Everything a build reads.
+# Every input of a build.
 sum=$(command -v sha256sum || echo shasum -a 256)
 hash_of_sources() {
     find src build index.html package.json package-lock.json tsconfig.json vite.config.js -type f -print0 |
@@ -24,7 +24,7 @@ build() { # FOLDER
 
 case "${1:-build}" in
 install)
-    if command -v npm >/dev/null; then install; else echo "left out: packages of the page, there is no npm"; fi
+    if command -v npm >/dev/null; then install; else echo "skipped: packages of the page, there is no npm"; fi
     ;;
 build)
     install
@@ -33,7 +33,7 @@ build)
     ;;
 check)
     if [ "$(hash_of_sources)" != "$(cat dist/SOURCES)" ]; then
-        echo "web/dist was built from other sources than these: run scripts/web.sh and commit what it writes" >&2
+        echo "web/dist is not up to date: run scripts/web.sh and commit the result" >&2
         exit 1
     fi
     if command -v npm >/dev/null; then
@@ -41,11 +41,11 @@ check)
         again=$(mktemp -d)
         trap 'rm -rf "$again"' EXIT
         build "$again"
-        diff -r dist "$again" || { echo "building web/dist again gives other files: run scripts/web.sh and commit what it writes" >&2; exit 1; }
+        diff -r dist "$again" || { echo "building web/dist again gives different files: run scripts/web.sh and commit the result" >&2; exit 1; }
         npx --no-install openapi-typescript ../openapi/openapi.json -o "$again/schema.d.ts" --alphabetize --default-non-nullable false >/dev/null
-        diff -q src/api/schema.d.ts "$again/schema.d.ts" || { echo "web/src/api/schema.d.ts is not of openapi/openapi.json: run npm run types in web/" >&2; exit 1; }
+        diff -q src/api/schema.d.ts "$again/schema.d.ts" || { echo "web/src/api/schema.d.ts is not up to date with openapi/openapi.json: run npm run types in web/" >&2; exit 1; }
     else
-        echo "left out: building the page again, there is no npm"
+        echo "skipped: building the page again, there is no npm"
     fi
     ;;
 *)

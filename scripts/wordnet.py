@@ -1,23 +1,23 @@
 #!/usr/bin/env python3
-"""Makes the table of words that the grammar and the names are read with, from WordNet's noun graph.
+"""Generates the word table of the grammar and the attribute names from WordNet's noun graph.
 
     apt-get install wordnet-base
     scripts/wordnet.py /usr/share/wordnet crates/uniground-models/src/attributes/wordnet.tsv
 
 The first lines are kinds of things, parents before children: the number of the line of the broader kind (empty for a root), how often
 WordNet's tagged texts speak of it (empty where they never do), then its words. The last line, after an empty one, has other English words:
-what stands there is no misspelling. WordNet 3.0's licence stands beside the table.
+a word there is not a misspelling. WordNet 3.0's license is next to the table.
 """
 
 import sys
 from pathlib import Path
 
-# Lexicographer files whose senses are things in rooms. Plants, animals and dishes have thousands of names nobody says: of these only
-# such as occur in WordNet's tagged texts.
+# Lexicographer files whose senses are objects in rooms. Plants, animals and dishes have thousands of rare names: only those that occur in WordNet's
+# tagged texts are used.
 ARTIFACT, ANIMAL, FOOD, OBJECT, PLANT = 6, 5, 13, 17, 20
 THINGS = {ARTIFACT, OBJECT}
 OCCURRING = {ANIMAL, FOOD, PLANT}
-# Kinds that are named all the same: whatever is one of them stands in a pot or a vase, or is held by something.
+# Kinds that are included anyway: they stand in a pot or a vase, or are held by something.
 NAMED = {"vascular plant", "food"}
 # WordNet has no words of these kinds.
 SMALL_WORDS = """
@@ -34,7 +34,7 @@ with within without would yes yet you your yours yourself
 
 
 def senses(folder, part):
-    """Synsets of a part of speech by offset: lexicographer file, words, their numbers in that file, offsets of broader ones."""
+    """Reads the synsets of a part of speech by offset: lexicographer file, words, their numbers in that file, offsets of broader ones."""
     found = {}
     for line in (folder / f"data.{part}").read_text().splitlines():
         if line.startswith(" "):
@@ -62,7 +62,7 @@ def main():
             word = lemma.replace("_", " ").replace("-", " ").replace("'", "")
             tagged[(word, int(file), int(number))] = int(count)
     occurring = {(word, file) for word, file, _ in tagged}
-    # The senses of a word in the order of use, things only; the two most used are kept.
+    # The senses of a word in order of use, objects only; the two most used are stored.
     kept, of_word = set(), {}
     for line in (folder / "index.noun").read_text().splitlines():
         if line.startswith(" "):
@@ -106,7 +106,7 @@ def main():
         for line in (folder / f"data.{part}").read_text().splitlines():
             fields = line.split()
             for word in fields[4 : 4 + 2 * int(fields[3], 16) : 2] if not line.startswith(" ") else []:
-                # Names of people and places are no words that are misspelt.
+                # Names of people and places are not misspelled words.
                 if word.isalpha() and word.isascii() and word.islower() and 3 < len(word) < 15:
                     english.add(word)
         for line in (folder / f"{part}.exc").read_text().splitlines():

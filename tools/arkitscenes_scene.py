@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""An ARKitScenes scan as uniground takes it: VIDEO.zip, and VIDEO.scene.json with its annotated objects.
+"""Converts an ARKitScenes scan for uniground: VIDEO.zip, and VIDEO.scene.json with its annotated objects.
 
 usage: arkitscenes_scene.py VIDEO_FOLDER OUT_FOLDER [--every N] [--scan-only]
 
-VIDEO_FOLDER is 3dod/Training/VIDEO or raw/Training/VIDEO as downloaded. Needed, in it or in VIDEO_frames/ below it:
-    lowres_wide/  lowres_depth/  lowres_wide_intrinsics/  lowres_wide.traj, and confidence/ where it is there
-and beside them, where they are there:
-    VIDEO_3dod_mesh.ply             the cloud; without it, it is fused from the frames
+VIDEO_FOLDER is 3dod/Training/VIDEO or raw/Training/VIDEO as downloaded. Required, in it or in VIDEO_frames/ below it:
+    lowres_wide/  lowres_depth/  lowres_wide_intrinsics/  lowres_wide.traj, and optionally confidence/
+and next to them, optionally:
+    VIDEO_3dod_mesh.ply             the cloud; without it, the cloud is fused from the frames
     VIDEO_3dod_annotation.json      the objects; their ids are their places in its list, from 1
 
 Pictures, poses and cloud keep their names, layout and world (Z up), which uniground reads; a picture without depth, camera or pose is
-left out, which of raw's 60 a second are most. Boxes are segments.obbAligned: centre, full extent, and the axes as rows. --scan-only is
-for boxes from elsewhere (embodiedscan_boxes.py). The laser scans are no use as clouds: what brings them into the video's world is not
-published. Only Python's standard library is needed.
+left out, which of raw's 60 a second are most. Boxes are segments.obbAligned: center, full extent, and the axes as rows. --scan-only is
+for boxes from elsewhere (embodiedscan_boxes.py). The laser scans cannot be used as clouds, because their transform into the video's world is
+not published. Needs only Python's standard library.
 """
 import argparse
 import math
@@ -24,13 +24,13 @@ from scan_files import Tally, archive, need, read_json, read_ply, write_objects
 
 DOWNLOAD = "download_data.py of ARKitScenes fetches it: 3dod has all, raw needs --raw_dataset_assets"
 POSE_WITHIN_S, NAME_WITHIN_S = 0.005, 0.0015
-# A mesh is a centimetre or so off the box that was drawn around it.
+# A mesh can be a centimeter off the box that was annotated around it.
 SLACK_M = 0.01
 CELL_M = 0.5
 
 
 def timed(folder, ending):
-    """Files of a folder with the seconds in their names, VIDEO_SECONDS.ending, in order of time."""
+    """Returns files of a folder by the seconds in their names (VIDEO_SECONDS.ending), in order of time."""
     files = []
     for file in folder.glob(f"*.{ending}"):
         try:
@@ -47,7 +47,7 @@ def nearest(times, time, within):
 
 
 def frames_of(root, every):
-    """Files of every picture that has depth, a camera and a pose; and how many pictures have not."""
+    """Returns the files of every image with depth, camera and pose, and the number of images without."""
     trajectory = need(root / "lowres_wide.traj", DOWNLOAD + " lowres_wide.traj")
     try:
         poses = sorted(float(line.split()[0]) for line in trajectory.read_text().splitlines() if line.strip())
@@ -77,8 +77,8 @@ class Box:
 
     def __init__(self, identity, record):
         box = record["segments"]["obbAligned"]
-        self.centre, lengths, axes = box["centroid"], box["axesLengths"], box["normalizedAxes"]
-        if not (finite(self.centre, 3) and finite(lengths, 3) and finite(axes, 9) and min(lengths) > 0):
+        self.center, lengths, axes = box["centroid"], box["axesLengths"], box["normalizedAxes"]
+        if not (finite(self.center, 3) and finite(lengths, 3) and finite(axes, 9) and min(lengths) > 0):
             raise ValueError("obbAligned is not centroid, axesLengths and normalizedAxes of 3, 3 and 9 numbers, lengths above 0")
         self.axes = [axes[0:3], axes[3:6], axes[6:9]]
         dots = [sum(a * b for a, b in zip(self.axes[i], self.axes[j])) - (i == j) for i in range(3) for j in range(3)]
@@ -87,10 +87,10 @@ class Box:
         self.identity, self.name, self.uid = identity, record["label"].replace("_", " "), record.get("uid")
         self.half, self.tally = [length / 2 for length in lengths], Tally()
         reach = [sum(abs(axis[k]) * half for axis, half in zip(self.axes, self.half)) for k in range(3)]
-        self.low, self.high = [c - r for c, r in zip(self.centre, reach)], [c + r for c, r in zip(self.centre, reach)]
+        self.low, self.high = [c - r for c, r in zip(self.center, reach)], [c + r for c, r in zip(self.center, reach)]
 
     def holds(self, point):
-        off = [p - c for p, c in zip(point, self.centre)]
+        off = [p - c for p, c in zip(point, self.center)]
         return all(abs(sum(o * a for o, a in zip(off, axis))) <= half + SLACK_M for axis, half in zip(self.axes, self.half))
 
     def record(self):
@@ -98,11 +98,11 @@ class Box:
         record = {"id": self.identity, "name": self.name, "min": rounded(self.low), "max": rounded(self.high)}
         upright = max(range(3), key=lambda i: abs(self.axes[i][2]))
         along, across = (i for i in range(3) if i != upright)
-        # Boxes stand upright. One that does not is left with its axis-aligned box: the format has no other turns.
+        # Boxes are upright. A tilted one keeps only its axis-aligned box, because the format has no other rotations.
         if abs(self.axes[upright][2]) > math.cos(math.radians(1)):
             yaw = math.degrees(math.atan2(self.axes[along][1], self.axes[along][0]))
             size = [2 * self.half[i] for i in (along, across, upright)]
-            record["obb"] = {"center": rounded(self.centre), "size": rounded(size), "yaw_deg": round(yaw, 3)}
+            record["obb"] = {"center": rounded(self.center), "size": rounded(size), "yaw_deg": round(yaw, 3)}
         else:
             print(f"object {self.identity} ({self.name}) is tilted: only its axis-aligned box is written")
         return {**record, **self.tally.facts(), "uid": self.uid}
@@ -123,18 +123,18 @@ def objects_of(file):
 
 
 def tally(mesh, boxes):
-    """Counts the points of each box; a point in several belongs to the smallest, as a cushion does and not to the sofa."""
+    """Counts the points of each box. A point in several boxes belongs to the smallest: to the cushion and not to the sofa."""
     cells = {}
     for box in sorted(boxes, key=lambda box: math.prod(box.half)):
         low, high = ([math.floor((v + slack) / CELL_M) for v in corner] for corner, slack in ((box.low, -SLACK_M), (box.high, SLACK_M)))
         for cell in ((x, y, z) for x in range(low[0], high[0] + 1) for y in range(low[1], high[1] + 1) for z in range(low[2], high[2] + 1)):
             cells.setdefault(cell, []).append(box)
     count, vertices = read_ply(mesh)
-    for point, colour in vertices:
+    for point, color in vertices:
         near = cells.get(tuple(math.floor(v / CELL_M) for v in point), ())
         owner = next((box for box in near if box.holds(point)), None)
         if owner:
-            owner.tally.add(point, colour)
+            owner.tally.add(point, color)
     if boxes and not any(box.tally.count for box in boxes):
         raise SystemExit(f"{mesh}: not one of its points lies in an annotated box: do mesh and annotation belong to one video?")
     return count

@@ -1,4 +1,4 @@
-"""CLIP's byte-pair tokenizer as a tokenizer.json, equal to open_clip's own; only ftfy's repair of broken encodings is left out."""
+"""Converts CLIP's byte-pair tokenizer to a tokenizer.json, equal to open_clip's own except for ftfy's repair of broken encodings."""
 
 import gzip
 import string
@@ -14,7 +14,7 @@ REPAIRS = [
 
 
 def bytes_to_unicode():
-    """Each byte as a printable character, as in the vocabulary file."""
+    """Maps each byte to a printable character, as in the vocabulary file."""
     kept = [*range(ord("!"), ord("~") + 1), *range(ord("¡"), ord("¬") + 1), *range(ord("®"), ord("ÿ") + 1)]
     moved = [b for b in range(256) if b not in kept]
     return {**{b: chr(b) for b in kept}, **{b: chr(256 + i) for i, b in enumerate(moved)}}

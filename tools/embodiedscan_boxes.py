@@ -7,7 +7,7 @@ SCAN is what the scan is called in its data set: scene0011_00 (ScanNet), the id 
 two buildings have one name), the video of ARKitScenes. --expressions writes those about these scans to OUT_FOLDER/<list>.<only>.json,
 under the same names. --present leaves out scans that are not in OUT_FOLDER yet.
 
-bbox_3d is centre, full extent and three angles in radians: the rotation is Rz(first) Rx(second) Ry(third). EmbodiedScan has its boxes in
+bbox_3d is center, full extent and three angles in radians: the rotation is Rz(first) Rx(second) Ry(third). EmbodiedScan has its boxes in
 a world of its own, which axis_align_matrix leads to. Here they are in the world the scan is read in: ScanNet's axis-aligned one
 (scannet_scene.py), for the other data sets that of their own files. Needs numpy, which the info files are pickled with.
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 
 from scan_files import moved, need, product, read_json
 
-# What a pickle of lists, dictionaries and arrays is made of. Anything else could be a program, and is not run.
+# The types in a pickle of lists, dictionaries and arrays. Any other type could execute code and is refused.
 KNOWN = {("builtins", "set"), ("builtins", "bytearray"), ("_codecs", "encode"), ("collections", "OrderedDict"), ("numpy", "ndarray"),
          ("numpy", "dtype")} | {(f"numpy.{core}.{name}", part) for core in ("core", "_core")
                                 for name, part in (("multiarray", "_reconstruct"), ("multiarray", "scalar"), ("numeric", "_frombuffer"))}
@@ -62,7 +62,7 @@ def angles_of(r):
 
 
 def way_back(scan):
-    """The inverse of the matrix that led into EmbodiedScan's world; None where the scan is read in that world."""
+    """Returns the inverse of the matrix that led into EmbodiedScan's world; None if the scan is read in that world."""
     if scan["sample_idx"].startswith("scannet/") or scan.get("axis_align_matrix") is None:
         return None
     matrix = [[float(v) for v in row] for row in scan["axis_align_matrix"]]
@@ -75,7 +75,7 @@ def way_back(scan):
 
 
 def box_in(world, numbers):
-    """Nine numbers in the scan's world; 6 and 7 are boxes without their last angles."""
+    """Returns nine numbers in the scan's world; boxes of 6 or 7 numbers lack the last angles."""
     numbers = [float(v) for v in numbers]
     numbers += [0.0] * (9 - len(numbers))
     if world is not None:
@@ -89,7 +89,7 @@ def write_list(file, records):
 
 
 def write_boxes(args):
-    """Writes the boxes of each scan; the names of scans by EmbodiedScan's ids."""
+    """Writes the boxes of each scan and returns the scans' names by EmbodiedScan's ids."""
     categories, scans = read_infos(args.infos)
     name_of = {number: name for name, number in categories.items()} if isinstance(categories, dict) else dict(enumerate(categories))
     names = {}

@@ -6,8 +6,8 @@
     export_dual_encoder.py models/pe-g14     --model PE-Core-bigG-14-448 --pretrained meta --int8 weight-only
     export_dual_encoder.py models/clip-b32   --model ViT-B-32          --pretrained checkpoint.pt
 
---int8 writes 8-bit networks beside the float ones and puts them into the manifest: "dynamic" is fastest, but embeddings depend on their
-batch (uniground then runs one picture at a time); "weight-only" is as small and does not. Every network written is run against torch on
+--int8 writes 8-bit networks next to the float ones and puts them into the manifest: "dynamic" is fastest, but embeddings depend on their
+batch (uniground then runs one image at a time); "weight-only" is as small and does not. Every network written is run against torch on
 inputs it was not traced with; a cosine below --parity is a failure. Needs torch, open_clip_torch, onnx, onnxruntime, tokenizers.
 """
 
@@ -47,7 +47,7 @@ class TextTower(torch.nn.Module):
 
 
 def preprocessing(model, name, tag):
-    """How the model's pictures are made, as in its published recipe."""
+    """Returns the model's image preprocessing from its published recipe."""
     recipe = dict(getattr(model.visual, "preprocess_cfg", {}) or {})
     tags = open_clip.list_pretrained_tags_by_model(name)
     published = tag if tag in tags else next(iter(tags), None)
@@ -86,7 +86,7 @@ def export(tower, example, file, names):
         )  # fmt: skip
 
 
-def quantise(file, kind):
+def quantize(file, kind):
     from onnxruntime.quantization import QuantType, quantize_dynamic
 
     small = file.with_suffix(".int8.onnx")
@@ -98,11 +98,11 @@ def quantise(file, kind):
 
 
 def parity(tower, file, source, inputs, least):
-    """The lowest cosine between torch and the written network, on inputs it was not traced with."""
+    """Returns the lowest cosine between torch and the written network, on inputs that were not used for tracing."""
     with torch.no_grad():
         expected = tower(inputs).numpy()
     session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
-    # One at a time: what dynamic quantisation does to batches is not what is asked here.
+    # One at a time: this is not a test of how dynamic quantization behaves with batches.
     made = np.concatenate([session.run(None, {source: row[None].numpy()})[0] for row in inputs])
     cosine = (expected * made).sum(1) / np.linalg.norm(expected, axis=1) / np.linalg.norm(made, axis=1)
     apart = min(float(expected[i] @ expected[j]) for i in range(len(expected)) for j in range(i))
@@ -144,7 +144,7 @@ def main():
         export(tower, example, file, (source, f"{part}_embeds"))
         parity(tower, file, source, others, PARITY["float"])
         if args.int8:
-            file = quantise(file, args.int8)
+            file = quantize(file, args.int8)
             parity(tower, file, source, others, PARITY["int8"])
         files[part] = file.name
     tokenizer.save(str(args.out / "tokenizer.json"))

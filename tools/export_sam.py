@@ -78,7 +78,7 @@ def main():
     args = arguments.parse_args()
 
     torch.manual_seed(args.random or 0)
-    # Wrappers start in training mode and torch.onnx.export puts that back: a parity check would then compare training with inference.
+    # Wrappers start in training mode and torch.onnx.export restores it: a parity check would then compare training with inference.
     sam = importlib.import_module(args.module).sam_model_registry[args.type](checkpoint=args.checkpoint).eval()
     encoder, decoder = Encoder(sam).eval(), Decoder(sam).eval()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ def main():
             dynamic_axes={"point_coords": free, "point_labels": free, "low_res_masks": {0: "prompts"}, "iou_predictions": {0: "prompts"}},
             opset_version=17, dynamo=False,
         )  # fmt: skip
-        # Other inputs than those it was traced with.
+        # Other inputs than those used for tracing.
         picture["image"] = torch.randn(1, 3, size, size)
         prompts |= {"point_coords": torch.rand(3, 2, 2) * size, "point_labels": torch.tensor([[1.0, -1.0]] * 3)}
         embedded = [encoder(picture["image"])]

@@ -1,7 +1,7 @@
-"""A made-up room, drawn by casting rays, as folders in the layouts of the data sets: what the converters are tested with.
+"""A synthetic room, ray-cast and written as folders in the layouts of the data sets, for tests of the converters.
 
-The room is 4 x 3 x 2.5 m. Its things stand square to the walls in the room's own world; each data set has it in another world, turned
-and shifted, so that a box or a pose in the wrong one is seen to be wrong.
+The room is 4 x 3 x 2.5 m. Its objects are parallel to the walls in the room's own world. Each data set has another world, rotated and shifted, so
+that a box or pose in the wrong world is noticed.
 """
 import array
 import json
@@ -13,7 +13,7 @@ from scan_files import moved, product
 from sens import grey_png
 
 WALLS = ([0.0, 0.0, 0.0], [4.0, 3.0, 2.5])
-# Name, corners, colour.
+# Name, corners, color.
 THINGS = [("couch", [0.3, 0.2, 0.0], [2.3, 1.1, 0.8], (180, 30, 30)), ("cabinet", [3.3, 1.0, 0.0], [3.9, 2.0, 1.5], (30, 30, 180)),
           ("stool", [1.0, 2.0, 0.0], [1.5, 2.4, 0.5], (40, 160, 60))]
 WIDTH, HEIGHT, FOCAL = 128, 96, 70.0
@@ -42,7 +42,7 @@ def cross(a, b):
 
 
 def camera_at(eye, target, roll_deg=0.0):
-    """Camera-to-room pose in OpenCV's axes: x right, y down, z forward."""
+    """Returns the camera-to-room pose in OpenCV's axes: x right, y down, z forward."""
     forward = unit([t - e for t, e in zip(target, eye)])
     right = unit(cross(forward, [0, 0, 1]))
     down = cross(forward, right)
@@ -51,8 +51,8 @@ def camera_at(eye, target, roll_deg=0.0):
 
 
 def hit(eye, ray):
-    """How far along the ray the first surface is, and its colour."""
-    best, colour = math.inf, (200, 200, 190)
+    """Returns the distance along the ray to the first surface, and its color."""
+    best, color = math.inf, (200, 200, 190)
     for low, high, own in [(*WALLS, None)] + [thing[1:] for thing in THINGS]:
         near, far = -math.inf, math.inf
         for e, r, a, b in zip(eye, ray, low, high):
@@ -63,12 +63,12 @@ def hit(eye, ray):
             near, far = max(near, t[0]), min(far, t[1])
         reached = far if own is None else near
         if near <= far and 0 < reached < best:
-            best, colour = reached, own or (200, 200, 190)
-    return best, colour
+            best, color = reached, own or (200, 200, 190)
+    return best, color
 
 
 def png(width, height, kind, rows):
-    """An 8-bit PNG: kind 2 is colour, 0 is grey."""
+    """Encodes an 8-bit PNG: kind 2 is color, 0 is gray."""
     def chunk(name, body):
         return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
     return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, kind, 0, 0, 0))
@@ -76,7 +76,7 @@ def png(width, height, kind, rows):
 
 
 def shots(roll_deg=0.0):
-    """Of each camera: its pose in the room, its picture as PNG, its depth in millimetres as little-endian bytes."""
+    """Yields for each camera its pose in the room, its image as PNG, and its depth in millimeters as little-endian bytes."""
     for eye, target in CAMERAS:
         pose = camera_at(eye, target, roll_deg)
         depth, rows = array.array("H"), []
@@ -84,15 +84,15 @@ def shots(roll_deg=0.0):
             row = bytearray()
             for u in range(WIDTH):
                 own = [(u - (WIDTH - 1) / 2) / FOCAL, (v - (HEIGHT - 1) / 2) / FOCAL, 1.0]
-                far, colour = hit(eye, [sum(pose[i][k] * own[k] for k in range(3)) for i in range(3)])
+                far, color = hit(eye, [sum(pose[i][k] * own[k] for k in range(3)) for i in range(3)])
                 depth.append(round(1000 * far))
-                row += bytes(colour)
+                row += bytes(color)
             rows.append(bytes(row))
         yield pose, png(WIDTH, HEIGHT, 2, rows), depth.tobytes()
 
 
 def surface(low, high, step, inside_out=False):
-    """Points on the faces of a box; of a room all but its ceiling."""
+    """Returns points on the faces of a box; of a room all but its ceiling."""
     axes = [[a + (b - a) * i / max(1, round((b - a) / step)) for i in range(max(1, round((b - a) / step)) + 1)] for a, b in zip(low, high)]
     for k in range(3):
         for end in (axes[k][0],) if inside_out and k == 2 else (axes[k][0], axes[k][-1]):
@@ -103,14 +103,14 @@ def surface(low, high, step, inside_out=False):
 
 
 def mesh(world, ascii_text=False):
-    """The room's points in a world, as PLY, and the place in THINGS of each (-1 for the walls)."""
+    """Returns the room's points in a world, as PLY, and the index in THINGS of each (-1 for the walls)."""
     points = [(p, (200, 200, 190), -1) for p in surface(*WALLS, 0.04, True)]
-    for place, (_, low, high, colour) in enumerate(THINGS):
-        points += [(p, colour, place) for p in surface(low, high, 0.03)]
+    for place, (_, low, high, color) in enumerate(THINGS):
+        points += [(p, color, place) for p in surface(low, high, 0.03)]
     head = (f"ply\nformat {'ascii' if ascii_text else 'binary_little_endian'} 1.0\ncomment made up\nelement vertex {len(points)}\n"
             + "".join(f"property float {c}\n" for c in "xyz") + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue", "alpha"))
             + "element face 0\nproperty list uchar int vertex_indices\nend_header\n").encode()
-    placed = [(moved(world, p), colour) for p, colour, _ in points]
+    placed = [(moved(world, p), color) for p, color, _ in points]
     if ascii_text:
         body = "".join(" ".join(f"{v:.5f}" for v in p) + f" {c[0]} {c[1]} {c[2]} 255\n" for p, c in placed).encode()
     else:
@@ -123,7 +123,7 @@ def text_of(matrix):
 
 
 def rotation_vector(m):
-    """Axis times angle of a rotation matrix."""
+    """Returns axis times angle of a rotation matrix."""
     angle = math.acos(max(-1.0, min(1.0, (m[0][0] + m[1][1] + m[2][2] - 1) / 2)))
     if angle < 1e-9:
         return [0.0, 0.0, 0.0]
@@ -131,35 +131,35 @@ def rotation_vector(m):
 
 
 def arkitscenes(folder, video, world, frames, raw):
-    """A scan of 3dod (10 pictures a second in VIDEO_frames/) or of raw (60 a second, poses for a sixth of them)."""
+    """Writes a scan of 3dod (10 images per second in VIDEO_frames/) or of raw (60 per second, poses for a sixth of them)."""
     scan = folder / video
     inner = scan if raw else scan / f"{video}_frames"
     for sub in ("lowres_wide", "lowres_depth", "confidence", "lowres_wide_intrinsics"):
         (inner / sub).mkdir(parents=True)
     lines, sure = [], png(WIDTH, HEIGHT, 0, [b"\2" * WIDTH] * HEIGHT)
-    for i, (pose, colour, depth) in enumerate(frames):
+    for i, (pose, color, depth) in enumerate(frames):
         second = 6845.106 + 0.1 * i
         to_camera = inverse(product(world, pose))
         turn = rotation_vector(to_camera)
         lines.append(" ".join(f"{v:.9f}" for v in [second + 0.0004] + turn + [row[3] for row in to_camera[:3]]))
         for late in (0.0, 0.017) if raw else (0.0,):
             name = f"{video}_{second + late:.3f}"
-            (inner / f"lowres_wide/{name}.png").write_bytes(colour)
+            (inner / f"lowres_wide/{name}.png").write_bytes(color)
             (inner / f"lowres_depth/{name}.png").write_bytes(grey_png(WIDTH, HEIGHT, depth))
             (inner / f"confidence/{name}.png").write_bytes(sure)
             camera = f"{WIDTH} {HEIGHT} {FOCAL} {FOCAL} {(WIDTH - 1) / 2} {(HEIGHT - 1) / 2}"
-            # Cameras are now and then named a millisecond off.
+            # Some cameras' timestamps differ by a millisecond.
             (inner / f"lowres_wide_intrinsics/{video}_{second + late + 0.001 * (i % 2):.3f}.pincam").write_text(camera)
     (inner / "lowres_wide.traj").write_text("\n".join(lines) + "\n")
     (scan / f"{video}_3dod_mesh.ply").write_bytes(mesh(world, ascii_text=not raw)[0])
     records = []
     for i, (name, low, high, _) in enumerate(THINGS):
-        centre = moved(world, [(a + b) / 2 for a, b in zip(low, high)])
+        center = moved(world, [(a + b) / 2 for a, b in zip(low, high)])
         rows = [[world[k][axis] for k in range(3)] for axis in range(3)]
-        # Which axis is called the first, and which way it points, differs from box to box.
+        # The order and direction of the axes differ from box to box.
         order = [(0, 1, 2), (1, 0, 2), (2, 0, 1)][i]
         axes = [value * (-1 if j == 1 else 1) for j, axis in enumerate(order) for value in rows[axis]]
-        box = {"centroid": centre, "axesLengths": [high[axis] - low[axis] for axis in order], "normalizedAxes": axes}
+        box = {"centroid": center, "axesLengths": [high[axis] - low[axis] for axis in order], "normalizedAxes": axes}
         records.append({"uid": f"made-up-{i}", "label": "tv_monitor" if name == "stool" else name, "objectId": 1,
                         "segments": {"obb": {"centroid": [0, 0, 0], "axesLengths": [1, 1, 1], "normalizedAxes": axes}, "obbAligned": box}})
     (scan / f"{video}_3dod_annotation.json").write_text(json.dumps({"data": records, "skipped": False}))
@@ -167,7 +167,7 @@ def arkitscenes(folder, video, world, frames, raw):
 
 
 def scannet(folder, scene, world, frames):
-    """A scene of ScanNet with its .sens file, and not what is exported from it; the last of its frames has a lost pose."""
+    """Writes a ScanNet scene with its .sens file and without the exported files; the last frame has a lost pose."""
     scan = folder / scene
     scan.mkdir(parents=True)
     data, places = mesh(world)
@@ -182,24 +182,24 @@ def scannet(folder, scene, world, frames):
     one = [float(i == j) for i in range(4) for j in range(4)]
     sens = struct.pack("<IQ", 4, 7) + b"made up" + struct.pack("<64f", *camera, *one, *camera, *one)
     sens += struct.pack("<iiIIIIfQ", 1, 1, WIDTH, HEIGHT, WIDTH, HEIGHT, 1000.0, len(frames) + 1)
-    for pose, colour, depth in frames + [(None, *frames[0][1:])]:
+    for pose, color, depth in frames + [(None, *frames[0][1:])]:
         numbers = [-math.inf] * 16 if pose is None else [v for row in product(world, pose) for v in row]
         packed = zlib.compress(depth)
-        sens += struct.pack("<16f4Q", *numbers, 0, 0, len(colour), len(packed)) + colour + packed
+        sens += struct.pack("<16f4Q", *numbers, 0, 0, len(color), len(packed)) + color + packed
     (scan / f"{scene}.sens").write_bytes(sens)
     return scan
 
 
 def three_r_scan(folder, scan_id, world, frames):
-    """A scan of 3RScan, unpacked: the phone is held upright, so that its pictures lie on their side."""
+    """Writes an unpacked 3RScan scan. The phone is held upright, so its images are rotated."""
     scan = folder / scan_id
     (scan / "sequence").mkdir(parents=True)
     matrix = " ".join(map(str, [FOCAL, 0, (WIDTH - 1) / 2, 0, 0, FOCAL, (HEIGHT - 1) / 2, 0, 0, 0, 1, 0, 0, 0, 0, 1]))
     info = f"m_versionNumber = 4\nm_colorWidth = {WIDTH}\nm_colorHeight = {HEIGHT}\nm_depthWidth = {WIDTH}\nm_depthHeight = {HEIGHT}\n"
     info += f"m_depthShift = 1000\nm_calibrationColorIntrinsic = {matrix}\nm_calibrationDepthIntrinsic = {matrix}\n"
     (scan / "sequence/_info.txt").write_text(info)
-    for i, (pose, colour, depth) in enumerate(frames):
-        (scan / f"sequence/frame-{i:06}.color.png").write_bytes(colour)
+    for i, (pose, color, depth) in enumerate(frames):
+        (scan / f"sequence/frame-{i:06}.color.png").write_bytes(color)
         values = array.array("H", depth)
         values.byteswap()
         (scan / f"sequence/frame-{i:06}.depth.pgm").write_bytes(f"P5\n{WIDTH} {HEIGHT}\n65535\n".encode() + values.tobytes())

@@ -1,4 +1,4 @@
-"""What the converters of data sets share: matrices, PLY vertices, and archives that are written whole or not at all."""
+"""Shared parts of the data set converters: matrices, PLY vertices, and archives that are written completely or not at all."""
 import json
 import struct
 import zipfile
@@ -10,7 +10,7 @@ BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def need(path, what):
-    """The path, if it is there; else the program ends with what to do."""
+    """Returns the path if it exists; otherwise exits and says what to do."""
     if not path.exists():
         raise SystemExit(f"{path}: missing; {what}")
     return path
@@ -34,7 +34,7 @@ def numbers_of(file, count):
 
 
 def rows(numbers):
-    """The 4x4 matrix of 16 numbers, by rows."""
+    """Returns the 4x4 matrix of 16 numbers, by rows."""
     return [list(numbers[i:i + 4]) for i in range(0, 16, 4)]
 
 
@@ -47,7 +47,7 @@ def moved(m, p):
 
 
 def read_ply(file):
-    """How many vertices a PLY has, and a generator of them: position, and colour or None."""
+    """Returns the number of vertices of a PLY and a generator of them: position, and color or None."""
     with file.open("rb") as data:
         kind, count, properties, elements = None, 0, [], []
         for line in iter(data.readline, b"end_header\n"):
@@ -66,9 +66,9 @@ def read_ply(file):
     if elements[:1] != ["vertex"] or not {"x", "y", "z"} <= set(names) or any(code is None for _, code in properties):
         raise SystemExit(f"{file}: expected vertices with x, y and z as its first element")
     at = [names.index(name) for name in "xyz"]
-    colour_at = [names.index(name) for name in ("red", "green", "blue")] if "red" in names else None
+    color_at = [names.index(name) for name in ("red", "green", "blue")] if "red" in names else None
     def split(values):
-        return [values[i] for i in at], [values[i] for i in colour_at] if colour_at else None
+        return [values[i] for i in at], [values[i] for i in color_at] if color_at else None
     return count, (split(values) for values in vertex_rows(file, start, kind, count, [code for _, code in properties]))
 
 
@@ -93,27 +93,27 @@ def vertex_rows(file, start, kind, count, codes):
 
 
 class Tally:
-    """The points of an object: how many, where from and to, their mean colour."""
+    """The points of an object: number, bounds and mean color."""
 
     def __init__(self):
-        self.count, self.low, self.high, self.colour = 0, [float("inf")] * 3, [float("-inf")] * 3, [0.0] * 3
+        self.count, self.low, self.high, self.color = 0, [float("inf")] * 3, [float("-inf")] * 3, [0.0] * 3
 
-    def add(self, point, colour):
+    def add(self, point, color):
         self.count += 1
         self.low = [min(a, b) for a, b in zip(self.low, point)]
         self.high = [max(a, b) for a, b in zip(self.high, point)]
-        self.colour = [a + b for a, b in zip(self.colour, colour)] if colour and self.colour else None
+        self.color = [a + b for a, b in zip(self.color, color)] if color and self.color else None
 
     def facts(self):
         facts = {"cloud_points": self.count}
-        if self.count and self.colour:
-            facts["mean_rgb"] = [round(c / self.count, 1) for c in self.colour]
+        if self.count and self.color:
+            facts["mean_rgb"] = [round(c / self.count, 1) for c in self.color]
         return facts
 
 
 @contextmanager
 def archive(file):
-    """A zip file that is there once it is whole."""
+    """A zip file that appears only once it is complete."""
     part = file.with_name(file.name + ".part")
     try:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED, strict_timestamps=False) as out:

@@ -1,18 +1,18 @@
 #!/usr/bin/env python3
-"""A ScanNet scene as uniground takes it: SCENE.zip, and SCENE.scene.json with its annotated objects.
+"""Converts a ScanNet scene for uniground: SCENE.zip, and SCENE.scene.json with its annotated objects.
 
 usage: scannet_scene.py SCAN_FOLDER OUT_FOLDER [--every N] [--scan-only]
 
 SCAN_FOLDER is scans/sceneXXXX_YY as downloaded:
     sceneXXXX_YY.sens, or what SensReader exports from it: color/0.jpg …  depth/0.png …  pose/0.txt …
         intrinsic/intrinsic_color.txt  intrinsic/intrinsic_depth.txt
-    sceneXXXX_YY_vh_clean_2.ply                                             the cloud; without it, it is fused from the frames
+    sceneXXXX_YY_vh_clean_2.ply                                             the cloud; without it, the cloud is fused from the frames
     sceneXXXX_YY_vh_clean_2.0.010000.segs.json  sceneXXXX_YY.aggregation.json          the objects
     sceneXXXX_YY.txt                                                        the axis alignment
 
 Cloud, poses and boxes are brought into the axis-aligned world of the benchmarks. A box holds the aligned vertices of its
 segments, as ScanRefer makes them; an object's id is its objectId. Scenes without annotations (the test set) and --scan-only, for
-boxes from elsewhere (embodiedscan_boxes.py), give SCENE.zip alone. Only Python's standard library is needed.
+boxes from elsewhere (embodiedscan_boxes.py), give SCENE.zip alone. Needs only Python's standard library.
 """
 import argparse
 import json
@@ -27,7 +27,7 @@ from sens import Sens, camera
 
 
 def axis_alignment(file):
-    """The world-to-aligned matrix; identity where the scene has none."""
+    """Returns the world-to-aligned matrix; identity if the scene has none."""
     found = re.search(r"axisAlignment\s*=\s*(.+)", file.read_text()) if file.is_file() else None
     numbers = [float(word) for word in found.group(1).split()] if found else []
     if len(numbers) != 16:
@@ -37,7 +37,7 @@ def axis_alignment(file):
 
 
 def annotations(folder, scene):
-    """Name of each object, and the objects of each vertex; None where the scene is not annotated."""
+    """Returns the name of each object and the objects of each vertex; None if the scene is not annotated."""
     files = [folder / f"{scene}_vh_clean_2.0.010000.segs.json", folder / f"{scene}.aggregation.json"]
     missing = [file.name for file in files if not file.is_file()]
     if missing:
@@ -56,7 +56,7 @@ def annotations(folder, scene):
 
 
 def picture_size(file):
-    """Width and height of a JPEG or PNG."""
+    """Returns width and height of a JPEG or PNG."""
     data = file.read_bytes()
     if data[:8] == b"\x89PNG\r\n\x1a\n":
         return struct.unpack(">II", data[16:24])
@@ -88,12 +88,12 @@ class Exported:
     def frames(self):
         for number in self.numbers:
             files = [self.folder / f"color/{number}.jpg", self.folder / f"depth/{number}.png", self.folder / f"pose/{number}.txt"]
-            colour, depth, pose = (need(file, "export the .sens file again") for file in files)
-            yield number, colour.read_bytes(), depth.read_bytes(), rows(numbers_of(pose, 16))
+            color, depth, pose = (need(file, "export the .sens file again") for file in files)
+            yield number, color.read_bytes(), depth.read_bytes(), rows(numbers_of(pose, 16))
 
 
 def write_cloud(out, mesh, aligned, owners, objects):
-    """Writes the aligned vertices, and tallies those of each object."""
+    """Writes the aligned vertices and tallies those of each object."""
     count, vertices = read_ply(mesh)
     if owners is not None and len(owners) != count:
         raise SystemExit(f"{mesh}: {count} vertices, its segs.json has {len(owners)}")
@@ -103,24 +103,24 @@ def write_cloud(out, mesh, aligned, owners, objects):
     entry.compress_type = zipfile.ZIP_DEFLATED
     with out.open(entry, "w", force_zip64=True) as cloud:
         cloud.write(header.encode())
-        for vertex, (position, colour) in enumerate(vertices):
-            position, colour = moved(aligned, position), colour or (128, 128, 128)
-            cloud.write(struct.pack("<3f3B", *position, *colour))
+        for vertex, (position, color) in enumerate(vertices):
+            position, color = moved(aligned, position), color or (128, 128, 128)
+            cloud.write(struct.pack("<3f3B", *position, *color))
             for owner in owners[vertex] if owners is not None else ():
-                objects.setdefault(owner, Tally()).add(position, colour)
+                objects.setdefault(owner, Tally()).add(position, color)
     return count
 
 
 def write_frames(out, source, aligned, name, cloud):
     manifest = {"format": "uniground-scene/1", "name": name, "up": "z", **({"cloud": "cloud.ply"} if cloud else {}), **source.cameras,
                 "camera_axes": "opencv", "pose": "camera_to_world", "frames": []}
-    for number, colour, depth, pose in source.frames():
-        # A lost pose holds infinities and stays as it is: the importer counts and skips it.
+    for number, color, depth, pose in source.frames():
+        # A lost pose contains infinities and is copied unchanged: the importer counts and skips it.
         if all(math.isfinite(v) for row in pose for v in row):
             pose = product(aligned, pose)
         entries = {"color": f"color/{number}.{source.ending}", "depth": f"depth/{number}.png", "pose": f"pose/{number}.txt"}
         out.writestr(entries["pose"], "\n".join(" ".join(f"{v:.9g}" for v in row) for row in pose) + "\n")
-        out.writestr(entries["color"], colour)
+        out.writestr(entries["color"], color)
         out.writestr(entries["depth"], depth)
         manifest["frames"].append(entries)
     out.writestr("scene.json", json.dumps(manifest, indent=1), zipfile.ZIP_DEFLATED)

@@ -1,4 +1,4 @@
-"""ScanNet's .sens file: all frames of a scan with their poses and both cameras. Frames are read one at a time."""
+"""Reads ScanNet's .sens file: all frames of a scan with their poses and both cameras, one frame at a time."""
 import array
 import struct
 import sys
@@ -6,11 +6,11 @@ import zlib
 
 from scan_files import rows
 
-COLOUR_ENDINGS = {1: "png", 2: "jpg"}
+COLOR_ENDINGS = {1: "png", 2: "jpg"}
 
 
 def grey_png(width, height, little_endian):
-    """A 16-bit grey PNG of little-endian numbers."""
+    """Encodes a 16-bit gray PNG from little-endian numbers."""
     def chunk(kind, body):
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
     numbers = array.array("H", little_endian)
@@ -30,15 +30,15 @@ class Sens:
             if version != 4:
                 raise SystemExit(f"{file}: version {version}, expected 4: is it a .sens file, downloaded to its end?")
             data.seek(self.read(data, "Q")[0], 1)
-            colour, _, depth, _ = (rows(self.read(data, "16f")) for _ in range(4))
-            self.colour_codec, self.depth_codec, width, height, self.width, self.height, shift, self.count = self.read(data, "iiIIIIfQ")
+            color, _, depth, _ = (rows(self.read(data, "16f")) for _ in range(4))
+            self.color_codec, self.depth_codec, width, height, self.width, self.height, shift, self.count = self.read(data, "iiIIIIfQ")
             self.start = data.tell()
-        if self.colour_codec not in COLOUR_ENDINGS or self.depth_codec not in (0, 1):
-            raise SystemExit(f"{file}: pictures of the codecs {self.colour_codec} and {self.depth_codec} are not read")
+        if self.color_codec not in COLOR_ENDINGS or self.depth_codec not in (0, 1):
+            raise SystemExit(f"{file}: pictures of the codecs {self.color_codec} and {self.depth_codec} are not read")
         if not shift > 0:
             raise SystemExit(f"{file}: a depth shift of {shift}")
-        self.ending = COLOUR_ENDINGS[self.colour_codec]
-        self.cameras = {"intrinsics": camera(colour, width, height), "depth_intrinsics": camera(depth, self.width, self.height),
+        self.ending = COLOR_ENDINGS[self.color_codec]
+        self.cameras = {"intrinsics": camera(color, width, height), "depth_intrinsics": camera(depth, self.width, self.height),
                         "depth_scale_m": 1 / shift}
 
     def read(self, data, kind):
@@ -49,22 +49,22 @@ class Sens:
         return record.unpack(block)
 
     def frames(self):
-        """Number, bytes of the colour picture, bytes of the depth picture, camera-to-world pose."""
+        """Yields number, bytes of the color image, bytes of the depth image, and camera-to-world pose."""
         with self.file.open("rb") as data:
             data.seek(self.start)
             for number in range(self.count):
-                *pose, _, _, colour_bytes, depth_bytes = self.read(data, "16f4Q")
+                *pose, _, _, color_bytes, depth_bytes = self.read(data, "16f4Q")
                 if number % self.every:
-                    data.seek(colour_bytes + depth_bytes, 1)
+                    data.seek(color_bytes + depth_bytes, 1)
                     continue
-                colour, depth = self.read(data, f"{colour_bytes}s")[0], self.read(data, f"{depth_bytes}s")[0]
+                color, depth = self.read(data, f"{color_bytes}s")[0], self.read(data, f"{depth_bytes}s")[0]
                 try:
                     depth = zlib.decompress(depth) if self.depth_codec else depth
                 except zlib.error as error:
                     raise SystemExit(f"{self.file}: depth of frame {number}: {error}") from None
                 if len(depth) != 2 * self.width * self.height:
                     raise SystemExit(f"{self.file}: depth of frame {number} has {len(depth)} bytes, not {2 * self.width * self.height}")
-                yield number, colour, grey_png(self.width, self.height, depth), rows(pose)
+                yield number, color, grey_png(self.width, self.height, depth), rows(pose)
 
 
 def camera(matrix, width, height):

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Checks the converters on made-up scans in the layouts of the data sets, through to the figures of `uniground eval`.
+"""Checks the converters on synthetic scans in the layouts of the data sets, up to the figures of `uniground eval`.
 
 usage: test_tools.py UNIGROUND
 
-Where eval cuts the made-up room into things itself (source=parsed), what it finds overlaps the converted boxes only if the poses, the
-cloud and the boxes are all in one world.
+With source=parsed, eval segments the synthetic room itself: its instances overlap the converted boxes only if poses, cloud and boxes are
+in the same world.
 """
 import json
 import math
@@ -36,7 +36,7 @@ def run(*command):
 
 
 def refused(name, *arguments):
-    """What a tool says when it gives up, in a sentence and not a traceback."""
+    """Returns the message of a tool that refuses its input: a sentence, not a traceback."""
     done = subprocess.run([str(word) for word in (sys.executable, TOOLS / name, *arguments)], capture_output=True, text=True)
     assert done.returncode != 0 and "Traceback" not in done.stderr, f"{arguments}: {done.stdout}{done.stderr}"
     return done.stderr
@@ -56,7 +56,7 @@ def figures(uniground, suite, scenes, source):
 
 
 def questions(scan_id, first):
-    """A question about each thing of the made-up room; its objects are numbered from `first`."""
+    """Writes a question about each object of the synthetic room; object numbers start at `first`."""
     return [{"scan_id": scan_id, "target_id": first + i, "distractor_ids": [], "text": QUESTIONS[name], "target": name}
             for i, (name, *_) in enumerate(made_up.THINGS)]
 
@@ -81,10 +81,10 @@ def exported_scannet(folder):
     mug = list(made_up.surface([3.0, 1.0, 0.7], [3.1, 1.1, 0.8], 0.02))
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     turned = [[c * x - s * y, s * x + c * y, z] for x, y, z in sofa + mug]
-    colours = [(180, 30, 30)] * len(sofa) + [(30, 30, 180)] * len(mug)
+    colors = [(180, 30, 30)] * len(sofa) + [(30, 30, 180)] * len(mug)
     header = (f"ply\nformat binary_little_endian 1.0\nelement vertex {len(turned)}\n" + "".join(f"property float {a}\n" for a in "xyz")
               + "".join(f"property uchar {a}\n" for a in ("red", "green", "blue", "alpha")) + "end_header\n")
-    body = b"".join(struct.pack("<3f4B", *p, *rgb, 255) for p, rgb in zip(turned, colours))
+    body = b"".join(struct.pack("<3f4B", *p, *rgb, 255) for p, rgb in zip(turned, colors))
     (scene / "scene9999_00_vh_clean_2.ply").write_bytes(header.encode() + body)
     written(scene / "scene9999_00_vh_clean_2.0.010000.segs.json", {"segIndices": [4] * len(sofa) + [7] * len(mug)})
     groups = [{"id": 0, "objectId": 0, "segments": [4], "label": "couch"}, {"id": 1, "objectId": 1, "segments": [7], "label": "mug"}]
@@ -137,7 +137,7 @@ def test_sens(uniground, folder, frames):
     mesh = scan / f"{name}_vh_clean_2.ply"
     mesh.unlink()
     assert "fused" in tool("scannet_scene.py", scan, bare)
-    # The frames alone give the room that the annotation is of.
+    # The frames alone give the annotated room.
     (out / f"{name}.zip").write_bytes((bare / f"{name}.zip").read_bytes())
     check_found(figures(uniground, written(folder / "fused.json", questions(name, 0)), out, "parsed"), 3)
 
@@ -210,7 +210,7 @@ def test_embodiedscan(uniground, folder, frames):
     infos = folder / "embodiedscan_infos_val.pkl"
     infos.write_bytes(pickle.dumps({"metainfo": {"categories": {name: 7 + i for i, (name, *_) in enumerate(made_up.THINGS)}},
                                     "data_list": scans}))
-    # A cloud alone is cut more coarsely: there only the couch is sure to be found.
+    # A bare cloud is segmented more coarsely: only the couch is found reliably.
     lists = [question for scan in scans for question in questions(scan["sample_idx"], 5)[:1 if "matterport" in scan["sample_idx"] else 3]]
     suite = written(folder / "embodiedscan_val_vg.json", lists)
     assert "11 of 14 expressions" in tool("embodiedscan_boxes.py", infos, out, "--expressions", suite, "--present")

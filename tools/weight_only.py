@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""A network quantised dynamically to one with 8-bit weights only: weight_only.py IN.onnx OUT.onnx
+"""Converts a dynamically quantized network to one with 8-bit weights only: weight_only.py IN.onnx OUT.onnx
 
-Dynamic quantisation scales activations over the whole batch, so that an embedding depends on its neighbours; uniground then runs one
-picture at a time. Here the same 8-bit weights are kept and activations stay floats: batches change nothing."""
+Dynamic quantization scales activations over the whole batch, so that an embedding depends on its neighbors; uniground then runs one image at
+a time. Here the 8-bit weights stay and activations are floats, so batches change nothing."""
 
 import sys
 
@@ -24,8 +24,8 @@ def convert(source, target):
     for node in graph.node:
         if node.op_type != "MatMulInteger":
             continue
-        quantised, weight, _, zero = node.input
-        source_node = made_by[quantised]
+        quantized, weight, _, zero = node.input
+        source_node = made_by[quantized]
         (cast,) = used_by[node.output[0]]
         (product,) = used_by[cast.output[0]]
         scales = made_by[next(name for name in product.input if name != cast.output[0])]

@@ -1,4 +1,4 @@
-"""onnxruntime on a segmenter's bundle; `benches/peers.rs` starts it and speaks as `protocol.py` says."""
+"""onnxruntime with a segmenter's bundle. `benches/peers.rs` starts it and uses the protocol of `protocol.py`."""
 
 import json
 import pathlib
@@ -13,7 +13,7 @@ class OnnxRuntime:
     versions = f"onnxruntime {ort.__version__}, numpy {np.__version__}, Python {platform.python_version()}"
 
     def load(self, folder, encoder_threads, decoder_threads):
-        """Opens encoder and decoder of the bundle in `folder` and encodes noise. Not part of what is compared."""
+        """Opens encoder and decoder of the bundle in `folder` and encodes noise. Not timed."""
         folder = pathlib.Path(folder)
         self.model = json.loads((folder / "model.json").read_text())
 

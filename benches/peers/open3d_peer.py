@@ -1,4 +1,4 @@
-"""Open3D's share of the work; `benches/peers.rs` starts it and speaks as `protocol.py` says."""
+"""Open3D's side of the comparison. `benches/peers.rs` starts it and uses the protocol of `protocol.py`."""
 
 import platform
 
@@ -13,7 +13,7 @@ class Open3d:
     versions = f"Open3D {o3d.__version__}, numpy {np.__version__}, Python {platform.python_version()}"
 
     def read(self, path):
-        """Reads the cloud that every later command works on."""
+        """Reads the cloud that every later command uses."""
         ms, self.cloud = timed(lambda: o3d.io.read_point_cloud(path))
         return ms, f"{len(self.cloud.points)} points"
 
@@ -22,11 +22,11 @@ class Open3d:
         return ms, f"{len(means.points)} voxels"
 
     def normals(self):
-        """One normal a point."""
+        """Computes one normal per point."""
         return self._normals(o3d.geometry.PointCloud(self.cloud))
 
     def voxel_normals(self, size_m):
-        """One normal a voxel: the means are made before the clock starts."""
+        """Computes one normal per voxel; the means are computed before the clock starts."""
         return self._normals(self.cloud.voxel_down_sample(float(size_m)))
 
     def _normals(self, cloud):
@@ -34,7 +34,7 @@ class Open3d:
         return ms, f"{len(cloud.normals)} normals"
 
     def camera(self, width, height, fx, fy, cx, cy, ceiling_m, *world_to_camera):
-        """Where the pictures are taken from; points above the ceiling stay out of them. Not timed."""
+        """Sets the camera of the renders and removes points above the ceiling. Not timed."""
         self.size = int(width), int(height)
         self.intrinsic = np.array([[float(fx), 0, float(cx)], [0, float(fy), float(cy)], [0, 0, 1]])
         self.extrinsic = np.array(world_to_camera, dtype=float).reshape(4, 4)
@@ -43,7 +43,7 @@ class Open3d:
         return 0, f"{len(below)} points"
 
     def project(self):
-        """A picture of one pixel a point."""
+        """Renders one pixel per point."""
         width, height = self.size
         farthest_m = 1000.0
         intrinsic, extrinsic = o3d.core.Tensor(self.intrinsic), o3d.core.Tensor(self.extrinsic)
@@ -51,7 +51,7 @@ class Open3d:
         return ms, f"{np.count_nonzero(image.depth.as_tensor().numpy())} pixels"
 
     def squares(self, side_m):
-        """The mesh to cast at: per point a square that faces the camera, as splats do. Answers the time its tree took."""
+        """Builds the mesh to cast rays at: per point a square that faces the camera, as splats do. Returns the time for its tree."""
         points, half = self.shown.point.positions.numpy(), float(side_m) / 2
         right, down = self.extrinsic[0, :3] * half, self.extrinsic[1, :3] * half
         corners = np.stack([-right - down, right - down, right + down, down - right])
@@ -60,13 +60,13 @@ class Open3d:
         triangles = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]], axis=1).reshape(-1, 3).astype(np.uint32)
         self.scene = o3d.t.geometry.RaycastingScene()
         rays = self.scene.create_rays_pinhole(self.intrinsic, self.extrinsic, *self.size)
-        # The tree is built by the first rays.
+        # The first rays build the tree.
         ms, _ = timed(lambda: (self.scene.add_triangles(vertices, triangles), self.scene.cast_rays(rays[:1, :1])))
         self.rays, self.colours = rays, (self.shown.point.colors.numpy() * 255).astype(np.uint8)
         return ms, f"{len(triangles)} triangles"
 
     def cast(self):
-        """A picture by one ray a pixel: the colour of the square that is hit."""
+        """Renders with one ray per pixel: the color of the square that is hit."""
 
         def picture():
             hit = self.scene.cast_rays(self.rays)["primitive_ids"].numpy()

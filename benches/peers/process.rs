@@ -1,5 +1,5 @@
-//! A peer as a long-lived child: one command a line, one answer a line, timed by the peer itself
-//! (`protocol.py`).
+//! A peer as a long-lived child process: one command and one answer per line, timed by the peer
+//! itself (`protocol.py`).
 
 use crate::duel::Run;
 use anyhow::{Context, anyhow, bail, ensure};
@@ -8,16 +8,15 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// A peer that answers, or why there is none.
+/// A running peer, or the reason why there is none.
 pub struct Peer {
     process: Result<RefCell<Process>, String>,
-    /// Answers to the commands it was prepared with.
+    /// Its answers to the preparing commands.
     pub prepared: Vec<Run>,
 }
 
 impl Peer {
-    /// Starts a script of `benches/peers` and gives it what it will work on, before anything is
-    /// timed.
+    /// Starts a script of `benches/peers` and sends it its input before anything is timed.
     pub fn start(python: Option<&str>, script: &str, commands: &[String]) -> Self {
         let started = python.context("no --python PYTHON given").and_then(|python| {
             let mut process = Process::start(python, script)?;
@@ -42,25 +41,25 @@ impl Peer {
         process.borrow_mut().ask(command)
     }
 
-    /// Library and language with their versions, if it runs.
+    /// Returns library and language with their versions, if the peer runs.
     pub fn versions(&self) -> Option<String> {
         self.process.as_ref().ok().map(|process| process.borrow().versions.clone())
     }
 }
 
-/// A running peer; it ends with its stdin.
+/// A running peer. It ends when its stdin closes.
 struct Process {
     child: Child,
     commands: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
-    /// What it complains of: the last line says why it ended.
+    /// Its error output; the last line says why it ended.
     complaints: File,
     /// Library and language, as the peer names them.
     versions: String,
 }
 
 impl Process {
-    /// Waits until the script has imported all it needs.
+    /// Waits until the script has imported its libraries.
     fn start(python: &str, script: &str) -> anyhow::Result<Self> {
         let complaints = tempfile::tempfile()?;
         let mut child = Command::new(python)
@@ -112,7 +111,7 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         self.commands = None;
-        // Whatever it ends with, all its answers have been read.
+        // All its answers have been read, so its exit status does not matter.
         let _ = self.child.wait();
     }
 }

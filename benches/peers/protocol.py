@@ -1,7 +1,7 @@
-"""How a peer talks to the bench: one command a line on stdin, one line back with the milliseconds the peer measured itself.
+"""The protocol between a peer and the bench: one command per line on stdin, one line back with the milliseconds that the peer measured.
 
-The first line out is `ready <versions>`. An answer is `<ms> <what came out>`, or `error <why>`, after which the next command
-may follow. Starting Python and importing the library are thus over before anything is timed.
+The first output line is `ready <versions>`. An answer is `<ms> <result>` or `error <reason>`; then the next command may follow. Starting
+Python and importing the library are therefore not timed.
 """
 
 import os
@@ -10,15 +10,15 @@ import time
 
 
 def timed(work):
-    """Milliseconds that `work` takes, and what it returns."""
+    """Returns the milliseconds that `work` takes, and its result."""
     start = time.perf_counter()
     result = work()
     return (time.perf_counter() - start) * 1e3, result
 
 
 def serve(peer):
-    """Answers commands until stdin ends. `peer.name(*words)` returns milliseconds and a few words on the result."""
-    # Whatever the library itself prints must not pass for an answer.
+    """Answers commands until stdin ends. `peer.name(*words)` returns milliseconds and a short description of the result."""
+    # Output of the library itself must not be taken for an answer.
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     print("ready", peer.versions, file=answers)

@@ -1,6 +1,6 @@
-//! What is compared with what: each function gives the rows of one job.
+//! The comparisons: each function returns the rows of one job.
 
-use crate::duel::{Comparison, Ours, Run, Side};
+use crate::duel::{Comparison, OwnSide, Run, Side};
 use crate::process::Peer;
 use crate::vccs::Vccs;
 use anyhow::anyhow;
@@ -21,12 +21,12 @@ use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
 use uniground_core::scene::{PointCloud, write_cloud_ply};
 use uniground_types::settings::SuperpointSettings;
 
-/// Edge of the voxels a cloud is thinned to, metres.
+/// Edge of the voxels for thinning a cloud, in meters.
 const THINNED_M: f32 = 0.05;
-/// What `scene_picture` cuts off and widens points by: the peer's mesh is to show the same.
+/// The ceiling cut and the splat size of `scene_picture`, so that the peer's mesh shows the same.
 const CEILING_PERCENTILE: f32 = 0.95;
 const SPLAT_OVERLAP: f32 = 1.6;
-/// What `scene_picture` leaves where nothing is.
+/// The background of `scene_picture`.
 const BACKGROUND: [u8; 3] = [250, 250, 250];
 
 /// The cloud in memory, the same as a file, and its extent.
@@ -37,14 +37,14 @@ pub struct Input {
 }
 
 impl Input {
-    /// Writes the cloud to `file`, whence the peers have it.
+    /// Writes the cloud to `file`, from which the peers read it.
     pub fn new(cloud: PointCloud, file: Utf8PathBuf) -> Self {
         write_cloud_ply(&cloud, std::fs::File::create(&file).unwrap()).unwrap();
         let extent = Aabb::around(&cloud.positions).unwrap();
         Self { cloud, file, extent }
     }
 
-    /// The cloud, the camera of our picture, and a mesh of the squares our picture is made of.
+    /// The cloud, the camera of the render, and a mesh of the squares that the render consists of.
     pub fn for_open3d(&self) -> [String; 3] {
         let camera = ROOM_VIEW.camera(&self.extent);
         let of = camera.intrinsics;
@@ -67,7 +67,7 @@ impl Input {
     }
 }
 
-/// Times `work`; what it gives is told outside the timing.
+/// Times `work`; its result is described outside of the timing.
 fn timed<T>(work: impl Fn() -> T, tell: impl Fn(&T) -> String) -> Run {
     let start = Instant::now();
     let result = work();
@@ -75,7 +75,7 @@ fn timed<T>(work: impl Fn() -> T, tell: impl Fn(&T) -> String) -> Run {
     Run { ms, gives: tell(&result) }
 }
 
-fn asked(peer: &Peer, command: String) -> Side<'_> {
+fn ask_peer(peer: &Peer, command: String) -> Side<'_> {
     Box::new(move || peer.ask(&command))
 }
 
@@ -88,8 +88,8 @@ pub fn superpoints<'a>(input: &'a Input, vccs: &'a anyhow::Result<Vccs>) -> Vec<
     let default = SuperpointSettings::default();
     let same = SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..default };
     let against = |ours: SuperpointSettings, voxel: &'static str, differ: &str| Comparison {
-        what: format!("superpoints {}/{} beside PCL VCCS {voxel}/.2", ours.voxel_m, ours.seed_m),
-        ours: Ours::Same(own_superpoints(input, ours)),
+        what: format!("superpoints {}/{}, PCL VCCS {voxel}/.2", ours.voxel_m, ours.seed_m),
+        ours: OwnSide::Same(own_superpoints(input, ours)),
         peer: Box::new(move || {
             let (seconds, labels) =
                 vccs.as_ref().map_err(|e| anyhow!("{e:#}"))?.run(voxel, ".2")?;
@@ -102,13 +102,15 @@ pub fn superpoints<'a>(input: &'a Input, vccs: &'a anyhow::Result<Vccs>) -> Vec<
         against(
             same,
             ".05",
-            "the same voxel and seed. PCL runs on one core and in a process of its own each time; ours uses all cores.",
+            "The same voxel and seed. PCL runs on one core, in a new process each time; uniground uses all \
+                 cores.",
         ),
-        against(default, ".05", "our default settings beside the peer's usual ones."),
+        against(default, ".05", "uniground's default settings and the peer's usual ones."),
         against(
             default,
             ".02",
-            "our default beside the peer's settings of like quality (`make bench-superpoints` measures it).",
+            "uniground's default settings and the peer's settings of similar quality (`make \
+                 bench-superpoints` measures it).",
         ),
     ]
 }
@@ -116,10 +118,10 @@ pub fn superpoints<'a>(input: &'a Input, vccs: &'a anyhow::Result<Vccs>) -> Vec<
 pub fn reading<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
     Comparison {
         what: "reading a binary PLY, Open3D `io.read_point_cloud`".into(),
-        ours: Ours::Same(Box::new(|| Ok(timed(|| read_cloud(&input.file).unwrap(), |cloud| format!("{} points", cloud.len()))))),
-        peer: asked(open3d, format!("read {}", input.file)),
-        differ: "the same file, in the page cache. Ours keeps 32-bit coordinates and 8-bit colours and checks both, Open3D widens \
-                 all to 64-bit floats."
+        ours: OwnSide::Same(Box::new(|| Ok(timed(|| read_cloud(&input.file).unwrap(), |cloud| format!("{} points", cloud.len()))))),
+        peer: ask_peer(open3d, format!("read {}", input.file)),
+        differ: "The same file, in the page cache. uniground stores 32-bit coordinates and 8-bit colors and \
+                 checks both; Open3D converts all to 64-bit floats."
             .into(),
     }
 }
@@ -127,16 +129,16 @@ pub fn reading<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
 pub fn thinning<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
     Comparison {
         what: format!("thinning to {THINNED_M} m voxels, Open3D `voxel_down_sample`"),
-        ours: Ours::Same(Box::new(|| Ok(timed(|| means(&input.cloud), |cloud| format!("{} voxels", cloud.len()))))),
-        peer: asked(open3d, format!("voxels {THINNED_M}")),
-        differ: "the library has no such call: ours is its public `VoxelGrid::new`, then the means of points and colours taken in \
-                 the bench on one core. Our grid lies at the origin, whose planes cut this room's walls into two layers; Open3D's \
-                 lies at the cloud's corner and fills fewer voxels."
+        ours: OwnSide::Same(Box::new(|| Ok(timed(|| means(&input.cloud), |cloud| format!("{} voxels", cloud.len()))))),
+        peer: ask_peer(open3d, format!("voxels {THINNED_M}")),
+        differ: "uniground has no such call: the bench uses its public `VoxelGrid::new` and computes the means \
+                 of points and colors on one core. Its grid starts at the origin and cuts this room's walls \
+                 into two layers; Open3D's starts at the cloud's corner and fills fewer voxels."
             .into(),
     }
 }
 
-/// The mean point and colour of every voxel.
+/// Returns the mean point and color of every voxel.
 fn means(cloud: &PointCloud) -> PointCloud {
     let grid = VoxelGrid::new(&cloud.positions, THINNED_M);
     let mut sums = vec![(0.0, Vector3::zeros(), Vector3::zeros()); grid.len()];
@@ -157,23 +159,25 @@ pub fn normals<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
     let voxel_m = SuperpointSettings::default().voxel_m;
     let against = |what: String, command: String, differ: &str| Comparison {
         what,
-        ours: Ours::Within(own_superpoints(input, SuperpointSettings::default())),
-        peer: asked(open3d, command),
+        ours: OwnSide::Within(own_superpoints(input, SuperpointSettings::default())),
+        peer: ask_peer(open3d, command),
         differ: format!(
-            "{differ} Ours is a part of superpoints and can not be had alone: the figure is that of all of superpoints."
+            "{differ} uniground computes normals only as a part of superpoints: the figure is that of all \
+                 of superpoints."
         ),
     };
     vec![
         against(
             format!("normals of {voxel_m} m voxels, Open3D `estimate_normals`"),
             format!("voxel_normals {voxel_m}"),
-            "one normal a voxel on both sides. Open3D's: from the 30 nearest voxel means, which are made beforehand; ours: from the \
-             points of the voxel and the 26 around it.",
+            "One normal per voxel on both sides. Open3D: from the 30 nearest voxel means, which are \
+                 computed beforehand. uniground: from the points of the voxel and the 26 around it.",
         ),
         against(
             "normals of all points, Open3D `estimate_normals`".into(),
             "normals".into(),
-            "Open3D's: one a point, from the 30 nearest; ours: one a voxel, which is less.",
+            "Open3D: one normal per point, from the 30 nearest. uniground: one per voxel, which is less \
+                 work.",
         ),
     ]
 }
@@ -181,8 +185,8 @@ pub fn normals<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
 pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
     let size = format!("{}x{}", ROOM_VIEW.width, ROOM_VIEW.height);
     let against = |how: &str, command: &str, differ: String| Comparison {
-        what: format!("picture of the room, {size}, Open3D {how}"),
-        ours: Ours::Same(Box::new(|| {
+        what: format!("render of the room, {size}, Open3D {how}"),
+        ours: OwnSide::Same(Box::new(|| {
             let drawn = |picture: &image::RgbImage| {
                 format!("{} pixels", picture.pixels().filter(|p| p.0 != BACKGROUND).count())
             };
@@ -198,7 +202,7 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
                 drawn,
             ))
         })),
-        peer: asked(open3d, command.into()),
+        peer: ask_peer(open3d, command.into()),
         differ,
     };
     let mesh = open3d
@@ -209,48 +213,49 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
         against(
             "`project_to_rgbd_image`",
             "project",
-            "the same camera and points. Ours finds the ceiling and how far apart points are, and closes the gaps with squares; \
-             Open3D colours one pixel a point, and the ceiling was cut off beforehand."
+            "The same camera and points. uniground detects the ceiling and the point spacing, and closes \
+                 gaps with squares; Open3D colors one pixel per point, and the ceiling was removed beforehand."
                 .into(),
         ),
         against(
             "`RaycastingScene`",
             "cast",
             format!(
-                "one ray a pixel from the same camera at the squares ours draws, two triangles a point{mesh}. That mesh, its tree, \
-                 the rays and the cut ceiling are ready beforehand; ours starts from the points each time."
+                "One ray per pixel from the same camera at the squares that uniground renders, two triangles \
+                 per point{mesh}. The mesh, its tree, the rays and the removed ceiling are prepared beforehand; \
+                 uniground starts from the points each time."
             ),
         ),
     ]
 }
 
-/// A segmenter and a picture it has encoded.
-pub struct Asked {
+/// A segmenter and an image that it has encoded.
+pub struct EncodedImage {
     pub segmenter: Arc<Segmenter>,
     pub picture: RgbImage,
     pub encoded: Encoded,
 }
 
 pub fn perception<'a>(
-    ours: &'a anyhow::Result<Asked>,
+    ours: &'a anyhow::Result<EncodedImage>,
     onnxruntime: &'a Peer,
 ) -> Vec<Comparison<'a>> {
-    let measured = |work: fn(&Asked) -> String| -> Ours<'a> {
-        Ours::Same(Box::new(move || match ours {
+    let measured = |work: fn(&EncodedImage) -> String| -> OwnSide<'a> {
+        OwnSide::Same(Box::new(move || match ours {
             Ok(asked) => Ok(timed(|| work(asked), Clone::clone)),
             Err(why) => anyhow::bail!("{why:#}"),
         }))
     };
     vec![
         Comparison {
-            what: "SAM 2 tiny, one picture encoded, onnxruntime (Python)".into(),
+            what: "SAM 2 tiny, one image encoded, onnxruntime (Python)".into(),
             ours: measured(|asked| {
                 asked.segmenter.encode(&asked.picture).unwrap();
-                "1 picture".into()
+                "1 image".into()
             }),
-            peer: asked(onnxruntime, "encode".into()),
-            differ: "the same network with as many threads. Ours starts from the picture: resizing, normalising and copying the features \
-                     out are in its time; the peer's input is ready."
+            peer: ask_peer(onnxruntime, "encode".into()),
+            differ: "The same network with the same number of threads. uniground starts from the image: resizing, \
+                 normalizing and copying the features are timed; the peer's input is prepared."
                 .into(),
         },
         Comparison {
@@ -261,10 +266,10 @@ pub fn perception<'a>(
                     .decode(&asked.encoded, &[Prompt::inside([(300.0, 200.0)]), Prompt::inside([(100.0, 90.0)])]);
                 format!("{} masks", masks.unwrap().iter().map(Vec::len).sum::<usize>())
             }),
-            peer: asked(onnxruntime, "decode 2".into()),
+            peer: ask_peer(onnxruntime, "decode 2".into()),
             differ:
-                "one thread each, as a parse asks two prompts at a time from two threads. Ours hands out one mask after the other; the \
-                     peer's arrays stay as they are."
+                "One thread each, because a parse decodes two prompts at a time from two threads. uniground \
+                 returns one mask after the other; the peer returns whole arrays."
                     .into(),
         },
     ]

@@ -5,8 +5,8 @@ use comfy_table::{Table, presets};
 use std::fmt::Write;
 use std::thread::available_parallelism;
 
-/// Everything the bench says: where it ran, against what, the figures, and how to read them.
-pub fn written(
+/// Formats the whole report: machine, versions, figures, and how to read them.
+pub fn format_report(
     input: &str,
     load: &str,
     versions: &[Option<String>],
@@ -15,11 +15,11 @@ pub fn written(
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN).set_header([
         "",
-        "ours, ms",
+        "uniground, ms",
         "peer, ms",
-        "ours / peer",
-        "ours gives",
-        "the peer gives",
+        "ratio",
+        "uniground returns",
+        "peer returns",
     ]);
     table.add_rows(outcomes.iter().map(row));
     let mut notes = String::new();
@@ -29,11 +29,11 @@ pub fn written(
     let versions: String = versions.iter().flatten().map(|v| format!("- {v}\n")).collect();
     let date = jiff::Timestamp::now().strftime("%Y-%m-%d");
     format!(
-        "# Beside other people's code\n\n\
+        "# Comparison with other libraries\n\n\
          Written by `make bench-peers` on {date}, {machine}, load {load} before. Input: {input}. Medians of {ROUNDS} rounds \
-         after a warm-up, ours and the peer's in turns, each run after a short silence so that threads of the last do not spin \
-         into it. Each side times itself, from data in memory to result in memory unless a file is read. Absolute times differ \
-         from machine to machine; compare the ratios.\n\n\
+         after a warm-up, alternating, with a short pause between runs so that busy-waiting threads do not affect the next \
+         run. Each side times itself, from data in memory to the result in memory unless a file is read. Absolute times \
+         differ between machines; compare the ratios.\n\n\
          {versions}\n{table}\n\n\
          How the two sides differ:\n\n{notes}",
         machine = machine()
@@ -43,7 +43,7 @@ pub fn written(
 fn row(outcome: &DuelResult) -> [String; 6] {
     let DuelResult { what, ours, peer, bound, .. } = outcome;
     let sign = if *bound { "< " } else { "" };
-    let left_out = |why: &str| ("-".to_owned(), format!("left out: {}", why.replace('|', "/")));
+    let left_out = |why: &str| ("-".to_owned(), format!("skipped: {}", why.replace('|', "/")));
     let told = |side: &Result<Run, String>, sign: &str| match side {
         Ok(Run { ms, gives }) => (format!("{sign}{}", figure(*ms)), gives.clone()),
         Err(why) => left_out(why),
@@ -57,7 +57,7 @@ fn row(outcome: &DuelResult) -> [String; 6] {
     [what.clone(), own_ms, peer_ms, ratio, own_gives, peer_gives]
 }
 
-/// Milliseconds to what a median of nine can tell apart.
+/// Rounds milliseconds to what a median of nine runs can distinguish.
 fn figure(ms: f32) -> String {
     match ms {
         ..1.0 => format!("{ms:.3}"),
@@ -73,14 +73,14 @@ fn machine() -> String {
         .find_map(|l| l.strip_prefix("model name")?.split_once(": ").map(|(_, m)| m.trim()));
     let cores = available_parallelism().map_or_else(|_| "?".into(), |n| n.to_string());
     format!(
-        "{}, {cores} cores, {} threads for ours",
+        "{}, {cores} cores, {} threads for uniground",
         model.unwrap_or("unknown processor"),
         rayon::current_num_threads()
     )
 }
 
-/// What else kept the machine busy in the minute before: on a loaded one whoever uses more cores
-/// loses more.
+/// Returns the machine's load in the minute before: on a loaded machine the side that uses more
+/// cores loses more.
 pub fn load() -> String {
     let averages = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     averages.split(' ').next().filter(|load| !load.is_empty()).unwrap_or("unknown").to_owned()

@@ -1,11 +1,11 @@
-//! PCL's VCCS as a program of its own (`vccs.cpp`), one process a run, which times itself.
+//! PCL's VCCS as a separate program (`vccs.cpp`), one process per run, which times itself.
 
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::process::Command;
 use uniground_core::scene::PointCloud;
 
-/// The built program and the files it shares with us.
+/// The built program and the files it shares with the bench.
 pub struct Vccs {
     program: String,
     cloud: Utf8PathBuf,
@@ -13,21 +13,21 @@ pub struct Vccs {
 }
 
 impl Vccs {
-    /// Writes the cloud where the program will read it.
+    /// Writes the cloud where the program reads it.
     pub fn new(program: &str, cloud: &PointCloud, scratch: &Utf8Path) -> anyhow::Result<Self> {
         let file = scratch.join("cloud.f32");
         std::fs::write(&file, raw_floats(cloud))?;
         Ok(Self { program: program.to_owned(), cloud: file, labels: scratch.join("labels.i32") })
     }
 
-    /// Seconds from points in memory to labels in memory, and the labels; 0 = none.
+    /// Returns the seconds from points in memory to labels in memory, and the labels; 0 means none.
     pub fn run(&self, voxel: &str, seed: &str) -> anyhow::Result<(f32, Vec<u32>)> {
         let output = Command::new(&self.program)
             .args([self.cloud.as_str(), voxel, seed, self.labels.as_str()])
             .output()
             .with_context(|| self.program.clone())?;
         ensure!(output.status.success(), "{}: {}", self.program, output.status);
-        // It says `... extract 236 ms label-back 18 ms ...`.
+        // The output contains `... extract 236 ms label-back 18 ms ...`.
         let text = String::from_utf8(output.stdout)?;
         let mut words = text.split_whitespace();
         let mut after = |word: &str| -> anyhow::Result<f32> {
@@ -41,7 +41,7 @@ impl Vccs {
         Ok((seconds, labels))
     }
 
-    /// The version of PCL it was built with: what it says when given nothing to do.
+    /// Returns the PCL version it was built with, from its output without arguments.
     pub fn version(&self) -> Option<String> {
         let output = Command::new(&self.program).output().ok()?;
         let version = String::from_utf8(output.stdout).ok().filter(|_| output.status.success())?;
@@ -49,7 +49,7 @@ impl Vccs {
     }
 }
 
-/// Rows of `x y z r g b` as the program reads them.
+/// Returns rows of `x y z r g b` in the program's format.
 fn raw_floats(cloud: &PointCloud) -> Vec<u8> {
     let rows = cloud.positions.iter().zip(&cloud.colours);
     rows.flat_map(|(p, c)| [p.x, p.y, p.z, f32::from(c[0]), f32::from(c[1]), f32::from(c[2])])

@@ -1,4 +1,4 @@
-//! Clouds of a size, in the formats that hold most of them.
+//! Large clouds in the most common formats.
 
 use camino::Utf8Path;
 use std::fs::File;
@@ -14,7 +14,7 @@ pub const FORMATS: [(&str, WriteCloud); 5] = [
     ("cloud.laz", laz),
 ];
 
-/// A point of a surface with some noise, the same every time; metres.
+/// Returns a point of a surface with some noise, in meters; the same every time.
 fn point(i: usize) -> ([f32; 3], [u8; 3]) {
     let noise = (i.wrapping_mul(2_654_435_761) >> 7) as u32;
     let share = |shift: u32| ((noise >> shift) & 0x3ff) as f32 / 1024.0;

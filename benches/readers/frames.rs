@@ -1,4 +1,4 @@
-//! Posed pictures of an empty room, as many as are wanted.
+//! Posed images of an empty room, in any number.
 
 use camino::Utf8Path;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage};
@@ -9,13 +9,12 @@ use std::io::Cursor;
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
 const FOCAL: f32 = 525.0;
-/// Views around the room; frames go through them again and again.
+/// Number of views around the room; frames repeat them.
 const VIEWS: usize = 20;
-/// Corners of the room, metres; the camera stands in its middle.
+/// Corners of the room in meters; the camera is in its center.
 const INSIDE: [[f32; 2]; 3] = [[-3.0, 3.0], [-2.5, 2.5], [-1.4, 1.2]];
 
-/// The plain layout with so many frames; pictures are made longer until all of them have so many
-/// bytes.
+/// Writes the plain layout with `count` frames, padded until all together have the requested size.
 pub fn write(root: &Utf8Path, frames: usize, bytes: usize) {
     for name in ["color", "depth", "pose"] {
         fs::create_dir_all(root.join(name)).unwrap();
@@ -34,7 +33,7 @@ pub fn write(root: &Utf8Path, frames: usize, bytes: usize) {
     }
 }
 
-/// A JPEG made longer by comments, behind its first mark: of other bytes for every frame.
+/// Pads a JPEG with comments after its first marker, with different bytes for every frame.
 fn with_comment(jpeg: &[u8], mut more: usize, frame: usize) -> Vec<u8> {
     let mut out = jpeg[..2].to_vec();
     while more > 0 {
@@ -50,11 +49,11 @@ fn with_comment(jpeg: &[u8], mut more: usize, frame: usize) -> Vec<u8> {
     out
 }
 
-/// Colour, depth and pose of a view.
+/// Returns color, depth and pose of a view.
 fn view(i: usize) -> (Vec<u8>, Vec<u8>, String) {
     let (sin, cos) = (i as f32 / VIEWS as f32 * TAU).sin_cos();
-    // Right, down and forward of a camera that looks along the floor, half a turn in twenty steps
-    // apart.
+    // Returns right, down and forward of a camera that looks along the floor; twenty steps make
+    // half a turn.
     let axes = [[sin, -cos, 0.0], [0.0, 0.0, -1.0], [cos, sin, 0.0]];
     let rows: String =
         (0..3).map(|r| format!("{} {} {} 0\n", axes[0][r], axes[1][r], axes[2][r])).collect();
@@ -75,7 +74,7 @@ fn view(i: usize) -> (Vec<u8>, Vec<u8>, String) {
         let shade = (depth_m(u, v) * 50.0) as u32 + noise(u, v);
         Rgb([shade, shade + 20, shade / 2 + 60].map(|c| c.min(255) as u8))
     });
-    // A sensor's last millimetres are noise.
+    // The last millimeters of a sensor are noise.
     let depth = ImageBuffer::from_fn(WIDTH, HEIGHT, |u, v| {
         Luma([(depth_m(u, v) * 1000.0) as u16 + noise(u, v) as u16])
     });

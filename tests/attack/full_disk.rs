@@ -1,10 +1,10 @@
-//! A disk without a free byte: while the server runs, while it is stopped, and while a batch comes
-//! in. On a file system of its own, which only root can make. Every row makes sure that the disk
-//! was full before it says what became of it.
+//! A full disk: while the server runs, while it is stopped, and while a batch is created. The file
+//! system is mounted by the test, which needs root. Every row checks that the disk is full before
+//! it reports a result.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, command, parsed, problem};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{Process, ask, expect_problem, serve_command, upload_and_parse};
 use crate::{Report, since};
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::Method;
@@ -20,26 +20,26 @@ use std::time::{Duration, Instant};
 use tokio::time::sleep;
 use uniground_client::{Client, ClientError};
 
-/// Room enough that a server is ready on it, and lays its reserve aside.
+/// Large enough that a server becomes ready and creates its reserve file.
 const DISK: &str = "size=160m";
-/// So small a disk is below what is kept free by default.
+/// The disk is smaller than the default of free space to keep.
 const NOTHING: &str = "0";
 
 pub async fn run(report: &mut Report) {
     let Some(disk) = Disk::mount() else {
-        println!("left out: 4 a full disk (no file system can be mounted here)");
+        println!("skipped: a full disk (no file system can be mounted here)");
         return;
     };
-    running(&disk, report).await;
-    stopped(&disk, report).await;
+    run_while_running(&disk, report).await;
+    run_while_stopped(&disk, report).await;
     drop(disk);
     let Some(disk) = Disk::mount() else { return };
-    batches(&disk, report).await;
+    run_batches(&disk, report).await;
 }
 
 struct Disk {
     mount: tempfile::TempDir,
-    /// Outside of it.
+    /// A folder on another file system.
     logs: tempfile::TempDir,
 }
 
@@ -77,7 +77,7 @@ impl Disk {
         disk.f_bavail * disk.f_frsize
     }
 
-    /// Whether no byte is free, and none can be written.
+    /// Returns whether no byte is free and none can be written.
     fn is_full(&self) -> bool {
         let probe = self.path().join("probe");
         let written = fs::write(&probe, "x");
@@ -85,7 +85,7 @@ impl Disk {
         self.free_bytes() == 0 && written.is_err_and(|error| error.kind() == ErrorKind::StorageFull)
     }
 
-    /// Fills it to the last byte, again and again until nobody gives anything back any more.
+    /// Fills the disk to the last byte, again and again until no process frees space any more.
     async fn fill(&self) {
         let mut full_for = 0;
         for _ in 0..600 {
@@ -110,14 +110,14 @@ impl Disk {
         fs::remove_file(self.path().join("filler")).unwrap();
     }
 
-    /// Bytes of the reserve; 0 where there is none.
+    /// Returns the bytes of the reserve file; 0 if there is none.
     fn reserve(&self) -> u64 {
         fs::metadata(self.data().join("reserve")).map_or(0, |file| file.len())
     }
 
-    /// A server; what it says where it does not start.
+    /// Starts a server, or returns its error output.
     fn start(&self, keep_free: &str) -> Result<Process, String> {
-        let mut command = command(&self.data(), "127.0.0.1:0");
+        let mut command = serve_command(&self.data(), "127.0.0.1:0");
         let log = File::create(self.log()).unwrap();
         let mut child = command
             .args(["--keep-free-bytes", keep_free])
@@ -131,16 +131,16 @@ impl Disk {
             Ok(Process { client: Client::new(address, None).unwrap(), child })
         } else {
             child.wait().unwrap();
-            Err(self.told())
+            Err(self.log_text())
         }
     }
 
-    fn told(&self) -> String {
+    fn log_text(&self) -> String {
         fs::read_to_string(self.log()).unwrap()
     }
 
-    /// A command on the data folder.
-    fn command(&self, args: &[&str]) -> (bool, String) {
+    /// Runs a command on the data folder.
+    fn run_command(&self, args: &[&str]) -> (bool, String) {
         let command = Command::new(env!("CARGO_BIN_EXE_uniground"))
             .args(args)
             .args(["--data-dir", self.data().as_str()])
@@ -152,7 +152,7 @@ impl Disk {
         )
     }
 
-    /// A stopped server's folder with its reserve, on a disk that others have filled meanwhile.
+    /// Fills the disk while the server is stopped and its reserve file exists.
     async fn fill_while_stopped(&self) -> u64 {
         self.empty();
         self.start(NOTHING).unwrap().terminate();
@@ -162,8 +162,8 @@ impl Disk {
     }
 }
 
-/// The last words, for a row that did not hold.
-fn end_of(text: &str) -> &str {
+/// Returns the end of an output, for rows that failed.
+fn last_lines(text: &str) -> &str {
     let mut from = text.len().saturating_sub(300);
     while !text.is_char_boundary(from) {
         from += 1;
@@ -171,8 +171,8 @@ fn end_of(text: &str) -> &str {
     text[from..].trim()
 }
 
-async fn scan(client: &Client, note: &str) -> String {
-    parsed(client, ZIP, Scan::neutral().with("note.txt", note).zip()).await.id
+async fn upload_scan(client: &Client, note: &str) -> String {
+    upload_and_parse(client, ZIP, Scan::neutral().with("note.txt", note).zip()).await.id
 }
 
 async fn is_ready(client: &Client) -> bool {
@@ -183,15 +183,18 @@ async fn is_stored(client: &Client, scene: &str) -> Result<bool, ClientError> {
     client.ground(scene, &ask("the red sofa")).await.map(|answer| answer.stored)
 }
 
-/// Filled while a server runs, stopped and started like that.
-async fn running(disk: &Disk, report: &mut Report) {
+/// Fills the disk while a server runs, stops it, and starts it again.
+async fn run_while_running(disk: &Disk, report: &mut Report) {
     let process = disk.start(NOTHING).unwrap();
     let client = &process.client;
-    let (scene, first, second) =
-        (scan(client, "1").await, scan(client, "2").await, scan(client, "3").await);
+    let (scene, first, second) = (
+        upload_scan(client, "1").await,
+        upload_scan(client, "2").await,
+        upload_scan(client, "3").await,
+    );
     let held = disk.reserve() == 8 << 20 && is_ready(client).await;
     report.row(
-        "4 before the disk is full",
+        "before the disk is full",
         if held { "ready, with a reserve" } else { "not ready" },
         0.0,
         None,
@@ -200,7 +203,7 @@ async fn running(disk: &Disk, report: &mut Report) {
     );
     disk.fill().await;
     let start = Instant::now();
-    // What the database's log has room for is stored yet.
+    // Answers are stored as long as the database's log has space.
     let (mut answers, mut failed, mut not_stored) = (0, 0, 0);
     while not_stored < 3 && answers < 2000 {
         answers += 1;
@@ -211,15 +214,15 @@ async fn running(disk: &Disk, report: &mut Report) {
     }
     let told = format!("{answers} answered, {not_stored} not stored");
     let held = disk.is_full() && failed == 0 && not_stored == 3;
-    report.row("4 questions on a full disk", &told, since(start), None, "", held);
+    report.row("questions on a full disk", &told, since(start), None, "", held);
     disk.fill().await;
-    let told = problem(
+    let told = expect_problem(
         client
             .create_scene(None, ZIP, Scan::neutral().with("note.txt", "x".repeat(1 << 20)).zip())
             .await,
     );
     report.row(
-        "4 an upload on a full disk",
+        "an upload on a full disk",
         &format!("{} {}", told.status, told.code),
         0.0,
         None,
@@ -228,11 +231,11 @@ async fn running(disk: &Disk, report: &mut Report) {
     );
     disk.fill().await;
     let lines = format!("{}\n", json!({"scene_id": scene, "query": "the red sofa"})).repeat(3000);
-    let told = problem(client.create_batch_of_lines(lines, &[], None).await);
+    let told = expect_problem(client.create_batch_of_lines(lines, &[], None).await);
     let left = client.batches(10, None).await.unwrap().batches.len();
     let held = told.status == 507 && left == 0;
     report.row(
-        "4 a batch on a full disk",
+        "a batch on a full disk",
         &format!("{} {}", told.status, told.code),
         0.0,
         None,
@@ -242,7 +245,7 @@ async fn running(disk: &Disk, report: &mut Report) {
     disk.fill().await;
     let ready = is_ready(client).await;
     report.row(
-        "4 readiness on a full disk",
+        "readiness on a full disk",
         if ready { "ready" } else { "not ready" },
         0.0,
         None,
@@ -254,22 +257,22 @@ async fn running(disk: &Disk, report: &mut Report) {
     let deleted = client.delete_scene(&first).await;
     let told = if deleted.is_ok() { "204" } else { "not possible" };
     report.row(
-        "4 DELETE on a full disk",
+        "DELETE on a full disk",
         told,
         since(start),
         None,
-        "room again",
+        "space again",
         deleted.is_ok() && disk.free_bytes() > 0,
     );
 
-    // What deleting has left of the reserve is for the next start.
+    // The rest of the reserve is for the next start.
     disk.fill().await;
     process.terminate();
     disk.fill().await;
     let (start, reserve) = (Instant::now(), disk.reserve());
     let (held, told) = starts_and_deletes(disk, &second).await;
     report.row(
-        "4 filled again after that, stopped and started",
+        "filled again, then restarted",
         &told,
         since(start),
         None,
@@ -278,30 +281,31 @@ async fn running(disk: &Disk, report: &mut Report) {
     );
 }
 
-/// Starts on a full disk, where it answers and deletes.
+/// Starts a server on a full disk, asks a question and deletes a scene.
 async fn starts_and_deletes(disk: &Disk, scene: &str) -> (bool, String) {
     if !disk.is_full() {
         return (false, "the disk is not full".into());
     }
     let process = match disk.start(NOTHING) {
         Ok(process) => process,
-        Err(told) => return (false, format!("does not start: {}", end_of(&told))),
+        Err(told) => return (false, format!("does not start: {}", last_lines(&told))),
     };
     let (answered, deleted) = (
         is_stored(&process.client, scene).await.is_ok(),
         process.client.delete_scene(scene).await.is_ok(),
     );
-    let released = disk.told().contains("disk full: released the reserve file of");
+    let released = disk.log_text().contains("disk full: released the reserve file of");
     process.terminate();
     let told = format!("answered {answered}, deleted {deleted}, told {released}");
     (answered && deleted && released && disk.free_bytes() > 0, told)
 }
 
-/// Filled by others while no server runs.
-async fn stopped(disk: &Disk, report: &mut Report) {
+/// Fills the disk while no server runs.
+async fn run_while_stopped(disk: &Disk, report: &mut Report) {
     disk.empty();
     let process = disk.start(NOTHING).unwrap();
-    let (mine, other) = (scan(&process.client, "4").await, scan(&process.client, "5").await);
+    let (mine, other) =
+        (upload_scan(&process.client, "4").await, upload_scan(&process.client, "5").await);
     process.terminate();
     disk.fill().await;
 
@@ -311,7 +315,7 @@ async fn stopped(disk: &Disk, report: &mut Report) {
         let to = to.path().join("backup").into_os_string().into_string().unwrap();
         let args = if args == ["backup"] { vec!["backup", &to] } else { args.to_vec() };
         let (start, full) = (Instant::now(), disk.is_full());
-        let (done, told) = disk.command(&args);
+        let (done, told) = disk.run_command(&args);
         let held = full
             && reserve == 8 << 20
             && done
@@ -319,7 +323,7 @@ async fn stopped(disk: &Disk, report: &mut Report) {
         let answer = if held {
             "works".to_owned()
         } else {
-            format!("full {full}, done {done}: {}", end_of(&told))
+            format!("full {full}, done {done}: {}", last_lines(&told))
         };
         report.row(&format!("4 {} on a full disk", args[0]), &answer, since(start), None, "", held);
     }
@@ -329,7 +333,7 @@ async fn stopped(disk: &Disk, report: &mut Report) {
     let (held, told) = starts_and_deletes(disk, &mine).await;
     let held = held && reserve == 8 << 20;
     report.row(
-        "4 a start on a disk filled meanwhile",
+        "a start on a disk filled while stopped",
         &told,
         since(start),
         None,
@@ -337,15 +341,15 @@ async fn stopped(disk: &Disk, report: &mut Report) {
         held,
     );
 
-    // Nobody has left a reserve: what only saves time makes room.
+    // There is no reserve: removing caches makes space.
     disk.fill_while_stopped().await;
     fs::remove_file(disk.data().join("reserve")).unwrap();
     disk.fill().await;
     let (start, full) = (Instant::now(), disk.is_full());
-    let (done, told) = disk.command(&["gc"]);
-    let answer = if done { "works".to_owned() } else { end_of(&told).to_owned() };
+    let (done, told) = disk.run_command(&["gc"]);
+    let answer = if done { "works".to_owned() } else { last_lines(&told).to_owned() };
     report.row(
-        "4 gc on a full disk without a reserve",
+        "gc on a full disk without a reserve",
         &answer,
         since(start),
         None,
@@ -358,7 +362,7 @@ async fn stopped(disk: &Disk, report: &mut Report) {
     let stored = is_stored(&process.client, &other).await.is_ok_and(|stored| stored)
         && disk.reserve() == 8 << 20;
     report.row(
-        "4 once there is room",
+        "after freeing space",
         if stored { "stored, with a reserve" } else { "not stored" },
         0.0,
         None,
@@ -366,10 +370,10 @@ async fn stopped(disk: &Disk, report: &mut Report) {
         stored,
     );
     process.terminate();
-    let (whole, told) = disk.command(&["doctor"]);
+    let (whole, told) = disk.run_command(&["doctor"]);
     report.row(
-        "4 the doctor after that",
-        if whole { "whole" } else { end_of(&told) },
+        "then the doctor",
+        if whole { "whole" } else { last_lines(&told) },
         0.0,
         None,
         "",
@@ -377,7 +381,7 @@ async fn stopped(disk: &Disk, report: &mut Report) {
     );
 }
 
-async fn rows_of_batches(disk: &Disk) -> i64 {
+async fn count_batch_rows(disk: &Disk) -> i64 {
     let options = SqliteConnectOptions::new().filename(disk.data().join("uniground.sqlite"));
     let mut database = SqliteConnection::connect_with(&options).await.unwrap();
     let sql = "SELECT (SELECT count(*) FROM batches) + (SELECT count(*) FROM batch_items)";
@@ -386,12 +390,12 @@ async fn rows_of_batches(disk: &Disk) -> i64 {
     rows
 }
 
-/// Batches that would fill the disk.
-async fn batches(disk: &Disk, report: &mut Report) {
+/// Creates batches that would fill the disk.
+async fn run_batches(disk: &Disk, report: &mut Report) {
     const KEPT_FREE: u64 = 100 << 20;
     let process = disk.start(&KEPT_FREE.to_string()).unwrap();
     let client = &process.client;
-    let scene = scan(client, "1").await;
+    let scene = upload_scan(client, "1").await;
     let (least, over) = (Arc::new(AtomicU64::new(u64::MAX)), Arc::new(AtomicBool::new(false)));
     let watch = {
         let (least, over, path) = (least.clone(), over.clone(), disk.path().to_owned());
@@ -403,7 +407,7 @@ async fn batches(disk: &Disk, report: &mut Report) {
             }
         })
     };
-    // Defaults of 60 kB for 20,000 items: 1.2 GB, were they copied.
+    // Defaults of 60 kB for 20,000 items would take 1.2 GB as copies.
     let start = Instant::now();
     let before = disk.free_bytes();
     let items = vec![json!({}); 20_000];
@@ -420,7 +424,7 @@ async fn batches(disk: &Disk, report: &mut Report) {
     let taken = before.saturating_sub(disk.free_bytes()) >> 20;
     let held = batch.is_ok() && taken < 25;
     report.row(
-        "4 a batch of large defaults",
+        "a batch of large defaults",
         &told,
         since(start),
         None,
@@ -429,22 +433,22 @@ async fn batches(disk: &Disk, report: &mut Report) {
     );
 
     let start = Instant::now();
-    let known = rows_of_batches(disk).await;
+    let known = count_batch_rows(disk).await;
     let line = format!("{}\n", json!({"scene_id": scene, "query": "a".repeat(30_000)}));
     let sent = client.create_batch_of_lines(line.repeat(4000), &[], None).await;
     let told = match sent {
         Err(ClientError::Problem(problem)) => format!("{} {}", problem.status, problem.code),
-        // Whoever goes on sending may not hear the refusal.
+        // A client that is still sending may miss the refusal.
         Err(_) => "cut off".to_owned(),
         Ok(batch) => format!("{} items taken", batch.items),
     };
-    let mut left = rows_of_batches(disk).await - known;
+    let mut left = count_batch_rows(disk).await - known;
     for _ in 0..100 {
         if left == 0 {
             break;
         }
         sleep(Duration::from_millis(100)).await;
-        left = rows_of_batches(disk).await - known;
+        left = count_batch_rows(disk).await - known;
     }
     over.store(true, Ordering::Relaxed);
     watch.await.unwrap();
@@ -453,10 +457,10 @@ async fn batches(disk: &Disk, report: &mut Report) {
     let held =
         !told.contains("taken") && left == 0 && least > KEPT_FREE - (16 << 20) && log < 1 << 20;
     let rest = format!("{left} rows, log of {log} bytes, least free {} MB", least >> 20);
-    report.row("4 a batch larger than the disk", &told, since(start), None, &rest, held);
+    report.row("a batch larger than the disk", &told, since(start), None, &rest, held);
     let stored = is_stored(client, &scene).await.is_ok_and(|stored| stored);
     report.row(
-        "4 a question after that",
+        "a question afterwards",
         if stored { "stored" } else { "not stored" },
         0.0,
         None,
@@ -465,15 +469,15 @@ async fn batches(disk: &Disk, report: &mut Report) {
     );
     process.terminate();
     let before = fs::metadata(disk.data().join("uniground.sqlite")).unwrap().len();
-    let (done, told) = disk.command(&["gc"]);
+    let (done, told) = disk.run_command(&["gc"]);
     let after = fs::metadata(disk.data().join("uniground.sqlite")).unwrap().len();
     let answer = if done {
         format!("{} -> {} MB", before >> 20, after >> 20)
     } else {
-        end_of(&told).to_owned()
+        last_lines(&told).to_owned()
     };
     report.row(
-        "4 gc gives the refused batch's room back",
+        "gc frees the space of the refused batch",
         &answer,
         0.0,
         None,

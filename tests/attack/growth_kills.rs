@@ -1,9 +1,9 @@
-//! Kills while scenes grow, batches come in and uploads arrive in parts: every start succeeds, and
-//! what was acknowledged is there.
+//! Kills while frames are added, batches created and uploads received in parts: every start
+//! succeeds, and acknowledged data is there.
 
-use crate::archives::{Scan, THINGS};
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, finished, parsed};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::{Scan, THINGS};
+use crate::test_server::{Process, ask, upload_and_parse, wait_for_job};
 use crate::{Form, Report, since};
 use camino::Utf8Path;
 use reqwest::Method;
@@ -14,39 +14,39 @@ use uniground_client::Client;
 use uniground_types::job::JobState;
 use uniground_types::placement::FrameChoice;
 
-/// Where cameras stand around the room, as shares of a turn.
+/// Camera positions around the room, as fractions of a full turn.
 const AROUND: [f32; 4] = [0.0, 0.25, 0.5, 0.75];
 
-/// What was acknowledged.
+/// Data that the server acknowledged.
 #[derive(Default)]
 struct Acknowledged {
     scenes: BTreeSet<String>,
     batches: BTreeSet<String>,
     jobs: BTreeSet<String>,
-    /// Frames that were added to the scene that grows.
+    /// Frames that were added to the growing scene.
     additions: usize,
 }
 
-/// Small frames of the room, other ones for each number.
+/// Returns small frames of the room, different for each number.
 fn frames(number: usize) -> Scan {
     Scan::of_room(&THINGS, &AROUND.map(|turn| turn + 0.01 * number as f32))
         .with("note.txt", format!("{number}"))
 }
 
 pub async fn run(form: Form, report: &mut Report) {
-    not_asked(report).await;
+    run_without_answers(report).await;
     let kills = form.of(6, 100);
     let data = tempfile::tempdir().unwrap();
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let start = Instant::now();
     let first = Process::start(folder);
-    let growing = parsed(&first.client, ZIP, frames(0).zip()).await.id;
+    let growing = upload_and_parse(&first.client, ZIP, frames(0).zip()).await.id;
     first.kill();
     let mut known = Acknowledged::default();
     for kill in 0..kills {
-        // A start that fails panics here: that is the drill.
+        // A failed start panics here.
         let process = Process::start(folder);
-        let work = tokio::spawn(at_work(process.client.clone(), growing.clone(), kill));
+        let work = tokio::spawn(send_requests(process.client.clone(), growing.clone(), kill));
         tokio::time::sleep(Duration::from_millis(80 + (kill as u64 * 331) % 1400)).await;
         process.kill();
         let Acknowledged { scenes, batches, jobs, additions } = work.await.unwrap();
@@ -67,7 +67,7 @@ pub async fn run(form: Form, report: &mut Report) {
     let mut failed = 0;
     for id in &known.jobs {
         failed += usize::from(!matches!(
-            finished(client, id).await.state,
+            wait_for_job(client, id).await.state,
             JobState::Succeeded | JobState::Cancelled
         ));
     }
@@ -75,7 +75,7 @@ pub async fn run(form: Form, report: &mut Report) {
     let parts = grown.import.map_or(0, |import| import.frames as usize / AROUND.len());
     let answered = client.ground(&growing, &ask("the red sofa")).await.is_ok();
     process.terminate();
-    let doctor = doctor(folder);
+    let doctor = run_doctor(folder);
     let answer = format!(
         "{} scenes, {} batches, {} additions",
         known.scenes.len(),
@@ -94,7 +94,7 @@ pub async fn run(form: Form, report: &mut Report) {
         && parts > known.additions
         && known.additions > 0;
     report.row(
-        &format!("1 {kills} kills of growth, batches, uploads in parts"),
+        &format!("{kills} kills during updates, batches, uploads in parts"),
         &answer,
         since(start),
         None,
@@ -103,9 +103,9 @@ pub async fn run(form: Form, report: &mut Report) {
     );
 }
 
-/// A scene that nobody has asked anything, stopped while its growth waits or runs: the next start
-/// keeps its parse.
-async fn not_asked(report: &mut Report) {
+/// A scene without answers is stopped while its update waits or runs: the next start keeps its
+/// parse.
+async fn run_without_answers(report: &mut Report) {
     for (case, stop) in [
         ("SIGKILL", Process::kill as fn(Process)),
         ("SIGTERM", |process: Process| assert_eq!(process.terminate(), Some(0))),
@@ -114,8 +114,8 @@ async fn not_asked(report: &mut Report) {
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();
         let process = Process::start(folder);
-        let scene = parsed(&process.client, ZIP, frames(0).zip()).await;
-        // Another parse in front: the growth waits in the queue.
+        let scene = upload_and_parse(&process.client, ZIP, frames(0).zip()).await;
+        // Another parse comes first, so that the update waits in the queue.
         process.client.create_scene(None, ZIP, Scan::neutral().zip()).await.unwrap();
         let created = process
             .client
@@ -124,14 +124,14 @@ async fn not_asked(report: &mut Report) {
             .unwrap();
         stop(process);
         let process = Process::start(folder);
-        let job = finished(&process.client, &created.job.unwrap().id).await;
+        let job = wait_for_job(&process.client, &created.job.unwrap().id).await;
         let answered = process.client.ground(&scene.id, &ask("the red sofa")).await.is_ok();
         process.terminate();
-        let whole = doctor(folder).contains("no problems found");
+        let whole = run_doctor(folder).contains("no problems found");
         let held = job.state == JobState::Succeeded && answered && whole;
         report.row(
-            &format!("1 {case} before growth ends, never asked"),
-            "starts, grows",
+            &format!("{case} before an update ends, without answers"),
+            "starts, updates",
             since(start),
             None,
             "all of it",
@@ -140,7 +140,7 @@ async fn not_asked(report: &mut Report) {
     }
 }
 
-fn doctor(folder: &Utf8Path) -> String {
+fn run_doctor(folder: &Utf8Path) -> String {
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["doctor", "--data-dir", folder.as_str()])
         .output()
@@ -148,8 +148,8 @@ fn doctor(folder: &Utf8Path) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// Everything at once, until the server is gone.
-async fn at_work(client: Client, growing: String, kill: usize) -> Acknowledged {
+/// Sends all kinds of requests until the server is gone.
+async fn send_requests(client: Client, growing: String, kill: usize) -> Acknowledged {
     let mut known = Acknowledged::default();
     let batch = serde_json::from_value(
         json!({"items": vec![json!({"scene_id": growing, "query": "the red sofa"}); 30]}),
@@ -158,10 +158,10 @@ async fn at_work(client: Client, growing: String, kill: usize) -> Acknowledged {
     if let Ok(batch) = client.create_batch(&batch, Some(&format!("batch {kill}"))).await {
         known.batches.insert(batch.id);
     }
-    // Half an upload in parts, which the next server keeps, and a whole one.
+    // Half of an upload in parts, which the next server still has, and a complete one.
     let scan = Scan::neutral().with("note.txt", format!("in parts {kill}")).zip();
     for end in [scan.len() / 2, scan.len()] {
-        let Some(location) = begin(&client, scan.len()).await else { return known };
+        let Some(location) = create_upload(&client, scan.len()).await else { return known };
         let part = client
             .request(Method::PATCH, location.trim_start_matches('/'))
             .header("tus-resumable", "1.0.0")
@@ -187,7 +187,7 @@ async fn at_work(client: Client, growing: String, kill: usize) -> Acknowledged {
     known
 }
 
-async fn begin(client: &Client, length: usize) -> Option<String> {
+async fn create_upload(client: &Client, length: usize) -> Option<String> {
     let made = client
         .request(Method::POST, "v1/uploads")
         .header("tus-resumable", "1.0.0")

@@ -1,8 +1,8 @@
-//! Kills at any moment: what was acknowledged is there, and what was begun is finished.
+//! Kills at any moment: acknowledged data is there, and started jobs finish.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, finished};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{Process, ask, wait_for_job};
 use crate::{Form, Report, since};
 use camino::Utf8Path;
 use reqwest::Method;
@@ -16,7 +16,7 @@ pub async fn run(form: Form, report: &mut Report) {
     let data = tempfile::tempdir().unwrap();
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let start = Instant::now();
-    // Scenes that were acknowledged, by their key; answers that were, by their id.
+    // Acknowledged scenes by idempotency key, and acknowledged answers by id.
     let (mut scenes, mut answers) = (BTreeMap::new(), BTreeMap::new());
     let mut without_job = 0;
     for kill in 0..kills {
@@ -26,8 +26,8 @@ pub async fn run(form: Form, report: &mut Report) {
         let work = tokio::spawn(async move {
             let (mut made, mut given, mut without_job) = (Vec::new(), Vec::new(), 0);
             for round in 0..50 {
-                // Every key is used for two rounds and by the next server: once in a while it made
-                // the scene before.
+                // Every key is used in two rounds and by the next server, which sometimes finds the
+                // scene already created.
                 let key = format!("key-{}", kill * 3 + round / 2);
                 let archive = Scan::neutral().with("note.txt", key.clone()).zip();
                 let request = client
@@ -46,7 +46,7 @@ pub async fn run(form: Form, report: &mut Report) {
             }
             (made, given, without_job)
         });
-        // Moments spread over what happens, the same in every run.
+        // Moments spread over the whole run, the same every time.
         tokio::time::sleep(Duration::from_millis(50 + (kill * 397) % 1300)).await;
         process.kill();
         let (made, given, none) = work.await.unwrap();
@@ -64,7 +64,8 @@ pub async fn run(form: Form, report: &mut Report) {
                     without_job += 1;
                     continue;
                 };
-                failed += usize::from(finished(client, &job).await.state != JobState::Succeeded);
+                failed +=
+                    usize::from(wait_for_job(client, &job).await.state != JobState::Succeeded);
             }
             Err(_) => lost += 1,
         }
@@ -95,7 +96,7 @@ pub async fn run(form: Form, report: &mut Report) {
     let sound = !told.contains("database") && !told.contains("parse ") && !told.contains("scan ");
     let answer = format!("{} scenes, {} answers", scenes.len(), answers.len());
     let left = format!(
-        "lost {lost}+{lost_answers}, failed {failed}, without job {without_job}, answers alike {alike}, sound {sound}"
+        "lost {lost}+{lost_answers}, failed {failed}, without job {without_job}, answers equal {alike}, intact {sound}"
     );
     let held =
         lost + lost_answers + failed + without_job == 0 && alike && sound && !scenes.is_empty();
@@ -114,6 +115,6 @@ pub async fn run(form: Form, report: &mut Report) {
     };
     let (first, second) = (upload("one").await.unwrap(), upload("two").await.unwrap());
     let held = first.status() == 202 && second.status() == 422;
-    report.row("8 the same key with another body", second.status().as_str(), 0.0, None, "", held);
+    report.row("the same key with another body", second.status().as_str(), 0.0, None, "", held);
     process.kill();
 }

@@ -1,35 +1,34 @@
-//! An attack on the binary: every case is a few kilobytes, a kill, a full disk or a crowd, and ends
-//! in one line of a table: the case, the answer, seconds, peak memory, and what is left on the
-//! disk.
+//! Attacks on the binary. Every case is a small upload, a kill, a full disk or a connection flood,
+//! and prints one row of a table: case, result, seconds, peak memory, and files left on the disk.
 //!
-//! `cargo test --test attack` takes the short form; `make attack` the whole (`ATTACK=full`).
+//! `cargo test --test attack` runs the short form, `make attack` the full one (`ATTACK=full`).
 
-// A helper that can not go on fails its case.
+// A helper that fails aborts its case.
 #![allow(clippy::unwrap_used, clippy::too_many_lines)]
 
-// Some helpers of these two are for the other tests only.
-#[allow(dead_code)]
-#[path = "../integration/archives.rs"]
-mod archives;
-mod crowds;
-mod disks;
+mod connections;
 mod full_disk;
 mod growth_kills;
-mod hostile;
+mod hostile_uploads;
 mod kills;
 mod mutations;
 mod responsiveness;
+mod storage_faults;
+// Some helpers in these two modules are used only by the integration tests.
 #[allow(dead_code)]
-#[path = "../integration/server.rs"]
-mod server;
+#[path = "../integration/test_scans.rs"]
+mod test_scans;
+#[allow(dead_code)]
+#[path = "../integration/test_server.rs"]
+mod test_server;
 mod uploads;
 
 use camino::{Utf8Path, Utf8PathBuf};
-use server::Process;
 use std::fs;
 use std::time::Instant;
+use test_server::Process;
 
-/// How much is tried.
+/// How many attempts are made.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Form {
     Short,
@@ -37,20 +36,20 @@ pub(crate) enum Form {
 }
 
 impl Form {
-    /// One number for the short form, one for the whole.
+    /// Returns one value for the short form and another for the full one.
     pub(crate) fn of<T>(self, short: T, full: T) -> T {
         if self == Self::Full { full } else { short }
     }
 }
 
-/// The table so far, and what did not hold.
+/// The rows so far, and the cases that failed.
 #[derive(Default)]
 pub(crate) struct Report {
     failed: Vec<String>,
 }
 
 impl Report {
-    /// One line; `held` says whether what was promised held.
+    /// Prints one row. `held` says whether the case passed.
     pub(crate) fn row(
         &mut self,
         case: &str,
@@ -86,7 +85,7 @@ impl Target {
         Utf8PathBuf::from_path_buf(self.data.path().to_owned()).unwrap()
     }
 
-    /// Peak resident memory since it was last forgotten, MB.
+    /// Returns the peak resident memory since the last reset, in MB.
     pub(crate) fn peak_mb(&self) -> f64 {
         let status = fs::read_to_string(format!("/proc/{}/status", self.process.child.id()))
             .unwrap_or_default();
@@ -98,14 +97,14 @@ impl Target {
         let _ = fs::write(format!("/proc/{}/clear_refs", self.process.child.id()), "5");
     }
 
-    /// Names of what lies in the folders of scans and uploads.
+    /// Returns the names of entries in the folders of scans and uploads.
     pub(crate) fn left(&self) -> String {
         let count =
             |folder: &str| self.folder().join(folder).read_dir_utf8().map_or(0, Iterator::count);
         format!("contents {}, tmp {}", count("blobs/contents"), count("tmp"))
     }
 
-    /// Stops and starts again on the same folder.
+    /// Stops the server and starts it on the same folder.
     pub(crate) fn again(self) -> Self {
         let Self { data, process } = self;
         process.kill();
@@ -114,7 +113,7 @@ impl Target {
     }
 }
 
-/// Seconds since.
+/// Returns the seconds since `start`.
 pub(crate) fn since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64()
 }
@@ -128,7 +127,7 @@ fn main() {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let mut report = Report::default();
     println!("{:<52} {:<34} {:>9} {:>8}  left on the disk", "case", "answer", "time", "peak");
-    // One part of it alone: `ATTACK_ONLY=full_disk`.
+    // `ATTACK_ONLY=full_disk` runs a single part.
     let only = std::env::var("ATTACK_ONLY").ok();
     let is_wanted = |part: &str| only.as_deref().is_none_or(|only| only == part);
     runtime.block_on(async {
@@ -138,8 +137,8 @@ fn main() {
         if is_wanted("mutations") {
             mutations::run(form, &mut report).await;
         }
-        if is_wanted("disks") {
-            disks::run(form, &mut report).await;
+        if is_wanted("storage_faults") {
+            storage_faults::run(form, &mut report).await;
         }
         if is_wanted("full_disk") {
             full_disk::run(&mut report).await;
@@ -153,9 +152,9 @@ fn main() {
         if is_wanted("responsiveness") {
             responsiveness::run(form, &mut report).await;
         }
-        if is_wanted("crowds") {
-            crowds::run(form, &mut report).await;
+        if is_wanted("connections") {
+            connections::run(form, &mut report).await;
         }
     });
-    assert!(report.failed.is_empty(), "did not hold: {}", report.failed.join("; "));
+    assert!(report.failed.is_empty(), "failed: {}", report.failed.join("; "));
 }

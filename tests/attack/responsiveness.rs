@@ -1,8 +1,8 @@
-//! Whether the service answers others while the worst questions, uploads and batches run.
+//! Response times while the most expensive questions, uploads and batches run.
 
-use crate::archives::Scan;
-use crate::hostile::{self, ZIP};
-use crate::server::parsed;
+use crate::hostile_uploads::{self, ZIP};
+use crate::test_scans::Scan;
+use crate::test_server::upload_and_parse;
 use crate::{Form, Report, Target, since};
 use reqwest::Method;
 use serde_json::json;
@@ -11,12 +11,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use uniground_client::Client;
 
-/// The slowest of a hundred answers of `/healthz` comes within this, milliseconds.
+/// The slowest of a hundred responses of `/healthz` must be below this, in milliseconds.
 const MOST_MS: f64 = 250.0;
-/// Questions under way at once.
+/// Concurrent questions.
 const QUESTIONS: usize = 8;
 
-/// Texts of the longest length that is read, which cost a reader most.
+/// Returns questions of maximum length that are the most expensive to parse.
 fn worst_questions() -> Vec<String> {
     let longest = |pattern: &str| pattern.chars().cycle().take(1000).collect::<String>();
     [
@@ -37,11 +37,16 @@ fn worst_questions() -> Vec<String> {
 pub async fn run(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
-    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let over = Arc::new(AtomicBool::new(false));
     let mut work = Vec::new();
     for worker in 0..QUESTIONS {
-        work.push(tokio::spawn(ask_on(client.clone(), scene.id.clone(), worker, over.clone())));
+        work.push(tokio::spawn(ask_until_over(
+            client.clone(),
+            scene.id.clone(),
+            worker,
+            over.clone(),
+        )));
     }
     let lines: String = worst_questions()
         .iter()
@@ -50,14 +55,14 @@ pub async fn run(form: Form, report: &mut Report) {
         .map(|query| format!("{}\n", json!({"scene_id": scene.id, "query": query})))
         .collect();
     client.create_batch_of_lines(lines, &[("concurrency", "8".to_owned())], None).await.unwrap();
-    work.push(tokio::spawn(upload_on(
+    work.push(tokio::spawn(upload_until_over(
         client.clone(),
-        hostile::glb_of_indices(40_000_000),
+        hostile_uploads::glb_of_indices(40_000_000),
         over.clone(),
     )));
-    work.push(tokio::spawn(upload_on(
+    work.push(tokio::spawn(upload_until_over(
         client.clone(),
-        hostile::a_large_manifest(11 << 20),
+        hostile_uploads::a_large_manifest(11 << 20),
         over.clone(),
     )));
     let start = Instant::now();
@@ -81,17 +86,22 @@ pub async fn run(form: Form, report: &mut Report) {
     let code = process.terminate();
     let stopped = since(stopping);
     report.row(
-        "3 health beside the worst questions and uploads",
+        "health during the worst questions and uploads",
         &format!("p99 {p99:.0}, longest {longest:.0} ms"),
         since(start),
         None,
-        &format!("{} looks, {asked} requests beside them, stopped in {stopped:.1} s", times.len()),
+        &format!("{} probes, {asked} other requests, stopped in {stopped:.1} s", times.len()),
         p99 < MOST_MS && asked > QUESTIONS && code == Some(0) && stopped < 10.0,
     );
 }
 
-/// Asks the worst questions one after the other; how many were answered.
-async fn ask_on(client: Client, scene: String, worker: usize, over: Arc<AtomicBool>) -> usize {
+/// Sends the worst questions one after another and returns how many were answered.
+async fn ask_until_over(
+    client: Client,
+    scene: String,
+    worker: usize,
+    over: Arc<AtomicBool>,
+) -> usize {
     let questions = worst_questions();
     let mut asked = 0;
     while !over.load(Ordering::Relaxed) {
@@ -104,7 +114,7 @@ async fn ask_on(client: Client, scene: String, worker: usize, over: Arc<AtomicBo
     asked
 }
 
-async fn upload_on(client: Client, archive: Vec<u8>, over: Arc<AtomicBool>) -> usize {
+async fn upload_until_over(client: Client, archive: Vec<u8>, over: Arc<AtomicBool>) -> usize {
     let mut sent = 0;
     while !over.load(Ordering::Relaxed) {
         let _ = client.create_scene(None, ZIP, archive.clone()).await;

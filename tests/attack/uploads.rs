@@ -1,17 +1,18 @@
-//! Uploads that are refused: by name, at once, with little memory, and leaving nothing.
+//! Malicious uploads are refused with a stable code, quickly, with little memory, and without
+//! leaving files.
 
-use crate::archives::Scan;
-use crate::hostile::{self, ANY, ZIP, ZST};
-use crate::server::{ask, finished};
+use crate::hostile_uploads::{self, ANY, ZIP, ZST};
+use crate::test_scans::Scan;
+use crate::test_server::{ask, wait_for_job};
 use crate::{Form, Report, Target, since};
 use reqwest::Method;
 use std::time::Instant;
 
-/// Uploads are read in child processes: the server itself takes no more for them.
+/// Uploads are read in child processes, so the server itself needs no more memory.
 const MOST_MB: f64 = 120.0;
-/// Seconds for what can be told from headers.
+/// Seconds for an error that shows in the headers.
 const SOON: f64 = 2.0;
-/// Seconds for what has to be unpacked first.
+/// Seconds for an error that shows only after unpacking.
 const LATER: f64 = 20.0;
 
 pub async fn run(form: Form, report: &mut Report) {
@@ -21,117 +22,126 @@ pub async fn run(form: Form, report: &mut Report) {
     type Case = (&'static str, &'static str, Vec<u8>, &'static str, f64);
     let cases: Vec<Case> = vec![
         (
-            "1 a PLY with a million columns",
+            "a PLY with a million columns",
             ZIP,
-            hostile::a_million_columns(),
+            hostile_uploads::a_million_columns(),
             "scene_file_malformed",
             SOON,
         ),
-        ("2 folders 1,900 deep", ZIP, hostile::deep_folders(1900), "archive_entry_unsafe", SOON),
         (
-            "6 a huge PAX header",
-            ZST,
-            hostile::an_extended_header(tar::EntryType::XHeader, header),
-            "archive_unreadable",
-            SOON,
-        ),
-        (
-            "6 a huge long name",
-            ZST,
-            hostile::an_extended_header(tar::EntryType::GNULongName, form.of(header, 4 << 30)),
-            "archive_unreadable",
-            SOON,
-        ),
-        (
-            "6 an ASCII line without end",
+            "folders 1,900 deep",
             ZIP,
-            hostile::an_endless_line(line),
+            hostile_uploads::deep_folders(1900),
+            "archive_entry_unsafe",
+            SOON,
+        ),
+        (
+            "a huge PAX header",
+            ZST,
+            hostile_uploads::an_extended_header(tar::EntryType::XHeader, header),
+            "archive_unreadable",
+            SOON,
+        ),
+        (
+            "a huge long name",
+            ZST,
+            hostile_uploads::an_extended_header(
+                tar::EntryType::GNULongName,
+                form.of(header, 4 << 30),
+            ),
+            "archive_unreadable",
+            SOON,
+        ),
+        (
+            "an endless ASCII line",
+            ZIP,
+            hostile_uploads::an_endless_line(line),
             "job scene_file_malformed",
             LATER,
         ),
         (
-            "6 a PLY header without end",
+            "an endless PLY header",
             ZIP,
-            hostile::an_endless_header(line),
+            hostile_uploads::an_endless_header(line),
             "scene_file_malformed",
             LATER,
         ),
-        // More than are kept: thinned while they are read, and then there is no room in them.
+        // More points than are stored: they are thinned while reading, and then contain no room.
         (
-            "6 thirteen million points",
+            "thirteen million points",
             ZIP,
-            hostile::thirteen_million_points(),
+            hostile_uploads::thirteen_million_points(),
             "job up_unknown",
             LATER,
         ),
         (
-            "6 a pose of megabytes",
+            "a pose file of 100 MB",
             ZIP,
-            hostile::a_large_pose(100 << 20),
+            hostile_uploads::a_large_pose(100 << 20),
             "scene_file_malformed",
             LATER,
         ),
         (
-            "6 a manifest of half a million frames",
+            "a manifest of half a million frames",
             ZIP,
-            hostile::a_large_manifest(16 << 20),
+            hostile_uploads::a_large_manifest(16 << 20),
             "scene_file_malformed",
             LATER,
         ),
         (
-            "6 a manifest that is just not too long",
+            "a manifest just below the limit",
             ZIP,
-            hostile::a_large_manifest(11 << 20),
+            hostile_uploads::a_large_manifest(11 << 20),
             "scene_file_malformed",
             LATER,
         ),
-        ("6 more files than may be", ZIP, hostile::many_files(many), "archive_too_large", SOON),
+        ("too many files", ZIP, hostile_uploads::many_files(many), "archive_too_large", SOON),
         (
-            "6 a million folders",
+            "a million folders",
             ZST,
-            hostile::many_folders(form.of(200_000, 1_000_000)),
+            hostile_uploads::many_folders(form.of(200_000, 1_000_000)),
             "archive_too_large",
             SOON,
         ),
         (
-            "6 a gigabyte of zeros",
+            "a gigabyte of zeros",
             ZIP,
-            hostile::zeros(form.of(300 << 20, 1 << 30)),
+            hostile_uploads::zeros(form.of(300 << 20, 1 << 30)),
             "archive_too_large",
             LATER,
         ),
         (
-            "2 a LAZ record of 2^40 bytes",
+            "a LAZ record of 2^40 bytes",
             ANY,
-            hostile::laz_with_a_record(1 << 40),
+            hostile_uploads::laz_with_a_record(1 << 40),
             "scene_file_malformed",
             SOON,
         ),
         (
-            "2 a LAZ record of 6 GiB",
+            "a LAZ record of 6 GiB",
             ANY,
-            hostile::laz_with_a_record(6 << 30),
+            hostile_uploads::laz_with_a_record(6 << 30),
             "scene_file_malformed",
             SOON,
         ),
         (
-            "2 a LAZ of 2^32 - 1 chunks",
+            "a LAZ of 2^32 - 1 chunks",
             ANY,
-            hostile::laz_with_chunks(u32::MAX),
+            hostile_uploads::laz_with_chunks(u32::MAX),
             "scene_file_malformed",
             SOON,
         ),
         (
-            "5 a GLB of millions of indices",
+            "a GLB of millions of indices",
             ZIP,
-            hostile::glb_of_indices(form.of(100_000_000, 400_000_000)),
+            hostile_uploads::glb_of_indices(form.of(100_000_000, 400_000_000)),
             "job scene_file_malformed",
             LATER,
         ),
         (
-            "6 an E57 with a large description",
+            "an E57 with a large description",
             ZIP,
-            hostile::e57_of_elements(form.of(10_000, 51_000)),
+            hostile_uploads::e57_of_elements(form.of(10_000, 51_000)),
             "scene_file_malformed",
             LATER,
         ),
@@ -146,9 +156,9 @@ pub async fn run(form: Form, report: &mut Report) {
                 let held = problem.code == code && (400..500).contains(&problem.status);
                 (format!("{} {}", problem.status, problem.code), held)
             }
-            // What shows only when rows are read fails the job.
+            // An error that appears only when rows are read fails the job.
             Ok(created) if code.starts_with("job ") => {
-                let job = finished(client, &created.job.unwrap().id).await;
+                let job = wait_for_job(client, &created.job.unwrap().id).await;
                 client.delete_scene(&created.scene.id).await.unwrap();
                 let told = format!("job {}", job.error.map(|error| error.code).unwrap_or_default());
                 (format!("202, {told}"), told == code)
@@ -171,21 +181,21 @@ pub async fn run(form: Form, report: &mut Report) {
     let target = target.again();
     let ready = target.process.client.bytes("readyz").await.is_ok();
     report.row(
-        "all of these, then a restart",
+        "all of the above, then a restart",
         if ready { "ready" } else { "not ready" },
         0.0,
         Some(target.peak_mb()),
         &target.left(),
         ready,
     );
-    words(&target, report).await;
+    run_requests(&target, report).await;
 }
 
-/// What requests may say.
-async fn words(target: &Target, report: &mut Report) {
+/// Malicious requests.
+async fn run_requests(target: &Target, report: &mut Report) {
     let client = &target.process.client;
     let created = client.create_scene(None, ZIP, Scan::neutral().zip()).await.unwrap();
-    finished(client, &created.job.unwrap().id).await;
+    wait_for_job(client, &created.job.unwrap().id).await;
     let start = Instant::now();
     let path = format!("v1/scenes/{}/ground", created.scene.id);
     let request = client.request(Method::POST, &path).header("content-type", "application/json");
@@ -200,7 +210,7 @@ async fn words(target: &Target, report: &mut Report) {
     let nosniff = short.headers().get("x-content-type-options").is_some();
     let bytes = short.bytes().await.unwrap().len();
     report.row(
-        "18 a field of a megabyte, an id of 3,000",
+        "a field of a megabyte, an id of 3,000",
         &format!("{bytes} bytes back, id of {id}"),
         since(start),
         None,
@@ -214,7 +224,7 @@ async fn words(target: &Target, report: &mut Report) {
         .await
         .unwrap();
     report.row(
-        "18 another host's name",
+        "a foreign host name",
         response.status().as_str(),
         0.0,
         None,
@@ -223,7 +233,7 @@ async fn words(target: &Target, report: &mut Report) {
     );
     let found = client.ground(&created.scene.id, &ask("the red sofa")).await.is_ok();
     report.row(
-        "a question after that",
+        "then a question",
         if found { "answered" } else { "not answered" },
         0.0,
         Some(target.peak_mb()),

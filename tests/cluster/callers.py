@@ -1,4 +1,4 @@
-"""People who use a cluster while its processes die under their hands: each asks another API when one does not answer, with the same key."""
+"""Clients of a cluster whose processes are killed: each asks another API when one does not answer, with the same idempotency key."""
 import json
 import random
 import threading
@@ -6,20 +6,20 @@ import time
 
 from wire import Connection, expect, request_bytes
 
-# How long an API is waited for before another is asked.
+# How long to wait for an API before asking another.
 PATIENCE_S = 5.0
-# What is told to who may come again.
+# Statuses after which a request may be repeated.
 AGAIN = (409, 429, 503)
 
 
 class Caller:
-    """Asks one API after the other until there is an answer. `strange` is what nobody should be told."""
+    """Asks one API after another until there is an answer. `strange` collects unexpected responses."""
 
     def __init__(self, fleet, seed=0, until_s=600):
         self.fleet, self.dice, self.until_s, self.strange = fleet, random.Random(seed), until_s, []
 
     def call(self, method, path, body=None, media_type="application/json", key=None):
-        """The reply; 409, 429 and 503, and connections that break, are asked again, which wants a key where something is made."""
+        """Returns the reply. Repeats after 409, 429, 503 and broken connections, so a request that creates something needs an idempotency key."""
         data = b"" if body is None else body if isinstance(body, bytes) else json.dumps(body).encode()
         request = request_bytes(method, path, data, media_type, [("idempotency-key", key)] if key else [])
         end, why = time.time() + self.until_s, "no API is there"
@@ -50,7 +50,7 @@ class Caller:
         return self.json("POST", f"/v1/scenes?name={name}", 202, body=scans.variant(name), media_type="application/zip", key=name)
 
     def finished(self, job):
-        """Waits for a job's end; the job."""
+        """Waits for a job's end and returns the job."""
         end = time.time() + self.until_s
         while time.time() < end:
             found = self.json("GET", f"/v1/jobs/{job}", 200)
@@ -61,7 +61,7 @@ class Caller:
 
 
     def batch(self, items, key, told=lambda batch: None):
-        """Submits a batch and waits for its end; its id, which `told` hears as soon as it is known."""
+        """Submits a batch and waits for its end; passes its id to `told` as soon as it is known."""
         lines = "".join(json.dumps(item) + "\n" for item in items).encode()
         batch = self.json("POST", f"/v1/batches?label={key}", 202, body=lines, media_type="application/jsonl", key=key)["id"]
         told(batch)
@@ -76,8 +76,8 @@ class Caller:
         raise AssertionError(f"the batch is not over after {self.until_s} s: {state}")
 
 
-class Crowd:
-    """Everybody at once: uploads, batches, single questions. What was acknowledged is remembered."""
+class Clients:
+    """All clients at once: uploads, batches, single questions. Remembers what was acknowledged."""
 
     def __init__(self, fleet, scans, scenes, batches, single, parses, until_s):
         self.fleet, self.scans, self.scenes, self.items, self.single, self.parses, self.until_s = fleet, scans, scenes, batches, single, parses, until_s
@@ -101,7 +101,7 @@ class Crowd:
             self.complaints.append(f"{work.__name__} {number}: {type(error).__name__}: {error}")
 
     def send(self, part):
-        """Every second scan, faster than they are parsed."""
+        """Uploads every second scan, faster than they are parsed."""
         caller = self.caller(100 + part)
         for at in range(part, self.parses, 2):
             created = caller.upload(self.scans, f"room-{at}")
@@ -109,11 +109,11 @@ class Crowd:
             time.sleep(0.2)
 
     def submit(self, number):
-        """A batch, to its end."""
+        """Submits a batch and waits for its end."""
         self.caller(200 + number).batch(self.items[number], f"batch-{number}", lambda batch: self.batches.update({number: batch}))
 
     def ask(self, _):
-        """Questions one by one, each under a key."""
+        """Asks single questions, each under an idempotency key."""
         caller = self.caller(300)
         for at, query in enumerate(self.single):
             if self.stop.is_set():
@@ -126,11 +126,11 @@ class Crowd:
             time.sleep(0.05)
 
     def is_over(self):
-        """Whether everything that was begun is over; questions one by one are asked as long as something is."""
+        """Returns whether all started work is done; single questions continue until then."""
         return not any(thread.is_alive() for thread in self.threads[:-1])
 
     def end(self):
-        """Waits for everybody, and for all parses."""
+        """Waits for all clients and all parses."""
         for thread in self.threads[:-1]:
             thread.join(self.until_s)
         self.stop.set()

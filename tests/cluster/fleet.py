@@ -1,4 +1,4 @@
-"""The processes of a cluster: started, killed, stopped past their leases, continued, and looked up where they listen now."""
+"""The processes of a cluster: started, killed, frozen past their leases, continued, with their current addresses."""
 import signal
 import threading
 import time
@@ -11,7 +11,7 @@ APIS, WORKERS = 2, 3
 
 @dataclass
 class Disturbance:
-    """A process that was killed, or stood still, and until when."""
+    """A process that was killed or frozen, and until when."""
     # `worker-2.0` is the first life of worker 2.
     who: str
     how: str
@@ -20,7 +20,7 @@ class Disturbance:
 
 
 class Member:
-    """A place in the fleet, and the process that has it now."""
+    """A slot in the fleet, and its current process."""
 
     def __init__(self, fleet, name, command, flags):
         self.fleet, self.name, self.command, self.flags = fleet, name, command, flags
@@ -33,7 +33,7 @@ class Member:
     def start(self):
         self.life += 1
         fleet = self.fleet
-        # Where the one before listened: proxies and callers know it there.
+        # At the previous address, which proxies and callers know.
         listen = "127.0.0.1:0" if self.server is None else "{}:{}".format(*self.server.address)
         self.server = Server(fleet.program, fleet.data(self.name), fleet.folder / f"{self.name}.log", "--database", fleet.database,
                              "--lease-s", fleet.lease_s, *fleet.blobs, *self.flags, *fleet.model.flags_of(f"{self.who}/v1"), command=self.command, listen=listen)
@@ -55,7 +55,7 @@ class Member:
 
 
 class Fleet:
-    """APIs and workers over one database and one store of files."""
+    """APIs and workers over one database and one file store."""
 
     def __init__(self, program, folder, database, model, lease_s, blobs=None):
         self.program, self.folder, self.database, self.model, self.lease_s = program, folder, database, model, lease_s
@@ -63,11 +63,11 @@ class Fleet:
         self.members, self.disturbances, self.lock = [], [], threading.Lock()
 
     def data(self, name):
-        """One folder for all; where there is a store of files, one for each."""
+        """Returns the data folder: one for all processes, or one for each if there is an object store."""
         return self.folder / ("data-" + name if self.has_store else "data")
 
     def add(self, apis=APIS, workers=WORKERS):
-        """So many more of each, at work."""
+        """Adds this many running APIs and workers."""
         for kind, number, command, flags in (("api", apis, "serve", ["--role", "api"]),
                                              ("worker", workers, "worker", ["--kinds", "parse,naming,batch", "--concurrency", 1])):
             for _ in range(number):
@@ -81,11 +81,11 @@ class Fleet:
         return [member for member in self.members if member.name.startswith(kind)]
 
     def addresses(self):
-        """Where the APIs listen, those that stand still included: a caller can not know."""
+        """Returns the addresses of the APIs, including frozen ones, which callers cannot recognize."""
         return [member.server.address for member in self.of("api") if member.server.process.poll() is None and member.server.address]
 
     def disturb(self, member, how, pause_s):
-        """Kills a process, and starts another in its place; or has it stand still for a while."""
+        """Kills a process and starts another in its slot, or freezes it for a while."""
         at = time.time()
         if how == "killed":
             member.kill()
@@ -101,7 +101,7 @@ class Fleet:
             self.disturbances.append(Disturbance(who, how, at, time.time()))
 
     def end(self):
-        """SIGTERM to all; their exit codes."""
+        """Sends SIGTERM to all and returns their exit codes."""
         for member in self.members:
             member.server.process.send_signal(signal.SIGTERM)
         return {member.who: member.server.terminate() for member in self.members}
@@ -112,5 +112,5 @@ class Fleet:
     def __exit__(self, *_):
         for member in self.members:
             if member.server.process.poll() is None:
-                # Also one that stands still.
+                # Frozen processes too.
                 member.server.kill()

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""A cluster whose processes are killed, and stand still past their leases, while they parse and ask a model: every job ends once, nothing is paid
-twice or lost, and every API tells the same.
+"""A cluster whose processes are killed, and frozen past their leases, while they parse and call a model: every job finishes once, no call is paid
+twice, nothing is lost, and all APIs return the same.
 
 usage: kills.py --program PROGRAM --database postgres://… --log FILE --stop COMMAND --start COMMAND [--store S3S_FS] [--quick | --full] [--seed N] [--keep FOLDER]
 
-The database is empty and belongs to a PostgreSQL whose superuser the address names; FILE is that server's log (scripts/test-cluster.sh starts one).
-In the middle of it the database is away for a while: COMMANDs stop and start its server. Without --store all processes share a data folder; with it each
-has one of its own, files are in that S3 server, and it stands still while the database is away. Only Python's standard library and psql are needed. Moments come from the seed, but a machine is never the same twice: a run that fails tells what it saw.
+The database is empty and belongs to a PostgreSQL server whose superuser the URL names; FILE is that server's log (scripts/test-cluster.sh starts one).
+In the middle of the run the database is down for a while: COMMANDs stop and start its server. Without --store all processes share a data folder; with it
+each has its own, files are in that S3 server, and it is frozen while the database is down. Needs only Python's standard library and psql. The seed
+determines the planned moments, but not the machine's timing, so a failed run prints its observations.
 """
 import argparse
 import os
@@ -25,10 +26,10 @@ from pathlib import Path
 sys.dont_write_bytecode = True
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "soak"))
 
-import judgement
+import cluster_checks
 import plans
 import throughput
-from callers import Caller, Crowd
+from callers import Caller, Clients
 from fleet import Fleet
 from model import Model
 from object_store import BUCKET, ObjectStore
@@ -39,20 +40,20 @@ from sql import WITNESS, Database
 from table import Table
 from wire import Connection
 
-# The shortest there may be, so that standing still past it does not take long.
+# The shortest possible lease, so that freezing a process past it does not take long.
 LEASE_S = 10
-# Parses, questions of each of three batches, disturbances, seconds that the model thinks on the average (so that batches last as long as the storm does,
-# and a kill finds calls under way), and seconds that the whole may take.
+# Parses, questions of each of three batches, disturbances, the model's average seconds per call (so that batches last as long as the disturbances,
+# and a kill finds calls in progress), and the time limit in seconds.
 QUICK, SHORT, FULL = (4, 30, 4, 3.5, 900), (8, 60, 8, 3.0, 1500), (60, 500, 60, 3.2, 3600)
 BATCHES, FRAMES = 3, 6
-# The few disturbances of the quick form are a worker and an API killed, and one of each stopped.
+# The disturbances of the quick form: a worker and an API killed, and one of each frozen.
 SEED, SEED_OF_QUICK = 20261124, 43
-# How long the database, and the store of files, are away.
+# Duration of the outage of the database and the file store.
 AWAY_S = 20
 
 
 def items_of(scenes, number):
-    """Three batches of questions, no two alike. Photographs take time to draw: every fourth question has them."""
+    """Returns three batches of different questions. Every fourth question uses photographs, which take time to render."""
     asked = questions(BATCHES * number, 7)
     wanted = lambda at: {} if at % 4 == 0 else {"ablation": "no_candidate"}
     return [[{"scene_id": scenes[at % len(scenes)], "query": asked[batch * number + at], "reasoner": "vlm", **wanted(at)} for at in range(number)]
@@ -60,7 +61,7 @@ def items_of(scenes, number):
 
 
 def undisturbed(program, folder, number, scans):
-    """Results of the same batches by one server over SQLite that nobody disturbs, and how many calls that takes."""
+    """Returns the results of the same batches by one undisturbed server on SQLite, and the number of calls."""
     model = Model()
     with Server(program, folder / "calm", folder / "calm.log", *model.flags) as server:
         server.ready()
@@ -74,7 +75,7 @@ def undisturbed(program, folder, number, scans):
 
 
 class CalmFleet:
-    """A single server, for callers that know fleets."""
+    """A single server with the interface of a fleet."""
 
     def __init__(self, server):
         self.server = server
@@ -84,26 +85,26 @@ class CalmFleet:
 
 
 def prepared(fleet, scans):
-    """The scenes that batches ask about, parsed."""
+    """Uploads and parses the scenes that batches ask about."""
     caller = Caller(fleet)
     made = [caller.upload(scans, f"base-{at}") for at in range(3)]
     for created in made:
         job = caller.finished(created["job"]["id"])
         if job["state"] != "succeeded":
-            raise AssertionError(f"the sample scan can not be parsed: {job}")
+            raise AssertionError(f"the sample scan could not be parsed: {job}")
     return [created["scene"]["id"] for created in made]
 
 
 def storm(fleet, crowd, number, dice, outage):
-    """So many disturbances at moments of the seed, the last of them while there is still something to do; one at a time, so that somebody is always there.
-    Halfway through comes the outage."""
+    """Disturbs processes at seeded moments, the last while work remains; one at a time, so that a process is always available. The outage is in
+    the middle."""
     for at in range(number):
         time.sleep(dice.uniform(0.3, 2.0))
         if crowd.is_over():
             return at
         if at == number // 2:
             outage()
-        # Workers three times out of four: they have the jobs.
+        # Workers in three of four cases, because they run the jobs.
         member = dice.choice(fleet.of(dice.choice(["worker", "worker", "worker", "api"])))
         how = dice.choice(["killed", "killed", "stopped"])
         fleet.disturb(member, how, dice.uniform(0.1, 1.0) if how == "killed" else LEASE_S * dice.uniform(1.3, 2.0))
@@ -111,7 +112,7 @@ def storm(fleet, crowd, number, dice, outage):
 
 
 def outage(table, fleet, options, store):
-    """The database is away, and the store of files with it: every API says so, and is well again soon after."""
+    """Stops the database, and the file store with it: every API reports it and recovers soon afterwards."""
     shell = lambda command: subprocess.run(shlex.split(command), check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     ready = lambda address: Connection(address, 5).call("GET", "/readyz").status
     shell(options.stop)
@@ -128,7 +129,7 @@ def outage(table, fleet, options, store):
         time.sleep(0.2)
     took = time.time() - back
     table.equal(f"/readyz while the database{' and the store of files are' if store else ' is'} away for {AWAY_S} s", away, [503] * len(away))
-    table.row("ready again after its return, s", f"{took:.1f}", "15 at most", took <= 15)
+    table.row("ready again after the outage, s", f"{took:.1f}", "15 at most", took <= 15)
 
 
 def run(table, options, folder, most, store):
@@ -136,7 +137,7 @@ def run(table, options, folder, most, store):
     program, database, scans = options.program.resolve(), Database(options.database), Scans(FRAMES)
     start = time.time()
     expected, calm_calls = undisturbed(program, folder, number, scans)
-    table.row("undisturbed, one server", f"{time.time() - start:.0f} s, {calm_calls} calls of the model")
+    table.row("undisturbed, one server", f"{time.time() - start:.0f} s, {calm_calls} model calls")
     model = Model()
     model.pace_s = pace_s
     blobs = f"s3://{BUCKET}" if store else None
@@ -146,18 +147,18 @@ def run(table, options, folder, most, store):
         items = items_of(scenes, number)
         single = questions(BATCHES * number + 1000, 7)[BATCHES * number:]
         start = time.time()
-        crowd = Crowd(fleet, scans, scenes, items, single, parses, limit_s / 2)
+        crowd = Clients(fleet, scans, scenes, items, single, parses, limit_s / 2)
         done = storm(fleet, crowd, disturbances, random.Random(options.seed), lambda: outage(table, fleet, options, store))
         storm_s = time.time() - start
         crowd.end()
-        # A quick machine is through before all of them have come.
-        table.row("storm", f"{done} of {disturbances} disturbances in {storm_s:.0f} s; all over after {time.time() - start:.0f} s", "half of them or more",
+        # A fast machine finishes before all disturbances have happened.
+        table.row("storm", f"{done} of {disturbances} disturbances in {storm_s:.0f} s; all finished after {time.time() - start:.0f} s", "half of them or more",
                   2 * done >= disturbances)
-        judgement.storm(table, fleet, database, crowd, model, items)
-        judgement.replicas(table, fleet, crowd, scenes, expected)
-        judgement.ends(table, fleet.end())
+        cluster_checks.storm(table, fleet, database, crowd, model, items)
+        cluster_checks.replicas(table, fleet, crowd, scenes, expected)
+        cluster_checks.ends(table, fleet.end())
         numbers = sum((log_lines(folder / f"{member.name}.log")[0] for member in fleet.members), start=Counter())
-        table.row("errors in the logs", ", ".join(f"{count} {what}" for what, count in numbers.most_common(3)) or "0", "told only")
+        table.row("errors in the logs", ", ".join(f"{count} {what}" for what, count in numbers.most_common(3)) or "0", "for information")
     if most is QUICK:
         model.shutdown()
         return
@@ -167,13 +168,13 @@ def run(table, options, folder, most, store):
 
 
 def too_long(*_):
-    raise AssertionError("this takes too long: it is broken off")
+    raise AssertionError("the run exceeded its time limit")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--program", required=True, type=Path, help="the binary under test")
-    parser.add_argument("--database", required=True, help="an empty database of PostgreSQL's")
+    parser.add_argument("--database", required=True, help="an empty PostgreSQL database")
     parser.add_argument("--log", required=True, type=Path, help="the log of its server")
     parser.add_argument("--stop", required=True, help="stops that server")
     parser.add_argument("--start", required=True, help="starts it again")
@@ -182,13 +183,13 @@ def main():
     length.add_argument("--quick", action="store_true", help="4 parses, three batches of 30, 4 disturbances; no throughput, no plans of statements")
     length.add_argument("--full", action="store_true", help="60 parses, three batches of 500, 60 disturbances")
     parser.add_argument("--seed", type=int)
-    parser.add_argument("--keep", type=Path, help="leave data folders and logs here")
+    parser.add_argument("--keep", type=Path, help="keep data folders and logs in this folder")
     options = parser.parse_args()
     options.seed = options.seed or (SEED_OF_QUICK if options.quick else SEED)
     most = QUICK if options.quick else FULL if options.full else SHORT
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    # However it is ended, no process stays behind.
+    # However it ends, no process stays behind.
     signal.signal(signal.SIGALRM, too_long)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
     signal.alarm(most[-1])

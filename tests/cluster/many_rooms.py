@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Thousands of rooms in one database: are those looked into, of all that are meant, that a look into every one would have found?
+"""Thousands of rooms in one database: does a search over selected rooms find what a search over all rooms would find?
 
 usage: many_rooms.py --program PROGRAM --database postgres://… --log FILE [--rooms N] [--scenes-per-room N] [--vectors N] [--questions N]
        [--onnxruntime-lib FILE]
 
-The database is empty, has the extension pgvector at hand, and belongs to a server whose superuser the address names; FILE is that server's log
-(scripts/test-vectors.sh starts one). Rooms are made of the sample room's things, a dozen each, under names that are as unevenly spread as in homes; what an
-encoder would have seen of them is made up around a centre for each name. Rooms are chosen where there are more than a thousand scenes: several scenes of
-one room make that many of few rooms, which are indexed sooner. Only Python's standard library and psql are needed.
+The database is empty, has the extension pgvector available, and belongs to a server whose superuser the URL names; FILE is that server's log
+(scripts/test-vectors.sh starts one). Rooms consist of a dozen objects of the sample room, under names with a frequency distribution as in homes; embeddings
+are synthetic, around a center for each name. The server selects rooms if there are more than a thousand scenes; several scenes per room reach that
+number with fewer rooms, which are indexed faster. Needs only Python's standard library and psql.
 """
 import argparse
 import json
@@ -39,16 +39,16 @@ microscope, camera, tripod, easel, candle, candlestick, lantern, umbrella, suitc
 aquarium, birdcage, dog bed, cat tree, sewing machine, loom, typewriter, gramophone, radio, jukebox, dartboard, pool table, treadmill, dumbbell, yoga mat,
 punching bag, trophy, medal, flag, map, whiteboard, projector, filing cabinet, safe, shredder, scanner, server rack, router, cash register, mannequin,
 wine rack, barrel, anvil, sword, shield, totem, sundial, weather vane, theremin, astrolabe""".replace("\n", " ").split(", ")
-# Words that the tiny encoder of the tests knows.
+# Words in the vocabulary of the tests' tiny encoder.
 KNOWN = ["chair", "table", "sofa", "lamp", "plant", "mug", "book", "box", "door", "window", "desk", "laptop", "clock"]
-COLOURS = ["", "", "", "red ", "blue ", "green ", "white ", "black ", "brown "]
-# Things of a room, and rooms that one question may name.
+COLORS = ["", "", "", "red ", "blue ", "green ", "white ", "black ", "brown "]
+# Objects per room, and the number of rooms that one question may name.
 THINGS, NAMED = 12, 1000
 ID = "'01900000-0000-7000-8000-' || lpad(to_hex(i), 12, '0')"
 
 
 def fill(rooms, scenes_per_room):
-    """Rooms of a dozen things of the sample room, under other names."""
+    """Creates rooms of a dozen objects of the sample room under other names."""
     names = ", ".join(f"'{name}'" for name in NAMES)
     return f"""
 SELECT setseed(0.5);
@@ -69,23 +69,23 @@ ANALYZE;
 
 
 def fill_vectors(encoder, dim, rooms, most):
-    """What was seen of every thing: near the centre of its name."""
+    """Creates an embedding of every object, near the center of its name."""
     noise = f"(SELECT array_agg(random() - 0.5) FROM generate_series(1, {dim}) WHERE n > 0)::vector({dim})"
     return f"""
 SELECT setseed(0.25);
-CREATE TABLE centres AS SELECT n, l2_normalize({noise}) AS centre FROM names;
+CREATE TABLE centers AS SELECT n, l2_normalize({noise}) AS center FROM names;
 INSERT INTO instance_vectors (parse_id, encoder, embedding)
-    SELECT parse_id, '{encoder}', l2_normalize(centre + {noise}) FROM (SELECT {ID} AS parse_id, 1 + floor({len(NAMES)} * power(random(), 2.5))::int AS n
-    FROM generate_series(1, {rooms}) AS i, generate_series(1, {max(1, most // rooms)})) AS seen JOIN centres USING (n);
+    SELECT parse_id, '{encoder}', l2_normalize(center + {noise}) FROM (SELECT {ID} AS parse_id, 1 + floor({len(NAMES)} * power(random(), 2.5))::int AS n
+    FROM generate_series(1, {rooms}) AS i, generate_series(1, {max(1, most // rooms)})) AS seen JOIN centers USING (n);
 ANALYZE instance_vectors;
 """
 
 
 def asked(number):
-    """Questions, no two alike."""
+    """Returns different questions."""
     dice, found = random.Random(4), []
     while len(found) < number:
-        thing, other = dice.choice(COLOURS) + dice.choice(NAMES), dice.choice(NAMES)
+        thing, other = dice.choice(COLORS) + dice.choice(NAMES), dice.choice(NAMES)
         question = f"the {thing}" if dice.random() < 0.5 else f"the {thing} next to the {other}"
         if question not in found:
             found.append(question)
@@ -93,7 +93,7 @@ def asked(number):
 
 
 def best(connection, question, scenes=None):
-    """Status and belief of the best answer (that it is nowhere has one of 0), whether rooms were chosen among all, and how long that took, seconds."""
+    """Returns status and belief of the best answer (0 for "not found"), whether rooms were selected among all, and the seconds it took."""
     start = time.time()
     body = {"query": question, "reasoner": "builtin", "top_k": 3, **({"scenes": scenes} if scenes else {})}
     told = expect(connection.call("POST", "/v1/ground", json.dumps(body).encode()), 200)
@@ -104,7 +104,7 @@ def best(connection, question, scenes=None):
 
 
 def by_names(table, connection, ids, questions):
-    """The best answer of the likely rooms beside that of all, which are named a thousand at a time."""
+    """Compares the best answer of the selected rooms with that of all rooms, which are asked a thousand at a time."""
     same, chosen, short, long, lost = 0, 0, [], [], []
     for question in questions:
         likely, narrowed, took = best(connection, question)
@@ -117,14 +117,14 @@ def by_names(table, connection, ids, questions):
         if likely < exact:
             lost.append(f"{question}: {likely}, of all {exact}")
     table.equal("questions for which rooms were chosen", chosen, len(questions))
-    table.row("as good an answer as by looking into all", f"{same} of {len(questions)}", "90 % or more", same >= 0.9 * len(questions))
-    table.row("a question, rooms chosen and all looked into, s, median", f"{sorted(short)[len(short) // 2]:.2f}, {sorted(long)[len(long) // 2]:.2f}", "told only")
+    table.row("answers as good as from all rooms", f"{same} of {len(questions)}", "90 % or more", same >= 0.9 * len(questions))
+    table.row("median of a question, selected rooms and all rooms, s", f"{sorted(short)[len(short) // 2]:.2f}, {sorted(long)[len(long) // 2]:.2f}", "for information")
     for one in lost[:10]:
         table.note(one)
 
 
 def by_looks(table, database, connection, log, words):
-    """The statement that looks for vectors, as the server asked it, beside itself without the index."""
+    """Compares the server's vector search statement with the same statement without the index."""
     at = log.stat().st_size
     database.run("ALTER SYSTEM SET log_min_duration_statement = 0")
     database.run("SELECT pg_reload_conf()")
@@ -146,13 +146,13 @@ def by_looks(table, database, connection, log, words):
         found, wanted = found + len(one[0] & all_of_them[0]), wanted + len(all_of_them[0])
         took.append((one[1], all_of_them[1]))
     recall = found / max(1, wanted)
-    table.row("rooms that are nearest, found by the graph", f"{found} of {wanted} ({recall:.3f})", ".95 or more", recall >= 0.95)
+    table.row("nearest rooms found by the index", f"{found} of {wanted} ({recall:.3f})", ".95 or more", recall >= 0.95)
     middle = lambda at: sorted(pair[at] for pair in took)[len(took) // 2] if took else 0
-    table.row("that statement, with the graph and without, ms, median", f"{middle(0):.0f}, {middle(1):.0f}", "told only")
+    table.row("median of that statement, with the index and without, ms", f"{middle(0):.0f}, {middle(1):.0f}", "for information")
 
 
 def near(database, statement, index):
-    """Rooms that a statement finds, and how many milliseconds it takes the server."""
+    """Returns the rooms that a statement finds, and its milliseconds on the server."""
     settings = f"SET enable_indexscan = {index}; SET enable_seqscan = {'off' if index == 'on' else 'on'}; SET hnsw.ef_search = 1000; "
     rooms = {line.split(",")[0] for line in database.run(settings + statement, "--csv").splitlines()[1:]}
     plan = database.run(settings + "EXPLAIN (ANALYZE, TIMING OFF) " + statement)
@@ -175,13 +175,13 @@ def run(table, options, folder):
         database.run(fill(options.rooms, options.scenes_per_room))
         rooms = options.rooms + 1
         until(lambda: int(database.value("SELECT count(*) FROM parses WHERE indexed = changes")) == rooms)
-        table.row("rooms indexed beside everything else", f"{rooms} in {time.time() - start:.0f} s", "all")
+        table.row("rooms indexed in the background", f"{rooms} in {time.time() - start:.0f} s", "all")
         seen = database.rows("SELECT encoder, vector_dims(embedding) AS dim FROM instance_vectors LIMIT 1")[0]
         start = time.time()
         database.run(fill_vectors(seen["encoder"], int(seen["dim"]), options.rooms, options.vectors))
         number = database.value("SELECT count(*) FROM instance_vectors")
-        table.row("vectors", f"{number} of {seen['dim']} numbers, {time.time() - start:.0f} s", "told only")
-        # The names that somebody of the rooms has are read again after ten seconds.
+        table.row("vectors", f"{number} of {seen['dim']} numbers, {time.time() - start:.0f} s", "for information")
+        # The server rereads the set of names after ten seconds.
         time.sleep(11)
         ids = [row["id"] for row in database.rows("SELECT id FROM scenes ORDER BY id")]
         by_names(table, connection, ids, asked(options.questions))
@@ -193,14 +193,14 @@ def until(holds, most_s=600):
     end = time.time() + most_s
     while not holds():
         if time.time() > end:
-            raise AssertionError(f"it does not come to that within {most_s} s")
+            raise AssertionError(f"the condition was not reached within {most_s} s")
         time.sleep(0.5)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--program", required=True, type=Path, help="the binary under test")
-    parser.add_argument("--database", required=True, help="an empty database of PostgreSQL's")
+    parser.add_argument("--database", required=True, help="an empty PostgreSQL database")
     parser.add_argument("--log", required=True, type=Path, help="the log of its server")
     parser.add_argument("--rooms", type=int, default=1300)
     parser.add_argument("--scenes-per-room", type=int, default=1)

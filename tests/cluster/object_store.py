@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""An object store that speaks S3, on loopback: s3s-fs in a folder of its own. Also runs a command beside one.
+"""An S3 object store on loopback: s3s-fs on a folder of its own. Can also run a command with one.
 
 usage: object_store.py --server S3S_FS -- COMMAND...
-(COMMAND finds the bucket in UNIGROUND_TEST_S3, and how to get there in AWS_...)
+(COMMAND gets the bucket in UNIGROUND_TEST_S3 and the connection in AWS_...)
 """
 import argparse
 import os
@@ -15,12 +15,12 @@ import tempfile
 import time
 
 BUCKET = "rooms"
-# Made up for this server, which nobody else reaches.
+# Credentials for this server only, which is not reachable from outside.
 KEYS = {"AWS_ACCESS_KEY_ID": "loopback-id", "AWS_SECRET_ACCESS_KEY": "loopback-secret-of-a-test", "AWS_REGION": "us-east-1"}
 
 
 class ObjectStore:
-    """A server over a folder that outlives it."""
+    """A server on a folder that outlives it."""
 
     def __init__(self, program, folder):
         self.program, self.folder = program, pathlib.Path(folder)
@@ -33,7 +33,7 @@ class ObjectStore:
         self.start()
 
     def environment(self):
-        """What tells a program of it."""
+        """Returns the environment variables that tell a program about it."""
         return {**KEYS, "AWS_ENDPOINT_URL": f"http://127.0.0.1:{self.port}"}
 
     def start(self):
@@ -67,7 +67,7 @@ def main():
         store = ObjectStore(args.server, folder)
         try:
             environment = {**os.environ, **store.environment(), "UNIGROUND_TEST_S3": f"s3://{BUCKET}"}
-            # Without the dashes that it begins after.
+            # Without the dashes before the command.
             return subprocess.run(args.command[1:], env=environment, check=False).returncode
         finally:
             store.kill()

@@ -1,5 +1,6 @@
-"""Statements as the processes really ask them, over large tables: PostgreSQL explains each as it runs (auto_explain), and none may look at a large
-table from end to end."""
+"""Query plans of the processes' real statements on large tables: PostgreSQL explains each as it runs (auto_explain), and none may scan a large
+table.
+"""
 import json
 import re
 import time
@@ -9,14 +10,14 @@ from callers import Caller
 from fleet import Fleet
 from wire import Connection, expect
 
-# Rows that each table is filled with; batches have so many items each, since whoever looks at a batch looks at all of it.
+# Rows added to each table; batches have this many items each, because a request for a batch reads all its items.
 MANY, OF_A_BATCH = 100_000, 500
-# A table with so many rows is large; who looks at more rows of one than that reads it from end to end, by whatever index.
+# A table with this many rows is large. A statement that reads more rows of it scans the table, whatever index it uses.
 LARGE, MOST = 50_000, 5_000
-# So often at most does a statement do that by a plan from before the table was large.
+# The maximum number of times that a statement may do so with a plan made while the table was small.
 FEW = 5
 ID = "'01900000-0000-7000-8000-' || lpad(to_hex(i), 12, '0')"
-# Older than everything that is there, and like it.
+# Older than all existing rows, and similar to them.
 FILL = f"""
 INSERT INTO jobs (id, kind, subject, payload, state, progress, attempts, created_at, started_at, finished_at)
 SELECT {ID}, kind, {ID}, payload, 'succeeded', 1, 1, created_at, started_at, finished_at
@@ -48,7 +49,7 @@ PLAN = re.compile(r"duration: [0-9.]+ ms  plan:\n((?:\t.*\n)+)")
 
 
 def run(table, program, folder, database, model, scenes, scans, log, blobs, lease_s):
-    """The rows of it, after the tables were filled."""
+    """Fills the tables and adds the rows."""
     began = time.time()
     database.run(FILL)
     table.row("tables filled", f"{MANY} rows more in each of {FILL.count('INSERT INTO') - 1}, {time.time() - began:.0f} s")
@@ -57,7 +58,7 @@ def run(table, program, folder, database, model, scenes, scans, log, blobs, leas
     for setting in EXPLAINED:
         database.run(f"ALTER DATABASE {name} SET {setting}")
     with Fleet(program, folder, database.address, model, lease_s, blobs).add(1, 1) as fleet:
-        # What a process does once, when it starts, is not what is looked at here.
+        # Startup statements are not checked here.
         time.sleep(2)
         at = log.stat().st_size
         hot(Caller(fleet), fleet, scenes, scans)
@@ -70,7 +71,7 @@ def run(table, program, folder, database, model, scenes, scans, log, blobs, leas
 
 
 def hot(caller, fleet, scenes, scans):
-    """What is asked all day, often enough for statements to be planned once and for all."""
+    """Sends frequent requests, often enough for PostgreSQL to use generic plans."""
     connection = Connection(fleet.addresses()[0], 60)
     get = lambda path: expect(connection.call("GET", path), 200)
     for at in range(12):
@@ -93,7 +94,7 @@ def hot(caller, fleet, scenes, scans):
 
 
 def judge(table, log, large):
-    """Nodes of plans over large tables that look at too much, by the statement they belong to."""
+    """Returns plan nodes on large tables that read too many rows, by statement."""
     plans = [json.loads(block) for block in PLAN.findall(log)]
     table.row("statements explained while they ran", len(plans), "hundreds", len(plans) > 300)
     bad, worst = Counter(), {}
@@ -104,7 +105,7 @@ def judge(table, log, large):
                 statement = " ".join(plan["Query Text"].split())
                 bad[statement] += 1
                 worst[statement] = max(worst.get(statement, (-1, "")), (seen, f"{node['Node Type']} over {node['Relation Name']}"))
-    # A plan that a connection made while the table was small is used until the table's figures are looked at anew: a few times, then no more.
+    # A plan that a connection made while the table was small is used until the table's statistics are read again: a few times, then no more.
     table.equal("statements that look at a large table from end to end", sum(count > FEW for count in bad.values()), 0)
     for statement, count in bad.most_common(10):
         seen, what = worst[statement]

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""The proxy of deploy/compose.yaml before two APIs as processes: uploads, events and callers who hang up pass through it, and an API that dies is
-noticed by nobody.
+"""The proxy of deploy/compose.yaml in front of two API processes: uploads, events and disconnects pass through it, and callers do not notice
+when an API dies.
 
 usage: proxy.py --program PROGRAM --database postgres://…        (an empty database; needs Debian's caddy. scripts/test-cluster.sh)
 """
@@ -25,13 +25,13 @@ from table import Table
 from wire import Connection, expect, read_head, request_bytes
 
 CADDYFILE = Path(__file__).resolve().parents[2] / "deploy" / "compose" / "Caddyfile"
-# No request and no state takes longer to come about.
+# No request and no state change may take longer.
 PATIENCE_S = 30
 TUS = [("tus-resumable", "1.0.0")]
 
 
 class Proxy:
-    """Caddy with the file as it is deployed, but for addresses."""
+    """Caddy with the deployed configuration, except for addresses."""
 
     def __init__(self, folder, apis):
         with socket.socket() as probe:
@@ -58,7 +58,7 @@ class Proxy:
 
 
 def until(what, true):
-    """Waits until something is so; what it came to."""
+    """Waits until a condition holds and returns its value."""
     end = time.time() + PATIENCE_S
     while time.time() < end:
         try:
@@ -67,17 +67,17 @@ def until(what, true):
         except OSError:
             pass
         time.sleep(0.05)
-    raise AssertionError(f"{what} did not come about within {PATIENCE_S} s")
+    raise AssertionError(f"{what}: not reached within {PATIENCE_S} s")
 
 
 def counted(fleet, beginning):
-    """What each API counts under a metric, all its lines with this beginning together."""
+    """Returns each API's sum over the metric lines with this prefix."""
     texts = [Connection(address).call("GET", "/metrics").body.decode() for address in fleet.addresses()]
     return [sum(float(line.rsplit(" ", 1)[1]) for line in text.splitlines() if line.startswith(beginning)) for text in texts]
 
 
 def uploads_in_parts(table, proxy, fleet, scans):
-    """All parts of an upload come to one API, and both get uploads."""
+    """Checks that all parts of an upload reach the same API, and that both APIs get uploads."""
     parts = 'uniground_http_requests_total{method="PATCH",route="/v1/uploads/{upload_id}"'
     connection, by_api, torn = proxy.connection(), [0, 0], 0
     for at in range(8):
@@ -96,22 +96,22 @@ def uploads_in_parts(table, proxy, fleet, scans):
         torn += sorted(came) != [0, 3]
         by_api = [whole + (one > 0) for whole, one in zip(by_api, came)]
     table.equal("uploads in parts that came to several APIs", torn, 0)
-    table.row("uploads in parts by API", str(by_api), "both some", min(by_api) > 0)
+    table.row("uploads in parts by API", str(by_api), "both more than 0", min(by_api) > 0)
 
 
 def uploads_pass(table, proxy, fleet, scans):
-    """An upload is at an API before its end is at the proxy."""
+    """Checks that the proxy streams an upload to an API before its end."""
     scan, connection = scans.variant("slow"), proxy.connection()
     connection.open()
     request = request_bytes("POST", "/v1/scenes?name=slow", scan, "application/zip")
     connection.socket.sendall(request[:len(request) // 2])
     seen = until("an upload under way", lambda: sum(counted(fleet, "uniground_uploads_in_flight")) == 1)
     connection.socket.sendall(request[len(request) // 2:])
-    table.row("an upload is there while it comes", f"{seen}, then {connection.read_reply().status}", "True, then 202", True)
+    table.row("an upload is at the API before its end", f"{seen}, then {connection.read_reply().status}", "True, then 202", True)
 
 
 def events_pass(table, proxy, fleet, job):
-    """Events come while they are made, and who hangs up is known behind the proxy."""
+    """Checks that events are streamed, and that the API notices a disconnected caller behind the proxy."""
     connection = proxy.connection()
     connection.open()
     connection.socket.sendall(request_bytes("GET", f"/v1/jobs/{job}/events"))
@@ -123,11 +123,11 @@ def events_pass(table, proxy, fleet, job):
     open_before = sum(counted(fleet, "uniground_http_event_streams"))
     connection.close()
     until("the end of the stream behind the proxy", lambda: sum(counted(fleet, "uniground_http_event_streams")) == 0)
-    table.row("event streams open, and after the caller has gone", f"{open_before:.0f}, 0", "1, 0", open_before == 1)
+    table.row("open event streams, and after the caller disconnected", f"{open_before:.0f}, 0", "1, 0", open_before == 1)
 
 
 def nobody_notices(table, proxy, fleet, scene):
-    """Callers keep on asking while an API is killed, started again, and asked to stop."""
+    """Checks that callers keep getting answers while an API is killed, restarted and stopped."""
     told, stop = [], threading.Event()
 
     def ask():
@@ -145,7 +145,7 @@ def nobody_notices(table, proxy, fleet, scene):
     api.kill()
     time.sleep(2)
     api.start()
-    # Until the proxy has seen that it is ready.
+    # Until the proxy has noticed that the API is ready.
     time.sleep(4)
     api.server.terminate()
     time.sleep(2)
@@ -155,10 +155,10 @@ def nobody_notices(table, proxy, fleet, scene):
     for thread in threads:
         thread.join(PATIENCE_S)
     wrong = [status for status in told if status != 200]
-    # A kill cuts off whoever is being answered at that moment: four ask at once.
+    # A kill interrupts the requests in progress: four callers ask at a time.
     table.row("answers while an API is killed, started, stopped and started", f"{len(told)}, not 200: {wrong}", "8 not 200 at most", len(wrong) <= 8)
     routes = 'uniground_http_requests_total{method="GET",route="/v1/scenes/{scene_id}"'
-    table.row("answered by each API since its last start", str([int(number) for number in counted(fleet, routes)]), "both some", min(counted(fleet, routes)) > 0)
+    table.row("answered by each API since its last start", str([int(number) for number in counted(fleet, routes)]), "both more than 0", min(counted(fleet, routes)) > 0)
 
 
 def main():

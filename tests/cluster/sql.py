@@ -1,17 +1,17 @@
-"""What stands in PostgreSQL, by psql."""
+"""Queries PostgreSQL with psql."""
 import csv
 import io
 import subprocess
 
 
 class Database:
-    """A database by its address."""
+    """A database at a URL."""
 
     def __init__(self, address):
         self.address = address
 
     def rows(self, statement):
-        """What a statement finds, by the names of its columns; everything is text."""
+        """Returns the rows of a statement by column name; every value is text."""
         return list(csv.DictReader(io.StringIO(self.run(statement, "--csv"))))
 
     def value(self, statement):
@@ -25,8 +25,8 @@ class Database:
         return done.stdout
 
 
-# Written down by the database itself, so that no process of ours can forget it: how often each job came to an end, or left it again, how often each item
-# of a batch was closed, and when each answer was there.
+# Recorded by triggers of the database, so that no process can omit it: how often each job finished or was reopened, how often each batch item was
+# closed, and when each answer was stored.
 WITNESS = """
 CREATE TABLE witness (what TEXT, id TEXT, change TEXT, at TIMESTAMPTZ NOT NULL DEFAULT clock_timestamp());
 CREATE FUNCTION witness_job() RETURNS trigger LANGUAGE plpgsql AS

@@ -1,10 +1,10 @@
-"""Parses an hour with one worker and with two, in turns, on the machine as it is."""
+"""Parses per hour with one worker and with two, alternately, on the current machine."""
 from callers import Caller
 from fleet import Fleet
 
 
 def run(table, program, folder, database, model, scans, blobs, lease_s, number, rounds):
-    """The rows of it. Of several rounds the best counts: what else is at work on the machine only makes them longer."""
+    """Adds the rows. The best of several rounds counts, because other load only makes a round longer."""
     rates = {1: [], 2: []}
     for at in range(rounds):
         for workers in rates:
@@ -12,11 +12,11 @@ def run(table, program, folder, database, model, scans, blobs, lease_s, number, 
                 rates[workers].append(parses_an_hour(database, fleet, scans, f"throughput-{workers}-{at}", number))
                 fleet.end()
     listed = ", ".join(f"{one:.0f} and {two:.0f}" for one, two in zip(*rates.values()))
-    table.row(f"parses an hour of {number} scans, by one worker and by two", f"{listed}; the best {max(rates[2]) / max(rates[1]):.2f} times", "told only")
+    table.row(f"parses per hour of {number} scans, with one worker and with two", f"{listed}; the best {max(rates[2]) / max(rates[1]):.2f} times", "for information")
 
 
 def parses_an_hour(database, fleet, scans, name, number):
-    """From the first parse begun to the last one ended, as the database has it."""
+    """Returns the rate from the first started parse to the last finished one, as recorded by the database."""
     caller = Caller(fleet)
     jobs = [caller.upload(scans, f"{name}-{at}")["job"]["id"] for at in range(number)]
     for job in jobs:

@@ -1,4 +1,4 @@
-"""The stack of compose.yaml: read by docker compose itself, its proxy's file by Caddy."""
+"""Checks the stack of compose.yaml with docker compose, and its proxy configuration with Caddy."""
 import importlib.util
 import json
 import re
@@ -7,14 +7,14 @@ from pathlib import Path
 
 from tools import complaints, output
 
-# The program itself: what the package puts before it swallows its exit code.
+# The program itself, because the package's wrapper hides its exit code.
 DOCKER_COMPOSE = Path(importlib.util.find_spec("compose").origin).with_name("docker-compose")
 STACKS = [["compose.yaml"], ["compose.yaml", "compose.gpu.yaml"]]
 VARIABLE = re.compile(r"^#?([A-Z_]+)=", re.MULTILINE)
 
 
 def docker_compose(deploy, stack, scratch, *command):
-    """The command line of docker compose over some files, with everything in .env filled in."""
+    """Returns the command line of docker compose for these files, with every variable of .env set."""
     filled = Path(scratch) / ".env"
     filled.write_text("".join(f"{name}=/0123456789abcdef\n" for name in VARIABLE.findall((deploy / "env.example").read_text())))
     files = [word for file in stack for word in ("-f", deploy / file)]
@@ -22,7 +22,7 @@ def docker_compose(deploy, stack, scratch, *command):
 
 
 def services(deploy, stack):
-    """The services of a stack, all that is inherited written out."""
+    """Returns the services of a stack with inherited settings resolved."""
     with tempfile.TemporaryDirectory() as scratch:
         return json.loads(output(docker_compose(deploy, stack, scratch, "config", "--format", "json")))["services"]
 
@@ -36,7 +36,7 @@ def files(deploy):
 
 
 def mounts_and_variables(deploy):
-    """Files that are mounted are there; variables that files ask for stand in env.example, and no others."""
+    """Checks that mounted files exist and that env.example has exactly the variables that the files use."""
     wrong = []
     text = "".join((deploy / file).read_text() for file in STACKS[-1])
     for source in re.findall(r"^ +- (\./\S+?):", text, re.MULTILINE):

@@ -1,4 +1,4 @@
-"""Kubernetes' objects: against their schemas, and against each other."""
+"""Checks Kubernetes objects against their schemas and against each other."""
 import tempfile
 from pathlib import Path
 
@@ -11,11 +11,11 @@ from tools import ENVIRONMENT, complaints, output
 
 KUSTOMIZATIONS = ["base", "autoscaled"]
 EXAMPLES = ["base/secret.example.yaml", "base/ingress.example.yaml"]
-# The oldest Kubernetes that has all that is used (a pause before a stop), and the newest that is known here.
+# The oldest Kubernetes with all used features (the sleep action before a stop), and the newest known one.
 VERSIONS = ["1.30", "1.37"]
-# Kinds of others than Kubernetes itself.
+# Custom resources, which do not belong to Kubernetes itself.
 OTHERS = {"ScaledObject": ScaledObject, "PodMonitor": PodMonitor}
-# Longest that the program takes to stop: five seconds for requests, and what jobs need to be put back.
+# The longest shutdown of the program: five seconds for requests, and the time to put jobs back.
 STOPPING_S = 25
 
 
@@ -55,7 +55,7 @@ def against_schemas(file):
 
 
 def of_others(found):
-    """By models made of their schemas. These leave out what they do not know: what comes back must be what went in."""
+    """Checks custom resources with models generated from their schemas. The models drop unknown fields, so the output must equal the input."""
     who = f"{found['kind']} {found['metadata']['name']}"
     try:
         read = OTHERS[found["kind"]].model_validate(found).model_dump(by_alias=True, exclude_unset=True, mode="json")
@@ -69,7 +69,7 @@ def containers(found):
 
 
 def references(deploy):
-    """Names and labels that lead to something."""
+    """Checks names and labels that refer to other objects."""
     there = list(built(deploy, "autoscaled")) + [found for example in EXAMPLES for found in yaml.safe_load_all((deploy / "kubernetes" / example).read_text())]
     names = {(found["kind"], found["metadata"]["name"]) for found in there}
     pods = [found["spec"]["template"] for found in there if found["kind"] == "Deployment"]
@@ -111,7 +111,7 @@ def references(deploy):
 
 
 def restrictions(deploy):
-    """What the standard `restricted` asks of pods, and time enough to stop in."""
+    """Checks the requirements of the Pod Security Standard `restricted`, and the time to stop."""
     wrong = []
     for found in built(deploy, "base"):
         if found["kind"] != "Deployment":

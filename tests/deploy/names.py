@@ -1,4 +1,4 @@
-"""Whether the program knows what deploy/ says to it: commands and flags as they stand there, and variables wherever they are named."""
+"""Checks that the program knows the commands, flags and variables that deploy/ uses."""
 import re
 import subprocess
 
@@ -9,14 +9,14 @@ import kubernetes_files
 
 PROGRAM = None
 VARIABLE = re.compile(r"\bUNIGROUND_[A-Z_]+\b")
-# What env.example says to compose.yaml alone, and hands on.
+# Variables of env.example that only compose.yaml uses and passes on.
 TEXTS = {".yaml", ".yml", ".service", ".example", ".py"}
 
 
 def known(deploy):
     wrong, helps = [], {}
     for where, command in commands(deploy):
-        # As it stands, and no further: help is told before anything is done, but after all words before it were understood.
+        # As written, followed by --help: help is printed before anything runs, but after all preceding arguments were parsed.
         done = subprocess.run([PROGRAM, *command, "--help"], capture_output=True, text=True)
         if done.returncode:
             wrong.append(f"{where}: uniground {' '.join(command)}: {done.stderr.strip().splitlines()[0]}")
@@ -30,7 +30,7 @@ def known(deploy):
 
 
 def commands(deploy):
-    """Where the program is started, and how."""
+    """Returns the places where the program is started, with their arguments."""
     for name, service in compose_files.services(deploy, compose_files.STACKS[-1]).items():
         if service.get("image", "").startswith("uniground"):
             yield f"compose.yaml, {name}", service["command"]

@@ -1,4 +1,4 @@
-"""Prometheus' files by promtool, and the questions that others ask it."""
+"""Checks Prometheus' files and the queries of other files with promtool."""
 import json
 import shutil
 import tempfile
@@ -8,7 +8,7 @@ import yaml
 
 from tools import complaints
 
-# Each with the alerts beside it, as where it is used.
+# Each with the alerts next to it, as in production.
 SCRAPES = ["prometheus.yml", "compose/prometheus.yml"]
 
 
@@ -18,7 +18,7 @@ def files(deploy):
         scratch = Path(scratch)
         shutil.copy(deploy / "prometheus-alerts.yml", scratch)
         for file in SCRAPES:
-            # The keys' files are at other places.
+            # The key files are at other paths.
             (scratch / "prometheus.yml").write_text((deploy / file).read_text())
             wrong += complaints(["promtool", "check", "config", "--syntax-only", "prometheus.yml"], cwd=scratch, label=file)
         wrong += complaints(["promtool", "check", "rules", deploy / "prometheus-alerts.yml"])
@@ -31,7 +31,7 @@ def files(deploy):
 
 
 def of_dashboard(deploy):
-    """What the dashboard asks, with Grafana's own words replaced."""
+    """Returns the dashboard's queries with Grafana's variables replaced."""
     panels = json.loads((deploy / "grafana-dashboard.json").read_text())["panels"]
     asked = [target["expr"] for panel in panels for target in panel.get("targets", [])]
     return sorted({question.replace("$__rate_interval", "1m").replace("$instance", ".*") for question in asked})
@@ -43,7 +43,7 @@ def of_scaling(deploy):
 
 
 def alerts(deploy):
-    """Alerts over series that are made up: tests/deploy/alerts.yml."""
+    """Tests the alerts on synthetic series: tests/deploy/alerts.yml."""
     with tempfile.TemporaryDirectory() as scratch:
         shutil.copy(deploy / "prometheus-alerts.yml", scratch)
         shutil.copy(Path(__file__).with_name("alerts.yml"), scratch)

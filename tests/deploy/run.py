@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
-"""The files of deploy/ by those who read them: each by a linter of its own, and then once more with something broken in it, which the linter
-must find.
+"""Checks the files of deploy/ with the tools that read them: each file as it is, and again with deliberate faults, which the tool must find.
 
-usage: run.py --program target/release/uniground        (scripts/test-deploy.sh brings what this needs)
+usage: run.py --program target/release/uniground        (scripts/test-deploy.sh installs the tools)
 """
 import argparse
 import shutil
@@ -24,10 +23,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass
 class Check:
-    """A check takes the folder deploy and tells what is wrong there, a line each."""
+    """A check takes the folder deploy and returns its errors, one per line."""
     what: str
     check: callable
-    # What is broken to see it found: file, text, and what stands there instead.
+    # Deliberate faults: file, text, and its replacement.
     broken: list
 
 
@@ -79,7 +78,7 @@ def main():
     for one in CHECKS:
         wrong = one.check(ROOT / "deploy")
         blind = [breakage for breakage in one.broken if not found(one.check, wrong, *breakage)]
-        print(f"{'held  ' if not wrong and not blind else 'FAILED'}  {one.what}; {len(one.broken) - len(blind)} of {len(one.broken)} breakages found", flush=True)
+        print(f"{'passed' if not wrong and not blind else 'FAILED'}  {one.what}; {len(one.broken) - len(blind)} of {len(one.broken)} faults found", flush=True)
         for line in wrong:
             print(f"        {line}")
         for file, old, new in blind:
@@ -90,13 +89,13 @@ def main():
 
 
 def found(check, known, file, old, new):
-    """Whether a check finds something that is not known of the folder as it is."""
+    """Returns whether a check finds an error that the unmodified folder does not have."""
     with tempfile.TemporaryDirectory() as scratch:
         copy = Path(scratch) / "deploy"
         shutil.copytree(ROOT / "deploy", copy)
         text = (copy / file).read_text()
         if old not in text:
-            raise AssertionError(f"{file} has no {old!r} to break: tests/deploy/run.py wants another breakage")
+            raise AssertionError(f"{file} has no {old!r} to break: tests/deploy/run.py needs another fault")
         (copy / file).write_text(text.replace(old, new, 1))
         return bool(set(check(copy)) - set(known))
 

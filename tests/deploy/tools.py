@@ -1,14 +1,14 @@
-"""Programs that check, and what they say."""
+"""Runs checking programs and returns their output."""
 import subprocess
 import sys
 from pathlib import Path
 
-# Programs of Python packages stand beside the interpreter of their environment.
+# Programs of Python packages are next to the interpreter of their environment.
 ENVIRONMENT = Path(sys.executable).parent
 
 
 def complaints(command, cwd=None, label=None, environment=None):
-    """What a program says that gives up; nothing where it does not."""
+    """Returns the output of a program that fails; nothing if it succeeds."""
     done = subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, env=environment)
     if done.returncode == 0:
         return []
@@ -17,5 +17,5 @@ def complaints(command, cwd=None, label=None, environment=None):
 
 
 def output(command, cwd=None):
-    """What a program says; it must not give up."""
+    """Returns the output of a program that must succeed."""
     return subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, check=True).stdout

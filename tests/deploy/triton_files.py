@@ -1,4 +1,4 @@
-"""A model repository made of the small bundles of the tests, read with Triton's own description of it."""
+"""Builds a Triton model repository from the tests' small bundles and reads it with Triton's own schema."""
 import shutil
 import sys
 import tempfile
@@ -31,7 +31,7 @@ def repository(deploy):
 
 
 def network(folder):
-    """What is wrong with one network of the repository."""
+    """Returns the errors of one network of the repository."""
     try:
         config = text_format.Parse((folder / "config.pbtxt").read_text(), ModelConfig())
     except text_format.ParseError as error:
@@ -54,7 +54,7 @@ def network(folder):
 
 
 def beside(tool, scratch):
-    """A network whose weights lie beside it brings them along."""
+    """Checks that a network with external weights includes them."""
     bundle, made = scratch / "large", scratch / "with-weights"
     shutil.copytree(DATA / "tiny-segmenter", bundle)
     for file in ("decoder.onnx", "decoder.onnx.data"):
@@ -64,7 +64,7 @@ def beside(tool, scratch):
     return wrong or [] if there == {"decoder.onnx", "decoder.onnx.data"} else [*wrong, f"weights beside a network: there is {sorted(there)}"]
 
 
-# What may be wrong with a bundle: the file, what stands there, and what instead; what the tool must name.
+# Faults of a bundle: the file, the text to replace, its replacement, and what the tool must name.
 WRONG = {
     "a tensor that is not there": ("model.json", '"point_coords": "point_coords"', '"point_coords": "points"', "decoder.onnx: model.json names points"),
     "a kind that is not known": ("model.json", "promptable-segmenter", "segmenter", "model.json: kind is 'segmenter'"),
@@ -74,7 +74,7 @@ WRONG = {
 
 
 def refusals(tool, scratch):
-    """A bundle that is wrong is refused in a sentence that names the file."""
+    """Checks that an invalid bundle is refused with a message that names the file."""
     wrong = []
     for what, (file, old, new, named) in WRONG.items():
         bundle = scratch / what

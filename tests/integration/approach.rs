@@ -1,7 +1,7 @@
-//! From a question to a place to stand, and the map of the floor.
+//! The approach endpoint: where a robot should stand for a target, and the map of the floor.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, post_raw, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, expect_problem, post_raw};
 use uniground_core::grounding::Status;
 use uniground_core::scene::InstanceId;
 use uniground_types::approach::{
@@ -14,7 +14,7 @@ use uniground_types::scenes::SceneChange;
 
 const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, reach_m: None };
 
-fn asking(query: &str) -> ApproachRequest {
+fn approach_request(query: &str) -> ApproachRequest {
     ApproachRequest {
         from: Some(FloorPoint { x: 1.43, y: 0.16, ..FloorPoint::default() }),
         ..ApproachRequest::asking(query, ROBOT)
@@ -22,11 +22,12 @@ fn asking(query: &str) -> ApproachRequest {
 }
 
 #[tokio::test]
-async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
+async fn an_approach_returns_poses_with_paths_on_free_floor() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
-    let told = client.approach(&scene.id, &asking("the mug on the coffee table")).await.unwrap();
+    let told =
+        client.approach(&scene.id, &approach_request("the mug on the coffee table")).await.unwrap();
     assert_eq!(
         (told.status, told.answer_status, told.failed),
         (ApproachStatus::Found, Some(Status::Grounded), None),
@@ -53,7 +54,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
         "{told:?}"
     );
 
-    // The map is where map_server puts it: its lower left corner at the origin, its first row the
+    // The map follows map_server: the origin is its lower left corner, and its first row has the
     // greatest y.
     let map = client.floor(&scene.id, ROBOT.height_m).await.unwrap();
     let png = client
@@ -73,8 +74,9 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     }
     assert_eq!(shade(target.aabb.center.x, target.aabb.center.y), 0, "a table stands there");
 
-    // By its id it is the same; an arm that is too short is told of.
-    let by_id = ApproachRequest { instance_id: Some(target.id), query: None, ..asking("") };
+    // A target given by id yields the same poses. An arm that is too short is reported.
+    let by_id =
+        ApproachRequest { instance_id: Some(target.id), query: None, ..approach_request("") };
     let again = client.approach(&scene.id, &by_id).await.unwrap();
     assert_eq!(
         (again.poses, again.answer_id, again.answer_status),
@@ -94,7 +96,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
         "{none:?}"
     );
 
-    // What people have said counts.
+    // Corrections are applied.
     client
         .correct(
             &scene.id,
@@ -102,7 +104,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
         )
         .await
         .unwrap();
-    let renamed = client.approach(&scene.id, &asking("the cup")).await.unwrap();
+    let renamed = client.approach(&scene.id, &approach_request("the cup")).await.unwrap();
     assert_eq!(
         renamed.target.as_ref().map(|target| &*target.name),
         Some("Grandma's cup"),
@@ -110,7 +112,7 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     );
     assert!(renamed.poses[0].why.contains("Grandma's cup"), "{renamed:?}");
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![target.id] }).await.unwrap();
-    let refused = problem(client.approach(&scene.id, &by_id).await);
+    let refused = expect_problem(client.approach(&scene.id, &by_id).await);
     assert_eq!(
         (refused.status, refused.code.as_str(), refused.errors[0].pointer.as_str()),
         (422, "invalid_request", "/instance_id")
@@ -120,17 +122,17 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
 
 /// A quarter turn to the left: the scene's X is the map's Y.
 #[tokio::test]
-async fn a_robot_asks_and_is_told_in_its_own_map() {
+async fn requests_and_poses_can_use_map_coordinates() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
-    let in_scene = asking("the mug on the coffee table");
+    let in_scene = approach_request("the mug on the coffee table");
     let in_map = ApproachRequest {
         frame: FrameChoice::Map,
         from: Some(FloorPoint { x: 9.84, y: 21.43, z: 0.5 }),
         ..in_scene.clone()
     };
-    let refused = problem(client.approach(&scene.id, &in_map).await);
+    let refused = expect_problem(client.approach(&scene.id, &in_map).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "no_map"));
     let half = std::f64::consts::FRAC_1_SQRT_2;
     let place = SceneToMap { rotation: [0.0, 0.0, half, half], translation_m: [10.0, 20.0, 0.5] };
@@ -148,7 +150,7 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
     assert_eq!(
         (&here.in_frame, &here.poses),
         (&None, &there.poses),
-        "the same robot in the same place"
+        "map and scene coordinates give the same poses"
     );
     let told = there.in_frame.unwrap();
     assert_eq!(
@@ -175,7 +177,7 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
             "{placed:?}"
         );
     }
-    // Maps far from their origin, as surveyors have them, lose nothing.
+    // Map coordinates far from their origin, as surveyors use them, lose no precision.
     let far =
         SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [500_000.3, 5_000_000.2, 0.0] };
     client
@@ -196,8 +198,8 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
         .await
         .unwrap();
     assert_eq!(far.poses, here.poses);
-    // What several are meant by is driven to by none.
-    let several = client.approach(&scene.id, &asking("all the chairs")).await.unwrap();
+    // A question for several objects yields no pose.
+    let several = client.approach(&scene.id, &approach_request("all the chairs")).await.unwrap();
     assert!(
         several.status == ApproachStatus::NotGrounded && several.detail.contains("things"),
         "{several:?}"
@@ -206,9 +208,9 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
 }
 
 #[tokio::test]
-async fn things_that_were_merged_are_approached_as_one() {
+async fn merged_instances_are_approached_as_one() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     let ids: Vec<InstanceId> = things
@@ -238,9 +240,9 @@ async fn things_that_were_merged_are_approached_as_one() {
 }
 
 #[tokio::test]
-async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
+async fn ambiguous_targets_get_no_pose_and_invalid_requests_are_refused() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     let told =
         client.approach(&scene.id, &ApproachRequest::asking("the theremin", ROBOT)).await.unwrap();
@@ -289,8 +291,9 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
         }
     }
     for query in ["height_m=0", "height_m=9", "height=1"] {
-        let refusal =
-            problem(client.bytes(&format!("v1/scenes/{}/floor.png?{query}", scene.id)).await);
+        let refusal = expect_problem(
+            client.bytes(&format!("v1/scenes/{}/floor.png?{query}", scene.id)).await,
+        );
         assert_eq!(
             (refusal.status, refusal.code.as_str()),
             (422, "invalid_request"),
@@ -299,7 +302,10 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
         );
     }
     let nobody = "018f0000-0000-7000-8000-000000000000";
-    assert_eq!(problem(client.floor(nobody, 1.0).await).code, "scene_not_found");
-    assert_eq!(problem(client.approach(nobody, &asking("the sofa")).await).code, "scene_not_found");
+    assert_eq!(expect_problem(client.floor(nobody, 1.0).await).code, "scene_not_found");
+    assert_eq!(
+        expect_problem(client.approach(nobody, &approach_request("the sofa")).await).code,
+        "scene_not_found"
+    );
     server.stop().await;
 }

@@ -1,7 +1,7 @@
-//! Backups of servers that run, and what comes of them.
+//! Backups of running and stopped servers, and restoring them.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, finished};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, ask, assert_contains, wait_for_job};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::process::{Command, Output};
@@ -11,7 +11,7 @@ use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_client::Client;
 use uniground_storage::{BackupReport, BackupSource, BackupTarget, back_up, check, restore};
 
-fn uniground(args: &[&str]) -> Output {
+fn run_uniground(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(args)
         .env_remove("UNIGROUND_DATA_DIR")
@@ -19,7 +19,7 @@ fn uniground(args: &[&str]) -> Output {
         .unwrap()
 }
 
-fn said(output: &Output) -> String {
+fn output_text(output: &Output) -> String {
     format!(
         "{}{}",
         String::from_utf8_lossy(&output.stdout),
@@ -27,17 +27,17 @@ fn said(output: &Output) -> String {
     )
 }
 
-/// The same room under other bytes.
-fn another(number: usize) -> Vec<u8> {
+/// Returns the same room with different bytes.
+fn room_with_note(number: usize) -> Vec<u8> {
     Scan::neutral().with("note.txt", number.to_string()).zip()
 }
 
-struct Folders {
+struct TempFolders {
     _root: tempfile::TempDir,
     root: Utf8PathBuf,
 }
 
-impl Folders {
+impl TempFolders {
     fn new() -> Self {
         let root = tempfile::tempdir().unwrap();
         Self { root: Utf8PathBuf::try_from(root.path().to_owned()).unwrap(), _root: root }
@@ -48,14 +48,14 @@ impl Folders {
     }
 }
 
-async fn backed_up(data: &Utf8Path, to: &Utf8Path) -> BackupReport {
+async fn run_backup(data: &Utf8Path, to: &Utf8Path) -> BackupReport {
     let done = back_up(data, BackupTarget::of(to)).await.unwrap();
     assert_eq!(done.left_out, Vec::new());
     done
 }
 
-/// A server on a restored backup.
-async fn restored(from: &Utf8Path) -> TestServer {
+/// Starts a server on a restored backup.
+async fn start_restored(from: &Utf8Path) -> TestServer {
     let data = tempfile::tempdir().unwrap();
     restore(BackupSource::of(from), Utf8Path::from_path(data.path()).unwrap()).await.unwrap();
     TestServer::start_on(
@@ -67,15 +67,17 @@ async fn restored(from: &Utf8Path) -> TestServer {
     .await
 }
 
-/// Asks, uploads and deletes until it is told to stop.
-async fn keep_busy(client: Client, scene: String, stop: Arc<AtomicBool>) -> usize {
+/// Sends questions, uploads and deletions until `stop` is set.
+async fn generate_load(client: Client, scene: String, stop: Arc<AtomicBool>) -> usize {
     let mut rounds = 0;
     while !stop.load(Ordering::Relaxed) {
         client.ground(&scene, &ask("the fridge")).await.unwrap();
-        let created =
-            client.create_scene(None, "application/zip", another(1000 + rounds)).await.unwrap();
+        let created = client
+            .create_scene(None, "application/zip", room_with_note(1000 + rounds))
+            .await
+            .unwrap();
         if rounds % 2 == 0 {
-            assert_eq!(finished(&client, &created.job.unwrap().id).await.error, None);
+            assert_eq!(wait_for_job(&client, &created.job.unwrap().id).await.error, None);
         }
         client.delete_scene(&created.scene.id).await.unwrap();
         rounds += 1;
@@ -85,40 +87,40 @@ async fn keep_busy(client: Client, scene: String, stop: Arc<AtomicBool>) -> usiz
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
-    let (folders, server) = (Folders::new(), TestServer::start().await);
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let (folders, server) = (TempFolders::new(), TestServer::start().await);
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let before = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
     let stop = Arc::new(AtomicBool::new(false));
-    let busy = tokio::spawn(keep_busy(
+    let busy = tokio::spawn(generate_load(
         Client::new(&server.url(), None).unwrap(),
         scene.id.clone(),
         stop.clone(),
     ));
-    // Whatever is under way then, each of them is one whole.
+    // Each backup is consistent, whatever is in progress while it is made.
     for round in 0..5 {
-        backed_up(server.data(), &folders.at("backup")).await;
+        run_backup(server.data(), &folders.at("backup")).await;
         check(BackupSource::of(&folders.at("backup")))
             .await
             .unwrap_or_else(|error| panic!("round {round}: {error}"));
         let archive = folders.at("backup.tar.zst");
-        backed_up(server.data(), &archive).await;
+        run_backup(server.data(), &archive).await;
         check(BackupSource::of(&archive))
             .await
             .unwrap_or_else(|error| panic!("round {round}, archive: {error}"));
     }
     stop.store(true, Ordering::Relaxed);
-    assert!(busy.await.unwrap() > 0);
+    assert!(busy.await.unwrap() > 0, "no request was sent during the backups");
 
     let path = format!("v1/answers/{}", before.id);
     let bytes = server.client.bytes(&path).await.unwrap();
     for from in ["backup", "backup.tar.zst"] {
-        let again = restored(&folders.at(from)).await;
+        let again = start_restored(&folders.at(from)).await;
         let found = again.client.scene(&scene.id).await.unwrap();
         assert_eq!(
             (found.counts, found.extent, found.parse_version),
             (scene.counts.clone(), scene.extent, scene.parse_version)
         );
-        assert_eq!(again.client.bytes(&path).await.unwrap(), bytes, "byte for byte");
+        assert_eq!(again.client.bytes(&path).await.unwrap(), bytes, "a restored file differs");
         let asked = again.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
         assert_eq!(
             (&asked.answer, &asked.aabb, &asked.candidates),
@@ -126,70 +128,75 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
         );
         let (cloud, same) = (format!("v1/scenes/{}/cloud.ply", scene.id), &server.client);
         assert_eq!(again.client.bytes(&cloud).await.unwrap(), same.bytes(&cloud).await.unwrap());
-        let data = again.give_back().await;
-        let well = uniground(&["doctor", "--data-dir", data.path().to_str().unwrap()]);
+        let data = again.stop_and_keep_data().await;
+        let well = run_uniground(&["doctor", "--data-dir", data.path().to_str().unwrap()]);
         assert!(
-            said(&well).contains("no problems found") || said(&well).contains("its scene"),
+            output_text(&well).contains("no problems found") || output_text(&well).contains("its scene"),
             "{}",
-            said(&well)
+            output_text(&well)
         );
         assert!(
-            !said(&well).contains("damaged") && !said(&well).contains("missing"),
+            !output_text(&well).contains("damaged") && !output_text(&well).contains("missing"),
             "{}",
-            said(&well)
+            output_text(&well)
         );
     }
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn only_what_is_new_is_copied() {
-    let (folders, server) = (Folders::new(), TestServer::start().await);
+async fn a_second_backup_copies_only_new_files() {
+    let (folders, server) = (TempFolders::new(), TestServer::start().await);
     let to = folders.at("backup");
-    server.parsed(another(1)).await;
-    let first = backed_up(server.data(), &to).await;
-    assert_eq!((first.scenes, first.folders, first.new_folders), (1, 2, 2), "a scan and its parse");
-    let second = backed_up(server.data(), &to).await;
+    server.upload_and_parse(room_with_note(1)).await;
+    let first = run_backup(server.data(), &to).await;
+    assert_eq!(
+        (first.scenes, first.folders, first.new_folders),
+        (1, 2, 2),
+        "only a scan and its parse are new"
+    );
+    let second = run_backup(server.data(), &to).await;
     assert_eq!((second.folders, second.new_folders, second.new_bytes), (2, 0, 0));
-    let scene = server.parsed(another(2)).await;
-    let third = backed_up(server.data(), &to).await;
+    let scene = server.upload_and_parse(room_with_note(2)).await;
+    let third = run_backup(server.data(), &to).await;
     assert_eq!((third.scenes, third.folders, third.new_folders), (2, 4, 2));
-    // What is gone is gone from the next backup, and what was damaged there is mended.
+    // A deleted scene is missing from the next backup, and a damaged file there is repaired.
     server.client.delete_scene(&scene.id).await.unwrap();
-    let parse = to.join("blobs/parses").join(&server.stored("blobs/parses")[0]);
+    let parse = to.join("blobs/parses").join(&server.list_folder("blobs/parses")[0]);
     fs::remove_file(parse.join("cloud.ply")).unwrap();
-    let last = backed_up(server.data(), &to).await;
+    let last = run_backup(server.data(), &to).await;
     assert_eq!((last.scenes, last.folders, last.new_folders), (1, 2, 1));
     assert_eq!(to.join("blobs/contents").read_dir_utf8().unwrap().count(), 1);
     check(BackupSource::of(&to)).await.unwrap();
-    // A server that is stopped is backed up like one that runs.
-    let data = server.give_back().await;
-    let stopped = uniground(&["backup", to.as_str(), "--data-dir", data.path().to_str().unwrap()]);
+    // A stopped server's folder is backed up in the same way.
+    let data = server.stop_and_keep_data().await;
+    let stopped =
+        run_uniground(&["backup", to.as_str(), "--data-dir", data.path().to_str().unwrap()]);
     assert!(
-        stopped.status.success() && said(&stopped).contains("new: 0 folders"),
+        stopped.status.success() && output_text(&stopped).contains("new: 0 folders"),
         "{}",
-        said(&stopped)
+        output_text(&stopped)
     );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_damaged_backup_is_named_and_nothing_is_restored() {
-    let (folders, server) = (Folders::new(), TestServer::start().await);
-    server.parsed(Scan::neutral().zip()).await;
+async fn a_damaged_backup_is_refused_and_nothing_is_restored() {
+    let (folders, server) = (TempFolders::new(), TestServer::start().await);
+    server.upload_and_parse(Scan::neutral().zip()).await;
     let (to, archive) = (folders.at("backup"), folders.at("backup.tar"));
-    backed_up(server.data(), &to).await;
-    backed_up(server.data(), &archive).await;
-    let parse = format!("blobs/parses/{}", server.stored("blobs/parses")[0]);
-    let content = format!("blobs/contents/{}", server.stored("blobs/contents")[0]);
+    run_backup(server.data(), &to).await;
+    run_backup(server.data(), &archive).await;
+    let parse = format!("blobs/parses/{}", server.list_folder("blobs/parses")[0]);
+    let content = format!("blobs/contents/{}", server.list_folder("blobs/contents")[0]);
     let database = to.read_dir_utf8().unwrap().find_map(|entry| {
         let name = entry.unwrap().file_name().to_owned();
         name.ends_with(".sqlite").then_some(name)
     });
     let refused = |from: &Utf8Path| {
         let place = folders.at("restored");
-        let refused = uniground(&["restore", from.as_str(), "--data-dir", place.as_str()]);
-        assert!(!refused.status.success() && !place.exists(), "{}", said(&refused));
-        said(&refused)
+        let refused = run_uniground(&["restore", from.as_str(), "--data-dir", place.as_str()]);
+        assert!(!refused.status.success() && !place.exists(), "{}", output_text(&refused));
+        output_text(&refused)
     };
     let files = [
         (format!("{parse}/cloud.ply"), format!("{parse}: cloud.ply damaged")),
@@ -204,17 +211,17 @@ async fn a_damaged_backup_is_named_and_nothing_is_restored() {
         flipped[whole.len() / 2] ^= 1;
         fs::write(to.join(file), flipped).unwrap();
         assert!(refused(&to).contains(expected), "{expected}: {}", refused(&to));
-        let checked = uniground(&["restore", "--check", to.as_str()]);
+        let checked = run_uniground(&["restore", "--check", to.as_str()]);
         assert!(
-            !checked.status.success() && said(&checked).contains(expected),
+            !checked.status.success() && output_text(&checked).contains(expected),
             "{expected}: {}",
-            said(&checked)
+            output_text(&checked)
         );
         fs::write(to.join(file), whole).unwrap();
     }
     fs::remove_file(to.join(&files[0].0)).unwrap();
-    assert!(refused(&to).contains("cloud.ply missing"));
-    // An archive that is cut off, or has a bit that fell over.
+    assert_contains(refused(&to), "cloud.ply missing");
+    // An archive that is truncated or has a flipped bit.
     let whole = fs::read(&archive).unwrap();
     fs::write(&archive, &whole[..whole.len() / 2]).unwrap();
     refused(&archive);
@@ -222,62 +229,74 @@ async fn a_damaged_backup_is_named_and_nothing_is_restored() {
     let at = flipped.windows(6).rposition(|bytes| bytes == b"ply\nfo").unwrap();
     flipped[at] ^= 1;
     fs::write(&archive, flipped).unwrap();
-    assert!(refused(&archive).contains("damaged"));
+    assert_contains(refused(&archive), "damaged");
     fs::write(&archive, whole).unwrap();
-    // Nor is anything written over.
+    // Restoring never overwrites existing data.
     let full = folders.at("full");
     fs::create_dir(&full).unwrap();
     fs::write(full.join("thesis.tex"), "x").unwrap();
     for refused in [
-        uniground(&["restore", archive.as_str(), "--data-dir", full.as_str()]),
-        uniground(&["backup", full.as_str(), "--data-dir", server.data().as_str()]),
+        run_uniground(&["restore", archive.as_str(), "--data-dir", full.as_str()]),
+        run_uniground(&["backup", full.as_str(), "--data-dir", server.data().as_str()]),
     ] {
         assert!(
-            !refused.status.success() && said(&refused).contains("thesis.tex"),
+            !refused.status.success() && output_text(&refused).contains("thesis.tex"),
             "{}",
-            said(&refused)
+            output_text(&refused)
         );
     }
-    let within = uniground(&[
+    let within = run_uniground(&[
         "backup",
         server.data().join("backup").as_str(),
         "--data-dir",
         server.data().as_str(),
     ]);
     assert!(
-        !within.status.success() && said(&within).contains("in the data folder itself"),
+        !within.status.success() && output_text(&within).contains("in the data folder itself"),
         "{}",
-        said(&within)
+        output_text(&within)
     );
-    let good =
-        uniground(&["restore", archive.as_str(), "--data-dir", folders.at("restored").as_str()]);
-    assert!(good.status.success() && said(&good).contains("1 scenes"), "{}", said(&good));
+    let good = run_uniground(&[
+        "restore",
+        archive.as_str(),
+        "--data-dir",
+        folders.at("restored").as_str(),
+    ]);
+    assert!(
+        good.status.success() && output_text(&good).contains("1 scenes"),
+        "{}",
+        output_text(&good)
+    );
     server.stop().await;
 }
 
-/// What was lost before is told, and the rest is there.
+/// A backup reports files that were already lost and contains everything else.
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_damaged_before_is_left_out_and_told() {
-    let (folders, server) = (Folders::new(), TestServer::start().await);
-    let scene = server.parsed(Scan::neutral().zip()).await;
-    let parse = server.stored("blobs/parses")[0].clone();
+async fn a_backup_reports_and_omits_damaged_files() {
+    let (folders, server) = (TempFolders::new(), TestServer::start().await);
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
+    let parse = server.list_folder("blobs/parses")[0].clone();
     let cloud = server.data().join("blobs/parses").join(&parse).join("cloud.ply");
     let mut bytes = fs::read(&cloud).unwrap();
     *bytes.last_mut().unwrap() ^= 1;
     fs::write(&cloud, bytes).unwrap();
-    let told =
-        uniground(&["backup", folders.at("backup").as_str(), "--data-dir", server.data().as_str()]);
+    let told = run_uniground(&[
+        "backup",
+        folders.at("backup").as_str(),
+        "--data-dir",
+        server.data().as_str(),
+    ]);
     assert!(
         !told.status.success()
-            && said(&told).contains(&format!("blobs/parses/{parse}: cloud.ply damaged")),
+            && output_text(&told).contains(&format!("blobs/parses/{parse}: cloud.ply damaged")),
         "{}",
-        said(&told)
+        output_text(&told)
     );
     server.stop().await;
-    // The scan is there: its parse is made again.
-    let again = restored(&folders.at("backup")).await;
+    // The scan is there, so its parse is made again.
+    let again = start_restored(&folders.at("backup")).await;
     let job = again.client.parse(&scene.id, &serde_json::json!({})).await.unwrap();
-    assert_eq!(finished(&again.client, &job.id).await.error, None);
+    assert_eq!(wait_for_job(&again.client, &job.id).await.error, None);
     assert_eq!(again.client.scene(&scene.id).await.unwrap().counts, scene.counts);
     again.stop().await;
 }

@@ -1,20 +1,21 @@
-//! Fields that the items of a batch share: stored once, whatever the items are asked for and told.
+//! Defaults that the items of a batch share. They are stored once, and the items behave as if each
+//! contained them.
 
-use crate::archives::Scan;
-use crate::batches::{ended, results};
-use crate::server::{TestServer, post_raw, rows};
+use crate::batches::{fetch_results, wait_for_batch};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, open_database, post_raw};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 use sqlx::AnyConnection;
 use uniground_client::Client;
 use uniground_types::batch::{BatchRequest, BatchResult, BatchState};
 
-fn request_of(items: &Value, defaults: &Value) -> BatchRequest {
+fn batch_request(items: &Value, defaults: &Value) -> BatchRequest {
     serde_json::from_value(json!({"items": items, "defaults": defaults, "label": "monday"}))
         .unwrap()
 }
 
-async fn number(rows: &mut AnyConnection, sql: &'static str, batch: &str) -> i64 {
+async fn query_number(rows: &mut AnyConnection, sql: &'static str, batch: &str) -> i64 {
     sqlx::query_scalar(sql).bind(batch).fetch_one(rows).await.unwrap()
 }
 
@@ -22,44 +23,44 @@ const OF_ITEMS: &str =
     "SELECT CAST(sum(length(request)) AS bigint) FROM batch_items WHERE batch_id = $1";
 const OF_DEFAULTS: &str = "SELECT CAST(length(defaults) AS bigint) FROM batches WHERE id = $1";
 
-/// What a result tells, but for what two answers to the same question differ in.
-fn told(result: &BatchResult) -> Value {
+/// Returns a result without the fields that differ between two answers to the same question.
+fn without_ids(result: &BatchResult) -> Value {
     let answer = result.answer.as_ref().map(|answer| {
         json!([answer["query"], answer["answer"], answer["candidates"], answer["confidence"]])
     });
     json!([result.item, result.scene_id, result.query, result.status, result.error, answer])
 }
 
-async fn all_told(client: &Client, batch: &str) -> Vec<Value> {
-    results(client, batch, 0, false).await.iter().map(told).collect()
+async fn results_without_ids(client: &Client, batch: &str) -> Vec<Value> {
+    fetch_results(client, batch, 0, false).await.iter().map(without_ids).collect()
 }
 
-/// A batch of 50 kB becomes one of 50 kB, however many items share its defaults.
+/// A request of 50 kB is stored as 50 kB, however many items share its defaults.
 #[tokio::test(flavor = "multi_thread")]
 async fn defaults_are_stored_once() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let mut items = vec![json!({}); 500];
     items[7] = json!({"query": "the red sofa"});
     let request =
-        request_of(&items.into(), &json!({"scene_id": scene, "query": "a".repeat(50_000)}));
+        batch_request(&items.into(), &json!({"scene_id": scene, "query": "a".repeat(50_000)}));
     let batch = server.client.create_batch(&request, None).await.unwrap();
-    let mut database = rows(server.data()).await;
+    let mut database = open_database(server.data()).await;
     let (of_items, of_defaults) = (
-        number(&mut database, OF_ITEMS, &batch.id).await,
-        number(&mut database, OF_DEFAULTS, &batch.id).await,
+        query_number(&mut database, OF_ITEMS, &batch.id).await,
+        query_number(&mut database, OF_DEFAULTS, &batch.id).await,
     );
     assert!(
         of_items < 2000 && (50_000..51_000).contains(&of_defaults),
         "{of_items} and {of_defaults} bytes"
     );
-    let over = ended(&server.client, &batch.id).await;
+    let over = wait_for_batch(&server.client, &batch.id).await;
     assert_eq!(
         (over.by_status["failed"], over.by_status["grounded"]),
         (499, 1),
-        "a query that is too long is each item's own failure"
+        "a query that is too long fails each item"
     );
-    let told = results(&server.client, &batch.id, 0, false).await;
+    let told = fetch_results(&server.client, &batch.id, 0, false).await;
     assert_eq!(
         (told[7].query.as_str(), told[8].query.len(), told[8].scene_id.as_str()),
         ("the red sofa", 50_000, scene.as_str())
@@ -67,21 +68,24 @@ async fn defaults_are_stored_once() {
     server.stop().await;
 }
 
-/// Nor are they repeated with what is told about every item that fails for them.
+/// An item's stored error does not repeat the defaults either.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_failure_does_not_repeat_all_that_was_asked() {
+async fn a_stored_error_does_not_repeat_the_defaults() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let mut defaults = json!({"scene_id": scene, "query": "the red sofa"});
     defaults["x".repeat(50_000)] = 1.into();
-    let request = request_of(&vec![json!({}); 20].into(), &defaults);
+    let request = batch_request(&vec![json!({}); 20].into(), &defaults);
     let batch = server.client.create_batch(&request, None).await.unwrap();
-    assert_eq!(ended(&server.client, &batch.id).await.by_status["failed"], 20);
-    let mut database = rows(server.data()).await;
+    assert_eq!(wait_for_batch(&server.client, &batch.id).await.by_status["failed"], 20);
+    let mut database = open_database(server.data()).await;
     let of_errors =
         "SELECT CAST(sum(length(error)) AS bigint) FROM batch_items WHERE batch_id = $1";
-    assert!(number(&mut database, of_errors, &batch.id).await < 25_000);
-    let told = results(&server.client, &batch.id, 0, false).await;
+    assert!(
+        query_number(&mut database, of_errors, &batch.id).await < 25_000,
+        "the stored errors repeat the defaults"
+    );
+    let told = fetch_results(&server.client, &batch.id, 0, false).await;
     assert!(
         told[0].error.as_ref().unwrap().detail.contains("unknown field `xxx"),
         "{:?}",
@@ -90,13 +94,13 @@ async fn a_failure_does_not_repeat_all_that_was_asked() {
     server.stop().await;
 }
 
-/// A batch that an earlier version has stored is asked, told and known again by its key as one of
-/// today.
+/// A batch stored by an earlier version returns the same results and matches the same idempotency
+/// key.
 #[tokio::test(flavor = "multi_thread")]
-async fn items_that_were_stored_whole_come_to_the_same() {
+async fn a_batch_stored_without_shared_defaults_gives_the_same_results() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let defaults =
         json!({"scene_id": scene, "query": "the red sofa", "top_k": 3, "min_confidence": 0.1});
     let items = json!([
@@ -110,15 +114,15 @@ async fn items_that_were_stored_whole_come_to_the_same() {
         {"scene_id": 3},
         {"query": "the blue box", "min_confidence": 0.99},
     ]);
-    let request = request_of(&items, &defaults);
+    let request = batch_request(&items, &defaults);
     let batch = client.create_batch(&request, Some("monday")).await.unwrap();
-    assert_eq!(ended(client, &batch.id).await.state, BatchState::Succeeded);
-    let of_today = all_told(client, &batch.id).await;
+    assert_eq!(wait_for_batch(client, &batch.id).await.state, BatchState::Succeeded);
+    let of_today = results_without_ids(client, &batch.id).await;
     assert_eq!(of_today.len(), 9);
     assert_eq!(client.create_batch(&request, Some("monday")).await.unwrap().id, batch.id);
 
-    // The same as it was stored before: whole questions, and the digest of them.
-    let mut database = rows(server.data()).await;
+    // The earlier format: whole requests, and a digest over them.
+    let mut database = open_database(server.data()).await;
     let mut digest = Sha256::new();
     digest.update(serde_json::to_vec(&(Some("monday"), None::<u32>, None::<f64>)).unwrap());
     for (item, own) in (0_i64..).zip(&request.items) {
@@ -144,23 +148,23 @@ async fn items_that_were_stored_whole_come_to_the_same() {
     let sql = "UPDATE batches SET defaults = NULL, request = $1, state = 'paused', finished_at = NULL WHERE id = $2";
     sqlx::query(sql).bind(digest).bind(&batch.id).execute(&mut database).await.unwrap();
     client.tell_batch(&batch.id, "resume").await.unwrap();
-    assert_eq!(ended(client, &batch.id).await.state, BatchState::Succeeded);
-    assert_eq!(all_told(client, &batch.id).await, of_today);
+    assert_eq!(wait_for_batch(client, &batch.id).await.state, BatchState::Succeeded);
+    assert_eq!(results_without_ids(client, &batch.id).await, of_today);
     assert_eq!(
-        results(client, &batch.id, 0, false).await[0].answer_id,
+        fetch_results(client, &batch.id, 0, false).await[0].answer_id,
         "018f0000-0000-7000-8000-000000000000"
     );
     assert_eq!(
         client.create_batch(&request, Some("monday")).await.unwrap().id,
         batch.id,
-        "its key is remembered"
+        "the idempotency key is known"
     );
     server.stop().await;
 }
 
-/// What is too large for a batch is refused whole, with the place named, and leaves no row.
+/// A batch that is too large is refused as a whole. The error names the place, and no row is left.
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_too_large_is_refused_and_leaves_nothing() {
+async fn a_batch_that_is_too_large_is_refused_and_leaves_no_rows() {
     let server = TestServer::start().await;
     let client = &server.client;
     let long = "a".repeat(70_000);
@@ -186,7 +190,7 @@ async fn what_is_too_large_is_refused_and_leaves_nothing() {
             format!("{}\n{{}}\n", json!({"defaults": {"scene_id": "a".repeat(100)}})),
             "/defaults/scene_id",
         ),
-        // Enough items before it that some have been written.
+        // Enough items before it that some have already been written.
         ("application/jsonl", format!("{small_items}{}\n", json!({"query": long})), "/items/600"),
         (
             "application/jsonl",
@@ -203,7 +207,7 @@ async fn what_is_too_large_is_refused_and_leaves_nothing() {
         );
         assert!(problem.detail.len() < 300, "{}", problem.detail);
     }
-    let mut database = rows(server.data()).await;
+    let mut database = open_database(server.data()).await;
     for sql in ["SELECT count(*) FROM batches", "SELECT count(*) FROM batch_items"] {
         let left: i64 = sqlx::query_scalar(sql).fetch_one(&mut database).await.unwrap();
         assert_eq!(left, 0, "{sql}");

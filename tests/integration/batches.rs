@@ -1,8 +1,8 @@
-//! Lists of questions, asked in the background.
+//! Batches: lists of questions answered in the background.
 
-use crate::archives::Scan;
 use crate::scripted_model::{Script, says};
-use crate::server::{Process, TestServer, ask, parsed, post_raw, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{Process, TestServer, ask, expect_problem, post_raw, upload_and_parse};
 use camino::Utf8Path;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashSet};
@@ -17,14 +17,19 @@ use uniground_types::job::JobState;
 const QUERIES: [&str; 4] =
     ["the red sofa", "the fridge", "all the things on the table", "the sofa closest to the table"];
 
-/// `number` questions about a scene, a line each.
-fn lines(scene: &str, number: usize) -> String {
+/// Returns `number` questions about a scene, one per line.
+fn question_lines(scene: &str, number: usize) -> String {
     (0..number)
         .map(|i| json!({"scene_id": scene, "query": QUERIES[i % QUERIES.len()]}).to_string() + "\n")
         .collect()
 }
 
-pub async fn results(client: &Client, batch: &str, from: u32, follow: bool) -> Vec<BatchResult> {
+pub async fn fetch_results(
+    client: &Client,
+    batch: &str,
+    from: u32,
+    follow: bool,
+) -> Vec<BatchResult> {
     let mut results = Vec::new();
     let take = |_: &[u8], result| {
         results.push(result);
@@ -34,7 +39,7 @@ pub async fn results(client: &Client, batch: &str, from: u32, follow: bool) -> V
     results
 }
 
-pub async fn ended(client: &Client, id: &str) -> Batch {
+pub async fn wait_for_batch(client: &Client, id: &str) -> Batch {
     loop {
         let batch = client.batch(id).await.unwrap();
         if batch.state != BatchState::Running {
@@ -45,10 +50,10 @@ pub async fn ended(client: &Client, id: &str) -> Batch {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_item_gets_its_answer_or_its_error_in_order() {
+async fn every_item_gets_an_answer_or_an_error_in_order() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let nowhere = "018f0000-0000-7000-8000-000000000000";
     let items = json!([
         {"query": "the red sofa"},
@@ -65,7 +70,7 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
     let request: BatchRequest = serde_json::from_value(request).unwrap();
     let batch = client.create_batch(&request, None).await.unwrap();
     assert_eq!((batch.items, batch.label.as_deref()), (8, Some("monday")));
-    let results_told = results(client, &batch.id, 0, true).await;
+    let results_told = fetch_results(client, &batch.id, 0, true).await;
     let told: Vec<(u32, &str, Option<&str>)> = results_told
         .iter()
         .map(|r| (r.item, r.status.as_str(), r.error.as_ref().map(|e| e.code.as_str())))
@@ -86,7 +91,7 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
         "{:?}",
         results_told[4].error
     );
-    // Each answer is one like any other: what a question alone gets, and kept under its id.
+    // Each answer equals the answer to the same single question and is stored under its id.
     let alone = client.ground(&scene, &ask("the red sofa")).await.unwrap();
     let of_batch = results_told[0].answer.as_ref().unwrap();
     assert_eq!(of_batch["answer"], serde_json::to_value(&alone.answer).unwrap());
@@ -96,7 +101,7 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
     );
     assert_eq!(client.answer(&results_told[0].answer_id).await.unwrap().query, "the red sofa");
 
-    let batch = ended(client, &batch.id).await;
+    let batch = wait_for_batch(client, &batch.id).await;
     assert_eq!((batch.state, batch.done, batch.cost_usd), (BatchState::Succeeded, 8, 0.0));
     let numbers = [("failed", 5), ("grounded", 1), ("no_match", 1), ("uncertain", 1)]
         .map(|(status, n)| (status.to_owned(), n));
@@ -106,8 +111,8 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
         JobState::Succeeded
     );
     assert_eq!(client.batches(10, None).await.unwrap().batches, std::slice::from_ref(&batch));
-    // Whoever was cut off goes on.
-    assert_eq!(results(client, &batch.id, 6, false).await, results_told[6..]);
+    // A client that lost its connection resumes.
+    assert_eq!(fetch_results(client, &batch.id, 6, false).await, results_told[6..]);
     let table = String::from_utf8(
         client.bytes(&format!("v1/batches/{}/results?format=csv", batch.id)).await.unwrap(),
     )
@@ -119,20 +124,20 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
             && rows[1].contains("the red sofa,grounded"),
         "{table}"
     );
-    // Defaults in the first line leave the address's scene in place.
+    // Defaults in the first line leave the scene of the URL in place.
     let lines = "{\"defaults\": {\"top_k\": 3}}\n{\"query\": \"the red sofa\"}\n";
     let id =
         client.create_batch_of_lines(lines, &[("scene_id", scene.clone())], None).await.unwrap().id;
-    assert_eq!(results(client, &id, 0, true).await[0].status, "grounded");
-    // An answer that was deleted with its scene is missed, not invented.
+    assert_eq!(fetch_results(client, &id, 0, true).await[0].status, "grounded");
+    // An answer that was deleted with its scene is reported as missing.
     client.delete_scene(&scene).await.unwrap();
-    let left = results(client, &batch.id, 0, false).await;
+    let left = fetch_results(client, &batch.id, 0, false).await;
     assert_eq!((left[0].status.as_str(), &left[0].answer), ("grounded", &None));
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_batch_is_refused_whole() {
+async fn an_invalid_batch_is_refused_as_a_whole() {
     let server = TestServer::start().await;
     let client = &server.client;
     for (media_type, body, status, code, pointer) in [
@@ -167,65 +172,71 @@ async fn what_is_no_batch_is_refused_whole() {
     }
     assert_eq!(client.batches(10, None).await.unwrap().batches, []);
     let missing = "018f0000-0000-7000-8000-000000000000";
-    assert_eq!(problem(client.batch(missing).await).code, "batch_not_found");
-    assert_eq!(problem(client.tell_batch(missing, "pause").await).code, "batch_not_found");
+    assert_eq!(expect_problem(client.batch(missing).await).code, "batch_not_found");
+    assert_eq!(expect_problem(client.tell_batch(missing, "pause").await).code, "batch_not_found");
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_makes_one_batch() {
+async fn an_idempotency_key_creates_one_batch() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let submit =
         async |lines: String| client.create_batch_of_lines(lines, &[], Some("monday")).await;
-    let (first, second) = tokio::join!(submit(lines(&scene, 900)), submit(lines(&scene, 900)));
+    let (first, second) =
+        tokio::join!(submit(question_lines(&scene, 900)), submit(question_lines(&scene, 900)));
     assert_eq!(first.unwrap().id, second.unwrap().id);
-    assert_eq!(problem(submit(lines(&scene, 901)).await).code, "idempotency_key_reused");
+    assert_eq!(
+        expect_problem(submit(question_lines(&scene, 901)).await).code,
+        "idempotency_key_reused"
+    );
     let batches = client.batches(10, None).await.unwrap().batches;
     assert_eq!((batches.len(), batches[0].items), (1, 900));
-    let batch = ended(client, &batches[0].id).await;
+    let batch = wait_for_batch(client, &batches[0].id).await;
     assert_eq!((batch.state, batch.done), (BatchState::Succeeded, 900));
-    assert_eq!(problem(client.tell_batch(&batch.id, "pause").await).code, "batch_over");
+    assert_eq!(expect_problem(client.tell_batch(&batch.id, "pause").await).code, "batch_over");
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_batch_pauses_goes_on_and_stops() {
+async fn a_batch_can_be_paused_resumed_and_cancelled() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let options = [("concurrency", "1".to_owned())];
-    let batch = client.create_batch_of_lines(lines(&scene, 1500), &options, None).await.unwrap();
+    let batch =
+        client.create_batch_of_lines(question_lines(&scene, 1500), &options, None).await.unwrap();
     let paused = client.tell_batch(&batch.id, "pause").await.unwrap();
     assert_eq!((paused.state, paused.reason), (BatchState::Paused, None));
-    // What was under way ends; then nothing moves.
+    // The item in progress finishes; then nothing changes.
     client.follow_job(paused.job_id.as_deref().unwrap(), |_| {}).await.unwrap();
     let before = client.batch(&batch.id).await.unwrap().done;
     assert!(before < 1500, "{before}");
-    assert_eq!(results(client, &batch.id, 0, false).await.len(), before as usize);
+    assert_eq!(fetch_results(client, &batch.id, 0, false).await.len(), before as usize);
     let resumed = client.tell_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(resumed.state, BatchState::Running);
     while client.batch(&batch.id).await.unwrap().done == before {
         sleep(Duration::from_millis(5)).await;
     }
     client.tell_batch(&batch.id, "cancel").await.unwrap();
-    let over = ended(client, &batch.id).await;
+    let over = wait_for_batch(client, &batch.id).await;
     assert_eq!((over.state, over.finished_at.is_some()), (BatchState::Cancelled, true));
-    assert_eq!(problem(client.tell_batch(&batch.id, "resume").await).code, "batch_over");
-    // A job that somebody stops leaves a batch that can go on.
-    let batch = client.create_batch_of_lines(lines(&scene, 1500), &options, None).await.unwrap();
+    assert_eq!(expect_problem(client.tell_batch(&batch.id, "resume").await).code, "batch_over");
+    // Cancelling the job leaves a batch that can be resumed.
+    let batch =
+        client.create_batch_of_lines(question_lines(&scene, 1500), &options, None).await.unwrap();
     let job = client.cancel_job(batch.job_id.as_deref().unwrap()).await.unwrap();
     client.follow_job(&job.id, |_| {}).await.unwrap();
     let stopped = client.batch(&batch.id).await.unwrap();
     assert_eq!((stopped.state, stopped.reason.as_deref()), (BatchState::Paused, Some("job_ended")));
     client.tell_batch(&batch.id, "resume").await.unwrap();
-    assert_eq!(ended(client, &batch.id).await.done, 1500);
+    assert_eq!(wait_for_batch(client, &batch.id).await.done, 1500);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
+async fn a_batch_never_exceeds_its_budget_and_pauses_instead() {
     let script = Script::default();
     let reply = "Predicted ID: 1\nExplanation: x\nCandidate Names: 1 -> sofa\nTarget name matches?: true\nAnchor ID: none\nRelation used: none";
     let url = script.serve(vec![says(reply)]).await;
@@ -239,9 +250,9 @@ async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
     let client = &server.client;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let one = client.ground(&scene, &ask("the red sofa")).await.unwrap().usage.cost_usd;
-    assert!(one > 0.0);
+    assert!(one > 0.0, "a call costs {one} USD");
     let calls_of_one = script.calls();
     let calls = script.calls();
     let items: String = (0..8)
@@ -250,7 +261,7 @@ async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     let limit = 4.5 * one;
     let options = [("max_cost_usd", limit.to_string()), ("concurrency", "1".to_owned())];
     let batch = client.create_batch_of_lines(items, &options, None).await.unwrap();
-    let batch = ended(client, &batch.id).await;
+    let batch = wait_for_batch(client, &batch.id).await;
     assert_eq!(
         (batch.state, batch.reason.as_deref()),
         (BatchState::Paused, Some("budget_spent")),
@@ -259,36 +270,36 @@ async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     assert!(batch.cost_usd <= limit && (1..8).contains(&batch.done), "{batch:?}");
     assert!((batch.cost_usd - f64::from(batch.done) * one).abs() < 1e-6, "{batch:?}: {one} each");
     assert_eq!(
-        results(client, &batch.id, 0, true).await.len(),
+        fetch_results(client, &batch.id, 0, true).await.len(),
         batch.done as usize,
-        "who follows is told, not kept waiting"
+        "a paused batch ends the stream of a follower"
     );
     let for_the_last = script.calls() - calls - calls_of_one * batch.done as usize;
-    assert!(for_the_last < calls_of_one, "each item was asked once, and the last perhaps begun");
-    // Nothing at all may be spent: nothing is asked, and nothing else answers.
+    assert!(for_the_last < calls_of_one, "an item was asked more than once");
+    // With a budget of zero no item is sent to the model, and nothing else answers.
     let items = json!({"scene_id": scene, "query": "the red sofa"}).to_string();
     let calls = script.calls();
     let batch = client
         .create_batch_of_lines(items, &[("max_cost_usd", "0".to_owned())], None)
         .await
         .unwrap();
-    let batch = ended(client, &batch.id).await;
+    let batch = wait_for_batch(client, &batch.id).await;
     assert_eq!((batch.state, batch.done, script.calls()), (BatchState::Paused, 0, calls));
     server.stop().await;
 }
 
-/// Killed again and again: every item is answered once, under the id it was given, as an
-/// undisturbed run answers it.
+/// After several kills every item has exactly one answer, under its assigned id, equal to that of
+/// an undisturbed run.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
+async fn a_batch_survives_kills_without_repeated_or_lost_items() {
     const ITEMS: usize = 2000;
     let data = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(data.path()).unwrap();
     let server = Process::start(data);
-    let scene = parsed(&server.client, "application/zip", Scan::neutral().zip()).await.id;
+    let scene = upload_and_parse(&server.client, "application/zip", Scan::neutral().zip()).await.id;
     let batch = server
         .client
-        .create_batch_of_lines(lines(&scene, ITEMS), &[], Some("kills"))
+        .create_batch_of_lines(question_lines(&scene, ITEMS), &[], Some("kills"))
         .await
         .unwrap();
     let mut server = server;
@@ -297,13 +308,16 @@ async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
         server.kill();
         server = Process::start(data);
     }
-    let over = ended(&server.client, &batch.id).await;
+    let over = wait_for_batch(&server.client, &batch.id).await;
     assert_eq!((over.state, over.done as usize), (BatchState::Succeeded, ITEMS));
     assert_eq!(over.by_status.get("failed"), None);
-    let told = results(&server.client, &batch.id, 0, false).await;
-    assert!(told.iter().zip(0..).all(|(result, i)| result.item == i));
+    let told = fetch_results(&server.client, &batch.id, 0, false).await;
+    assert!(
+        told.iter().zip(0..).all(|(result, i)| result.item == i),
+        "items are missing or out of order"
+    );
     assert_eq!(told.iter().map(|result| &result.answer_id).collect::<HashSet<_>>().len(), ITEMS);
-    // The same question, the same answer, whichever server gave it.
+    // The same question gets the same answer from every server.
     let core = |result: &BatchResult| {
         let answer = result.answer.as_ref().unwrap();
         [
@@ -321,9 +335,9 @@ async fn a_killed_server_asks_nothing_twice_and_forgets_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_command_goes_on_where_it_was_cut_off() {
+async fn the_batch_command_resumes_an_incomplete_output_file() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let folder = tempfile::tempdir().unwrap();
     let (file, out) = (folder.path().join("questions.txt"), folder.path().join("results.jsonl"));
     std::fs::write(&file, QUERIES.join("\n\n")).unwrap();
@@ -351,13 +365,13 @@ async fn the_command_goes_on_where_it_was_cut_off() {
         "{}",
         String::from_utf8_lossy(&done.stderr)
     );
-    // Cut in the middle of a line.
+    // The output file is cut in the middle of a line.
     std::fs::write(&out, &whole[..whole.len() / 2]).unwrap();
     assert!(run().await.status.success());
     assert_eq!(
         std::fs::read_to_string(&out).unwrap(),
         whole,
-        "the rest, byte for byte, and nothing asked again"
+        "only the missing results are appended"
     );
     assert_eq!(server.client.batches(10, None).await.unwrap().batches.len(), 1);
     server.stop().await;

@@ -1,9 +1,9 @@
-//! A chat model reads the questions: a scripted OpenAI-compatible server on loopback plays the
+//! A chat model parses the questions. A scripted OpenAI-compatible server on loopback plays the
 //! model.
 
 use crate::scripted_model::{Script, Scripted, fails, says};
-use crate::server::{TestServer, ask};
-use crate::vlm::six_lines;
+use crate::test_server::{TestServer, ask, assert_contains};
+use crate::vlm::six_field_reply;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::{Value, json};
 use std::fs;
@@ -15,7 +15,7 @@ use uniground_core::models::chat::{ChatError, ChatModel, ChatRequest, Part, Pric
 use uniground_endpoints::chat::{ChatClient, Endpoint, ReplayCache, RetryPolicy};
 use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
-fn quick() -> RetryPolicy {
+fn fast_retries() -> RetryPolicy {
     RetryPolicy {
         backoff: Duration::from_millis(1),
         longest_wait: Duration::from_millis(5),
@@ -23,7 +23,7 @@ fn quick() -> RetryPolicy {
     }
 }
 
-fn client(base_url: String, replay_cache: ReplayCache) -> ChatClient {
+fn chat_client(base_url: String, replay_cache: ReplayCache) -> ChatClient {
     let prices = Prices { prompt_usd: 2.0, completion_usd: 8.0 };
     ChatClient::new(
         Endpoint {
@@ -33,13 +33,13 @@ fn client(base_url: String, replay_cache: ReplayCache) -> ChatClient {
             prices,
             concurrency: 4,
         },
-        quick(),
+        fast_retries(),
         replay_cache,
     )
     .unwrap()
 }
 
-fn question(text: &str) -> ChatRequest {
+fn chat_request(text: &str) -> ChatRequest {
     ChatRequest {
         system: "s".into(),
         user: vec![Part::Text(text.into())],
@@ -48,28 +48,28 @@ fn question(text: &str) -> ChatRequest {
 }
 
 #[tokio::test]
-async fn what_may_pass_is_tried_again_what_will_not_is_told() {
+async fn transient_errors_are_retried_and_others_are_reported() {
     let busy = || fails(429, "slow down");
     let script = Script::default();
     let url = script.serve(vec![busy(), fails(503, ""), says("fine")]).await;
-    let reply = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap();
+    let reply = chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap();
     assert_eq!((reply.text.as_str(), reply.attempts, reply.prompt_tokens), ("fine", 3, 700));
     assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-secret-key"));
 
-    // Five attempts, no more.
+    // At most five attempts are made.
     let script = Script::default();
     let url = script.serve(vec![busy()]).await;
-    let error = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
+    let error = chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap_err();
     assert!(
         matches!(&error.error, ChatError::Refused { status, detail, .. } if *status == 429 && detail == "slow down"),
         "{error:?}"
     );
     assert_eq!(script.calls(), 5);
 
-    // A wrong key is wrong at once, and is not repeated in the message.
+    // A wrong key fails at once, and the message does not contain it.
     let script = Script::default();
     let url = script.serve(vec![fails(401, "bad key: sk-secret-key")]).await;
-    let error = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
+    let error = chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap_err();
     assert!(
         !format!("{error:?} {error}").contains("sk-secret") && script.calls() == 1,
         "{error:?}"
@@ -77,22 +77,26 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     assert!(error.to_string().contains("bad key: <key>"), "{error}");
 }
 
-/// Prompts and pictures go where the operator said and nowhere else.
+/// Prompts and images are sent only to the configured host.
 #[tokio::test]
 async fn a_redirect_to_another_host_is_not_followed() {
     let (script, elsewhere) = (Script::default(), Script::default());
     let other = elsewhere.serve(vec![says("fine")]).await;
     let url = script.serve(vec![Scripted::Redirect(format!("{other}/chat/completions"))]).await;
-    let error = client(url.clone(), ReplayCache::Off).ask(&question("a")).await.unwrap_err();
+    let error =
+        chat_client(url.clone(), ReplayCache::Off).ask(&chat_request("a")).await.unwrap_err();
     assert!(matches!(&error.error, ChatError::Refused { status: 308, .. }), "{error:?}");
     assert_eq!((script.calls(), elsewhere.calls()), (1, 0));
-    // At the same place it may have moved.
+    // A redirect within the same host is followed.
     script.next(vec![Scripted::Redirect(format!("{url}/chat/completions")), says("fine")]);
-    assert_eq!(client(url, ReplayCache::Off).ask(&question("a")).await.unwrap().text, "fine");
+    assert_eq!(
+        chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap().text,
+        "fine"
+    );
 }
 
 #[tokio::test]
-async fn a_count_of_tokens_that_can_not_be_is_not_believed() {
+async fn implausible_token_counts_are_ignored() {
     let script = Script::default();
     let counted = |prompt: u64, completion: u64| {
         let usage = json!({"prompt_tokens": prompt, "completion_tokens": completion});
@@ -101,9 +105,9 @@ async fn a_count_of_tokens_that_can_not_be_is_not_believed() {
     let url = script
         .serve(vec![counted(0, 0), counted(1_000_000_000_000_000, 1_000_000_000_000_000)])
         .await;
-    let client = client(url, ReplayCache::Off);
+    let client = chat_client(url, ReplayCache::Off);
     for _ in 0..2 {
-        let reply = client.ask(&question("a")).await.unwrap();
+        let reply = client.ask(&chat_request("a")).await.unwrap();
         assert!(
             (1..1000).contains(&reply.prompt_tokens)
                 && (1..1000).contains(&reply.completion_tokens),
@@ -113,33 +117,34 @@ async fn a_count_of_tokens_that_can_not_be_is_not_believed() {
 }
 
 #[tokio::test]
-async fn a_server_that_wants_a_day_is_not_waited_for() {
+async fn a_retry_after_of_a_day_is_not_waited_for() {
     let script = Script::default();
     let url = script.serve(vec![Scripted::After(429, "86400")]).await;
-    let failure = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
+    let failure = chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap_err();
     assert_eq!((failure.attempts, failure.lost), (1, 0));
 }
 
 #[tokio::test]
-async fn a_server_that_knows_no_schemas_is_asked_without() {
+async fn a_server_without_schema_support_is_called_without_a_schema() {
     let script = Script::default();
     let url = script.serve(vec![fails(400, "unknown field response_format"), says("{}")]).await;
-    client(url, ReplayCache::Off).ask(&question("a")).await.unwrap();
+    chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap();
     let asked = script.asked.lock().unwrap();
     assert!(
         asked[0].1.get("response_format").is_some() && asked[1].1.get("response_format").is_none()
     );
 }
 
-fn reads_mug() -> Scripted {
+fn mug_parse_reply() -> Scripted {
     let relation = json!([{"kind": "on", "words": "on", "anchors": [{"noun": "coffee table"}]}]);
     says(&json!({"target": {"noun": "mug", "relations": relation}}).to_string())
 }
 
 #[tokio::test]
-async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
+async fn the_model_parses_questions_and_the_grammar_is_the_fallback() {
     let script = Script::default();
-    let url = script.serve(vec![reads_mug(), says("I would rather not."), fails(400, "no")]).await;
+    let url =
+        script.serve(vec![mug_parse_reply(), says("I would rather not."), fails(400, "no")]).await;
     let vlm = VlmConfig {
         vlm_url: Some(url),
         vlm_model: Some("scripted".into()),
@@ -149,7 +154,9 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
     let scene = server
-        .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
+        .upload_and_parse(
+            fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap(),
+        )
         .await;
     let with_model = |query: &str| GroundRequest {
         parser: ParserChoice::Vlm,
@@ -157,7 +164,7 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
         ..ask(query)
     };
 
-    // The words mean nothing to the grammar; the model has read them.
+    // The grammar cannot parse these words; the model can.
     let answer = server
         .client
         .ground(&scene.id, &with_model("der Becher auf dem Couchtisch"))
@@ -181,12 +188,15 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     );
     assert_eq!(answer.trace.as_ref().unwrap().calls[0].purpose, "parse");
     assert!(
-        answer.models.parser.starts_with("scripted") && plain.models.parser.starts_with("builtin")
+        answer.models.parser.starts_with("scripted") && plain.models.parser.starts_with("builtin"),
+        "{:?} {:?}",
+        answer.models,
+        plain.models
     );
     assert_eq!((plain.usage.vlm_calls, plain.usage.cost_usd), (0, 0.0));
 
-    // A refusal and an error: the grammar answers, and the trace says why. What was paid for is
-    // counted.
+    // After a refusal or an error the grammar parses the question, and the trace gives the reason.
+    // Paid tokens are counted.
     for (calls, expected) in [(1, "no JSON object"), (0, "400 Bad Request: no")] {
         let answer = server
             .client
@@ -198,7 +208,7 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
         let corrections = answer.trace.unwrap().corrections;
         assert!(corrections.len() == 1 && corrections[0].contains(expected), "{corrections:?}");
     }
-    // Nothing may be spent: nobody is asked.
+    // With a budget of zero the model is not called.
     let before = script.calls();
     let unpaid =
         GroundRequest { max_cost_usd: Some(0.0), ..with_model("the mug on the coffee table") };
@@ -208,7 +218,9 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
 
     let server = TestServer::start().await;
     let scene = server
-        .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
+        .upload_and_parse(
+            fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap(),
+        )
         .await;
     match server.client.ground(&scene.id, &with_model("the mug")).await {
         Err(ClientError::Problem(problem)) => {
@@ -219,12 +231,12 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     server.stop().await;
 }
 
-/// Left to itself the service reads by the grammar, and by the model where the grammar is in doubt
-/// and a model decides as well.
+/// In automatic mode the grammar parses; the model parses only where the grammar is unsure and a
+/// model also decides.
 #[tokio::test]
-async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
+async fn the_model_parses_questions_that_the_grammar_is_unsure_about() {
     let script = Script::default();
-    let url = script.serve(vec![reads_mug()]).await;
+    let url = script.serve(vec![mug_parse_reply()]).await;
     let vlm = VlmConfig {
         vlm_url: Some(url),
         vlm_model: Some("scripted".into()),
@@ -234,7 +246,9 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
     let scene = server
-        .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
+        .upload_and_parse(
+            fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap(),
+        )
         .await;
     let asked = async |request: GroundRequest| {
         let before = script.calls();
@@ -245,16 +259,16 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     let (plain, calls) = asked(builtin("the mug on the coffee table")).await;
     assert_eq!(calls, 0);
     let mug = plain.answer.predicted_id.unwrap();
-    let decides = || six_lines(mug, "", true, 1);
+    let decides = || six_field_reply(mug, "", true, 1);
 
-    // Every word is understood: the model decides and does not read.
+    // The grammar understands every word: the model decides but does not parse.
     script.next(vec![decides()]);
     let (answer, calls) = asked(ask("the mug on the coffee table")).await;
     assert!(calls == 1 && answer.models.parser.starts_with("builtin"), "{:?}", answer.models);
 
-    // In no language the grammar reads: the model reads first.
+    // The grammar does not know this language: the model parses first.
     let doubtful = "der Becher auf dem Couchtisch";
-    script.next(vec![reads_mug(), decides()]);
+    script.next(vec![mug_parse_reply(), decides()]);
     let (answer, calls) = asked(ask(doubtful)).await;
     let purposes: Vec<String> =
         answer.trace.as_ref().unwrap().calls.iter().map(|call| call.purpose.clone()).collect();
@@ -266,8 +280,7 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     );
     assert_eq!((answer.answer.predicted_id, answer.degraded), (Some(mug), false));
 
-    // What it says of the question is of no use: the grammar's reading stands, and no more is said
-    // than why.
+    // The model's parse is useless: the grammar's parse is used, and only the reason is reported.
     let mumbled = "the mug that frobnicates";
     script.next(vec![says("I would rather not."), decides()]);
     let (answer, calls) = asked(ask(mumbled)).await;
@@ -278,7 +291,8 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     );
     assert!(corrections.len() == 1 && corrections[0].contains("frobnicates"), "{corrections:?}");
 
-    // Who wants no model to decide, no money spent, or the grammar to read, gets none to read.
+    // The model does not parse if the request excludes a deciding model, any spending, or model
+    // parsing.
     let unpaid = GroundRequest { max_cost_usd: Some(0.0), ..ask(doubtful) };
     for request in [builtin(doubtful), unpaid] {
         let (answer, calls) = asked(request).await;
@@ -291,7 +305,7 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     server.stop().await;
 }
 
-fn eval(out: &Utf8Path, args: &[&str]) -> Output {
+fn run_eval(out: &Utf8Path, args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
     command
@@ -309,25 +323,27 @@ fn eval(out: &Utf8Path, args: &[&str]) -> Output {
 }
 
 #[test]
-fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
+fn a_recorded_evaluation_is_replayed_without_calls() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let script = Script::default();
-    let url = runtime.block_on(script.serve(vec![reads_mug()]));
+    let url = runtime.block_on(script.serve(vec![mug_parse_reply()]));
     let temporary = tempfile::tempdir().unwrap();
     let root = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
     let record = root.join("answers.jsonl");
     let model = ["--vlm-url", &url, "--vlm-model", "scripted", "--vlm-prompt-usd", "2"];
-    let recorded = eval(&root.join("a"), &[&model[..], &["--record", record.as_str()]].concat());
+    let recorded =
+        run_eval(&root.join("a"), &[&model[..], &["--record", record.as_str()]].concat());
     assert!(recorded.status.success(), "{}", String::from_utf8_lossy(&recorded.stderr));
     let calls = script.calls();
-    assert_eq!(calls, 19, "one call for each expression of one cell");
+    assert_eq!(calls, 19, "each expression of one cell is one call");
     assert!(!fs::read_to_string(&record).unwrap().contains("127.0.0.1"));
 
-    // Recorded once more: what is on the record is not paid for again.
-    eval(&root.join("b"), &[&model[..], &["--record", record.as_str()]].concat());
+    // A second recording does not pay again for recorded calls.
+    run_eval(&root.join("b"), &[&model[..], &["--record", record.as_str()]].concat());
     assert_eq!(script.calls(), calls);
-    // Replayed: no model, no address, the same figures.
-    let replayed = eval(&root.join("c"), &["--replay", record.as_str(), "--vlm-prompt-usd", "2"]);
+    // A replay needs no model and no address and gives the same figures.
+    let replayed =
+        run_eval(&root.join("c"), &["--replay", record.as_str(), "--vlm-prompt-usd", "2"]);
     assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
     assert_eq!(script.calls(), calls);
     let figures = |folder: &str| {
@@ -344,7 +360,7 @@ fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
         "{}",
         figures("c")
     );
-    // A question that is not on the record fails, and is told; it is no answer of the grammar's.
+    // A question that is not in the record fails with an error and is not answered by the grammar.
     fs::write(
         &record,
         fs::read_to_string(&record)
@@ -355,7 +371,7 @@ fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
             .collect::<String>(),
     )
     .unwrap();
-    let partly = eval(&root.join("d"), &["--replay", record.as_str()]);
+    let partly = run_eval(&root.join("d"), &["--replay", record.as_str()]);
     assert!(partly.status.success(), "{}", String::from_utf8_lossy(&partly.stderr));
     assert_eq!(figures("d")["failed"], 18, "{}", figures("d"));
     let told = String::from_utf8_lossy(&partly.stderr).into_owned();
@@ -364,10 +380,11 @@ fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
             && told.contains("the replay cache has no answer"),
         "{told}"
     );
-    // A record that is none is named by its line.
+    // An invalid record is reported with its line number.
     fs::write(&record, "{}\n{}\n").unwrap();
-    let broken = eval(&root.join("e"), &["--replay", record.as_str()]);
-    assert!(
-        String::from_utf8_lossy(&broken.stderr).contains("answers.jsonl:1: not a recorded answer")
+    let broken = run_eval(&root.join("e"), &["--replay", record.as_str()]);
+    assert_contains(
+        String::from_utf8_lossy(&broken.stderr),
+        "answers.jsonl:1: not a recorded answer",
     );
 }

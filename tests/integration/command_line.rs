@@ -1,9 +1,8 @@
-//! The command line for people in a hurry: a question without a server, scenes by their names,
-//! errors that end with what helps.
+//! The command line: questions without a server, scenes by name, and errors that say what to do.
 
-use crate::archives::Scan;
 use crate::scripted_model::{Script, fails};
-use crate::server::TestServer;
+use crate::test_scans::Scan;
+use crate::test_server::TestServer;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::Value;
 use std::fs;
@@ -11,7 +10,7 @@ use std::process::{Command, Output};
 use uniground::config::{LimitsConfig, VlmConfig};
 
 const ROOM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip");
-/// Everything that the program can be told to do.
+/// All subcommands of the program.
 const SUBCOMMANDS: [&str; 18] = [
     "serve",
     "demo",
@@ -33,10 +32,10 @@ const SUBCOMMANDS: [&str; 18] = [
     "man",
 ];
 
-/// A folder to work in, and what a user's shell would say of it.
-struct Desk(tempfile::TempDir);
+/// A working directory with an isolated home and environment.
+struct WorkDir(tempfile::TempDir);
 
-impl Desk {
+impl WorkDir {
     fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
@@ -67,64 +66,64 @@ impl Desk {
         self.program(args).output().unwrap()
     }
 
-    /// Off the threads that serve: a server of the same process has to answer.
+    /// Runs the program off the async threads, because the server in this process has to answer it.
     async fn ask(&self, args: &[&str]) -> Output {
         let mut program = self.program(args);
         tokio::task::spawn_blocking(move || program.output()).await.unwrap().unwrap()
     }
 }
 
-fn out(output: &Output) -> String {
+fn stdout_text(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-fn err(output: &Output) -> String {
+fn stderr_text(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
 #[track_caller]
-fn json(output: &Output) -> Value {
-    assert!(output.status.success(), "{}", err(output));
+fn stdout_json(output: &Output) -> Value {
+    assert!(output.status.success(), "{}", stderr_text(output));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
 #[test]
-fn a_scan_on_the_disk_is_asked_about_without_a_server_and_parsed_once() {
-    let desk = Desk::new();
-    let ask = |question: &str| desk.run(&["ground", ROOM, question, "--json"]);
+fn a_local_scan_is_queried_without_a_server_and_parsed_once() {
+    let dir = WorkDir::new();
+    let ask = |question: &str| dir.run(&["ground", ROOM, question, "--json"]);
     let first = ask("the mug on the coffee table");
-    let answer = json(&first);
+    let answer = stdout_json(&first);
     assert_eq!(
         (&answer["status"], &answer["answer"]["relation_used"]),
         (&"grounded".into(), &"on the coffee table".into())
     );
     assert!(answer["box"]["center"].is_array() && answer.get("evidence").is_none(), "{answer}");
-    assert!(err(&first).contains("parsed in "), "{}", err(&first));
+    assert!(stderr_text(&first).contains("parsed in "), "{}", stderr_text(&first));
     let again = ask("the orange stool");
-    assert_eq!(json(&again)["scene_id"], answer["scene_id"]);
-    assert_eq!(err(&again), "", "nothing is left to do");
-    assert!(desk.path().join("cache/uniground/blobs/parses").is_dir());
+    assert_eq!(stdout_json(&again)["scene_id"], answer["scene_id"]);
+    assert_eq!(stderr_text(&again), "", "the second run must not parse again");
+    assert!(dir.path().join("cache/uniground/blobs/parses").is_dir());
 }
 
 #[test]
-fn folders_and_clouds_are_asked_about_as_well() {
-    let desk = Desk::new();
-    let room = desk.path().join("my room");
+fn local_folders_and_clouds_can_be_queried() {
+    let dir = WorkDir::new();
+    let room = dir.path().join("my room");
     for (name, content) in &Scan::neutral().0 {
         let path = room.join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, content).unwrap();
     }
     let first =
-        desk.run(&["ground", "my room", "the red sofa", "--cache", "kept", "--observer=-2,0,90"]);
+        dir.run(&["ground", "my room", "the red sofa", "--cache", "kept", "--observer=-2,0,90"]);
     assert!(
-        first.status.success() && out(&first).contains("grounded"),
+        first.status.success() && stdout_text(&first).contains("grounded"),
         "{}{}",
-        out(&first),
-        err(&first)
+        stdout_text(&first),
+        stderr_text(&first)
     );
-    assert!(err(&first).contains("cached in kept"), "{}", err(&first));
-    let again = json(&desk.run(&[
+    assert!(stderr_text(&first).contains("cached in kept"), "{}", stderr_text(&first));
+    let again = stdout_json(&dir.run(&[
         "ground",
         "my room",
         "the red sofa",
@@ -134,8 +133,8 @@ fn folders_and_clouds_are_asked_about_as_well() {
         "--json",
     ]));
     assert_eq!(again["direction_convention"], "observer");
-    let cloud = desk.put("hall.ply", &Scan::cloud_only().0["cloud.ply"]);
-    let answer = json(&desk.run(&[
+    let cloud = dir.put("hall.ply", &Scan::cloud_only().0["cloud.ply"]);
+    let answer = stdout_json(&dir.run(&[
         "ground",
         cloud.as_str(),
         "the red sofa",
@@ -151,9 +150,9 @@ fn folders_and_clouds_are_asked_about_as_well() {
 }
 
 #[test]
-fn what_does_not_go_together_is_wrong_usage() {
-    let desk = Desk::new();
-    let room = desk.put("room.zip", &Scan::neutral().zip());
+fn conflicting_options_are_usage_errors() {
+    let dir = WorkDir::new();
+    let room = dir.put("room.zip", &Scan::neutral().zip());
     let cases: [(&[&str], &str); 8] = [
         (&["ground"], "<QUESTION>"),
         (&["ground", "the mug"], "ground SCAN QUESTION"),
@@ -168,46 +167,48 @@ fn what_does_not_go_together_is_wrong_usage() {
         (&["ground", "room.zip", "the mug", "--frame", "map"], "--frame map cannot be used"),
     ];
     for (args, told) in cases {
-        let refused = desk.run(args);
-        assert_eq!(refused.status.code(), Some(2), "{args:?}: {}", err(&refused));
-        assert!(err(&refused).contains(told), "{args:?}: {}", err(&refused));
+        let refused = dir.run(args);
+        assert_eq!(refused.status.code(), Some(2), "{args:?}: {}", stderr_text(&refused));
+        assert!(stderr_text(&refused).contains(told), "{args:?}: {}", stderr_text(&refused));
     }
-    assert!(room.exists() && !desk.path().join("cache").exists(), "nothing was begun");
+    assert!(
+        room.exists() && !dir.path().join("cache").exists(),
+        "a usage error must not start anything"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_scan_is_uploaded_listed_and_asked_about_by_its_name() {
-    let (server, desk) = (TestServer::start().await, Desk::new());
+async fn a_scene_can_be_uploaded_listed_and_queried_by_name() {
+    let (server, dir) = (TestServer::start().await, WorkDir::new());
     let url = server.url();
-    desk.put("Living Room.zip", &Scan::neutral().zip());
-    let none = desk.ask(&["scenes", "--server", &url]).await;
+    dir.put("Living Room.zip", &Scan::neutral().zip());
+    let none = dir.ask(&["scenes", "--server", &url]).await;
     assert!(
         none.status.success()
-            && out(&none).is_empty()
-            && err(&none).contains("uniground upload SCAN"),
+            && stdout_text(&none).is_empty()
+            && stderr_text(&none).contains("uniground upload SCAN"),
         "{}",
-        err(&none)
+        stderr_text(&none)
     );
-    let uploaded = desk.ask(&["upload", "Living Room.zip", "--server", &url]).await;
-    assert!(uploaded.status.success(), "{}", err(&uploaded));
-    let id = out(&uploaded).trim().to_owned();
+    let uploaded = dir.ask(&["upload", "Living Room.zip", "--server", &url]).await;
+    assert!(uploaded.status.success(), "{}", stderr_text(&uploaded));
+    let id = stdout_text(&uploaded).trim().to_owned();
     let next = format!("uniground ground --scene 'Living Room' --server {url} ");
     assert!(
-        err(&uploaded).contains("parsed in ") && err(&uploaded).contains(&next),
+        stderr_text(&uploaded).contains("parsed in ") && stderr_text(&uploaded).contains(&next),
         "{}",
-        err(&uploaded)
+        stderr_text(&uploaded)
     );
-    let listed = out(&desk.ask(&["scenes", "--server", &url]).await);
+    let listed = stdout_text(&dir.ask(&["scenes", "--server", &url]).await);
     assert!(
         listed.contains(&id) && listed.contains("Living Room") && listed.contains("ready"),
         "{listed}"
     );
-    let listed = json(&desk.ask(&["scenes", "--server", &url, "--json"]).await);
+    let listed = stdout_json(&dir.ask(&["scenes", "--server", &url, "--json"]).await);
     assert_eq!((&listed[0]["id"], &listed[0]["name"]), (&id.clone().into(), &"Living Room".into()));
     for scene in ["Living Room", "living", &id, &id[..14]] {
-        let answer = json(
-            &desk
-                .ask(&["ground", "--scene", scene, "the red sofa", "--server", &url, "--json"])
+        let answer = stdout_json(
+            &dir.ask(&["ground", "--scene", scene, "the red sofa", "--server", &url, "--json"])
                 .await,
         );
         assert_eq!(
@@ -216,8 +217,8 @@ async fn a_scan_is_uploaded_listed_and_asked_about_by_its_name() {
             "{scene}"
         );
     }
-    let questions = desk.put("questions.txt", b"the red sofa\n");
-    let batch = desk
+    let questions = dir.put("questions.txt", b"the red sofa\n");
+    let batch = dir
         .ask(&[
             "batch",
             "run",
@@ -231,26 +232,26 @@ async fn a_scan_is_uploaded_listed_and_asked_about_by_its_name() {
             &url,
         ])
         .await;
-    assert_eq!(json(&batch)["done"], 1);
+    assert_eq!(stdout_json(&batch)["done"], 1);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_scene_that_nobody_or_several_are_called_is_told_with_what_there_is() {
-    let (server, desk) = (TestServer::start().await, Desk::new());
+async fn an_unknown_or_ambiguous_scene_name_lists_the_candidates() {
+    let (server, dir) = (TestServer::start().await, WorkDir::new());
     let url = server.url();
-    let scan = desk.put("hall.zip", &Scan::neutral().zip());
+    let scan = dir.put("hall.zip", &Scan::neutral().zip());
     let mut ids = Vec::new();
     for name in ["hall downstairs", "hall upstairs", "kitchen"] {
-        let uploaded = json(
-            &desk.ask(&["upload", scan.as_str(), "--name", name, "--server", &url, "--json"]).await,
+        let uploaded = stdout_json(
+            &dir.ask(&["upload", scan.as_str(), "--name", name, "--server", &url, "--json"]).await,
         );
         ids.push(uploaded["id"].as_str().unwrap().to_owned());
     }
     let ask = async |scene: &str| {
-        let refused = desk.ask(&["ground", "--scene", scene, "the sofa", "--server", &url]).await;
+        let refused = dir.ask(&["ground", "--scene", scene, "the sofa", "--server", &url]).await;
         assert_eq!(refused.status.code(), Some(1));
-        err(&refused)
+        stderr_text(&refused)
     };
     let several = ask("hall").await;
     assert!(
@@ -272,19 +273,25 @@ async fn a_scene_that_nobody_or_several_are_called_is_told_with_what_there_is() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nobody_has_to_wait_for_a_parse_and_everybody_may() {
-    let (server, desk) = (TestServer::start().await, Desk::new());
+async fn uploads_return_at_once_unless_wait_is_given() {
+    let (server, dir) = (TestServer::start().await, WorkDir::new());
     let url = server.url();
-    let uploaded = desk.ask(&["upload", ROOM, "--no-wait", "--server", &url]).await;
+    let uploaded = dir.ask(&["upload", ROOM, "--no-wait", "--server", &url]).await;
     assert!(
         uploaded.status.success()
-            && err(&uploaded).contains("--scene living_room")
-            && err(&uploaded).contains("--wait")
+            && stderr_text(&uploaded).contains("--scene living_room")
+            && stderr_text(&uploaded).contains("--wait"),
+        "{}",
+        stderr_text(&uploaded)
     );
     let early =
-        desk.ask(&["ground", "--scene", "living_room", "the orange stool", "--server", &url]).await;
-    assert!(!early.status.success() && err(&early).contains("--wait waits"), "{}", err(&early));
-    let waited = desk
+        dir.ask(&["ground", "--scene", "living_room", "the orange stool", "--server", &url]).await;
+    assert!(
+        !early.status.success() && stderr_text(&early).contains("--wait waits"),
+        "{}",
+        stderr_text(&early)
+    );
+    let waited = dir
         .ask(&[
             "ground",
             "--scene",
@@ -296,71 +303,75 @@ async fn nobody_has_to_wait_for_a_parse_and_everybody_may() {
             "--json",
         ])
         .await;
-    assert_eq!(json(&waited)["status"], "grounded");
+    assert_eq!(stdout_json(&waited)["status"], "grounded");
     server.stop().await;
 }
 
-/// Every error that people meet first ends with what to do.
+/// Every common error ends with what to do.
 #[tokio::test(flavor = "multi_thread")]
-async fn errors_end_with_what_helps() {
-    let desk = Desk::new();
-    let away = desk.ask(&["scenes", "--server", "http://user:password@127.0.0.1:9"]).await;
+async fn errors_end_with_what_to_do() {
+    let dir = WorkDir::new();
+    let away = dir.ask(&["scenes", "--server", "http://user:password@127.0.0.1:9"]).await;
     assert_eq!(away.status.code(), Some(1));
     assert!(
-        err(&away).starts_with("uniground: cannot connect to the server at http://127.0.0.1:9: "),
+        stderr_text(&away).starts_with("uniground: cannot connect to the server at http://127.0.0.1:9: "),
         "{}",
-        err(&away)
+        stderr_text(&away)
     );
     assert!(
-        err(&away).contains("`uniground serve`")
-            && err(&away).contains("--server, or UNIGROUND_SERVER"),
+        stderr_text(&away).contains("`uniground serve`")
+            && stderr_text(&away).contains("--server, or UNIGROUND_SERVER"),
         "{}",
-        err(&away)
+        stderr_text(&away)
     );
-    assert!(!err(&away).contains("password"), "{}", err(&away));
+    assert!(!stderr_text(&away).contains("password"), "{}", stderr_text(&away));
 
     let server = TestServer::start().await;
     let url = server.url();
-    desk.put("notes.zip", b"these are notes");
-    desk.put("broken.zip", &Scan::neutral().without("pose/3.txt").zip());
+    dir.put("notes.zip", b"these are notes");
+    dir.put("broken.zip", &Scan::neutral().without("pose/3.txt").zip());
     for (scan, told) in [("notes.zip", "archive_unreadable"), ("broken.zip", "pose/3.txt")] {
         for args in [&["upload", scan, "--server", &url][..], &["ground", scan, "the sofa"]] {
-            let refused = desk.ask(args).await;
+            let refused = dir.ask(args).await;
             assert_eq!(refused.status.code(), Some(1), "{args:?}");
             let help = format!("`uniground import {scan} --check`");
             assert!(
-                err(&refused).contains(told)
-                    && err(&refused).lines().last().unwrap().contains(&help),
+                stderr_text(&refused).contains(told)
+                    && stderr_text(&refused).lines().last().unwrap().contains(&help),
                 "{args:?}: {}",
-                err(&refused)
+                stderr_text(&refused)
             );
         }
     }
-    let refused = desk.ask(&["parse", "broken.zip"]).await;
-    assert!(err(&refused).contains("`uniground import broken.zip --check`"), "{}", err(&refused));
-    server.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_key_that_is_missing_is_asked_for() {
-    let (server, desk) = (TestServer::start().await, Desk::new());
-    let url = server.url();
-    let made = desk.ask(&["key", "create", "boss", "--scope", "admin", "--server", &url]).await;
-    assert!(made.status.success(), "{}", err(&made));
-    let refused = desk.ask(&["scenes", "--server", &url]).await;
+    let refused = dir.ask(&["parse", "broken.zip"]).await;
     assert!(
-        !refused.status.success()
-            && err(&refused).lines().last().unwrap().contains("UNIGROUND_API_KEY"),
+        stderr_text(&refused).contains("`uniground import broken.zip --check`"),
         "{}",
-        err(&refused)
+        stderr_text(&refused)
     );
     server.stop().await;
 }
 
-/// A model that was to decide and did not is no small print.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_answer_without_its_model_says_so() {
-    let (script, desk) = (Script::default(), Desk::new());
+async fn a_missing_api_key_is_reported_with_the_variable_to_set() {
+    let (server, dir) = (TestServer::start().await, WorkDir::new());
+    let url = server.url();
+    let made = dir.ask(&["key", "create", "boss", "--scope", "admin", "--server", &url]).await;
+    assert!(made.status.success(), "{}", stderr_text(&made));
+    let refused = dir.ask(&["scenes", "--server", &url]).await;
+    assert!(
+        !refused.status.success()
+            && stderr_text(&refused).lines().last().unwrap().contains("UNIGROUND_API_KEY"),
+        "{}",
+        stderr_text(&refused)
+    );
+    server.stop().await;
+}
+
+/// The output says so prominently when the model was requested but did not decide.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_without_the_requested_model_says_so() {
+    let (script, dir) = (Script::default(), WorkDir::new());
     let vlm_url = Some(script.serve(vec![fails(500, "out of order")]).await);
     let vlm = VlmConfig {
         vlm_url,
@@ -370,12 +381,12 @@ async fn an_answer_without_its_model_says_so() {
         ..VlmConfig::default()
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let answer =
-        desk.ask(&["ground", "--scene", &scene, "the red sofa", "--server", &server.url()]).await;
-    assert!(answer.status.success(), "{}", err(&answer));
-    let told = out(&answer);
-    // Words alone where no terminal shows colours.
+        dir.ask(&["ground", "--scene", &scene, "the red sofa", "--server", &server.url()]).await;
+    assert!(answer.status.success(), "{}", stderr_text(&answer));
+    let told = stdout_text(&answer);
+    // Output that is not a terminal has no color codes.
     assert!(
         told.contains("\nDEGRADED: a model could not be used") && !told.contains('\u{1b}'),
         "{told}"
@@ -384,22 +395,22 @@ async fn an_answer_without_its_model_says_so() {
 }
 
 #[test]
-fn shells_complete_every_subcommand() {
-    let desk = Desk::new();
+fn shell_completions_contain_every_subcommand() {
+    let dir = WorkDir::new();
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
-        let script = desk.run(&["completions", shell]);
-        assert!(script.status.success() && script.stderr.is_empty(), "{}", err(&script));
-        let script = out(&script);
+        let script = dir.run(&["completions", shell]);
+        assert!(script.status.success() && script.stderr.is_empty(), "{}", stderr_text(&script));
+        let script = stdout_text(&script);
         for subcommand in SUBCOMMANDS {
-            assert!(script.contains(subcommand), "{shell} knows no {subcommand}");
+            assert!(script.contains(subcommand), "{shell} does not complete {subcommand}");
         }
     }
 }
 
 #[test]
 fn the_manual_has_a_page_for_every_subcommand() {
-    let desk = Desk::new();
-    let first = out(&desk.run(&["man"]));
+    let dir = WorkDir::new();
+    let first = stdout_text(&dir.run(&["man"]));
     assert!(first.contains(".TH uniground 1"), "{first}");
     for subcommand in SUBCOMMANDS {
         assert!(
@@ -407,38 +418,43 @@ fn the_manual_has_a_page_for_every_subcommand() {
             "{subcommand} is not in {first}"
         );
     }
-    assert!(desk.run(&["man", "--out", "pages"]).status.success());
+    assert!(dir.run(&["man", "--out", "pages"]).status.success());
     for subcommand in SUBCOMMANDS {
-        let page = fs::read_to_string(desk.path().join(format!("pages/uniground-{subcommand}.1")))
-            .unwrap();
+        let page =
+            fs::read_to_string(dir.path().join(format!("pages/uniground-{subcommand}.1"))).unwrap();
         assert!(page.contains(".TH") && page.contains(subcommand), "{page}");
     }
 }
 
-/// What keeps a data folder can be read by a script.
+/// Commands that maintain a data folder can print JSON.
 #[tokio::test]
-async fn the_keepers_of_a_data_folder_speak_json() {
+async fn maintenance_commands_print_json() {
     let server = TestServer::start().await;
-    server.parsed(Scan::neutral().zip()).await;
-    let (data, desk) = (server.give_back().await, Desk::new());
+    server.upload_and_parse(Scan::neutral().zip()).await;
+    let (data, dir) = (server.stop_and_keep_data().await, WorkDir::new());
     let folder = Utf8Path::from_path(data.path()).unwrap().as_str();
-    let found = json(&desk.run(&["doctor", "--data-dir", folder, "--json"]));
+    let found = stdout_json(&dir.run(&["doctor", "--data-dir", folder, "--json"]));
     assert_eq!(
         (&found["is_whole"], found["findings"].as_array().map(Vec::len)),
         (&true.into(), Some(0))
     );
-    let backup = json(&desk.run(&["backup", "copy", "--data-dir", folder, "--json"]));
+    let backup = stdout_json(&dir.run(&["backup", "copy", "--data-dir", folder, "--json"]));
     assert_eq!((&backup["scenes"], &backup["left_out"]), (&1.into(), &Value::Array(Vec::new())));
-    let restored = json(&desk.run(&["restore", "copy", "--data-dir", "restored", "--json"]));
+    let restored = stdout_json(&dir.run(&["restore", "copy", "--data-dir", "restored", "--json"]));
     assert_eq!((&restored["scenes"], &restored["restored_to"]), (&1.into(), &"restored".into()));
-    fs::create_dir_all(desk.path().join("restored/blobs/answers/stranger")).unwrap();
-    let ill = desk.run(&["doctor", "--data-dir", "restored", "--json"]);
-    assert!(!ill.status.success());
+    fs::create_dir_all(dir.path().join("restored/blobs/answers/stranger")).unwrap();
+    let ill = dir.run(&["doctor", "--data-dir", "restored", "--json"]);
+    assert!(!ill.status.success(), "{}", stderr_text(&ill));
     let found: Value = serde_json::from_slice(&ill.stdout).unwrap();
     assert_eq!(
         (&found["is_whole"], &found["findings"][0]["trouble"]),
         (&false.into(), &"unclaimed folder".into())
     );
-    let refused = desk.run(&["backup", "-", "--data-dir", folder, "--json"]);
-    assert!(!refused.status.success() && refused.stdout.is_empty());
+    let refused = dir.run(&["backup", "-", "--data-dir", folder, "--json"]);
+    assert!(
+        !refused.status.success() && refused.stdout.is_empty(),
+        "{}{}",
+        stdout_text(&refused),
+        stderr_text(&refused)
+    );
 }

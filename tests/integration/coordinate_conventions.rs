@@ -1,9 +1,12 @@
-//! The same room written down under other conventions is the same room.
+//! The same room in different coordinate conventions gives the same scene.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, parsed};
+use crate::shared_scenes::shared_scene;
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, ask, upload_and_parse};
 use nalgebra::{Matrix4, Vector4};
+use std::fs;
 use uniground_core::geometry::up_axis::UpAxis;
+use uniground_core::grounding::Status;
 
 /// Rewrites every pose of the test room.
 fn with_poses(scan: Scan, rewrite: impl Fn(Matrix4<f32>) -> Matrix4<f32>) -> Scan {
@@ -18,8 +21,8 @@ fn with_poses(scan: Scan, rewrite: impl Fn(Matrix4<f32>) -> Matrix4<f32>) -> Sca
     })
 }
 
+/// Maps (x, y, z) to (x, z, -y).
 fn z_to_y_up() -> Matrix4<f32> {
-    // (x, y, z) -> (x, z, -y)
     Matrix4::new(1., 0., 0., 0., 0., 0., 1., 0., 0., -1., 0., 0., 0., 0., 0., 1.)
 }
 
@@ -28,9 +31,9 @@ fn opencv_to_opengl() -> Matrix4<f32> {
 }
 
 #[tokio::test]
-async fn axes_directions_and_units_are_only_a_matter_of_writing() {
+async fn declared_and_detected_conventions_give_the_same_scene() {
     let server = TestServer::start().await;
-    let reference = server.parsed(Scan::neutral().zip()).await;
+    let reference = server.upload_and_parse(Scan::neutral().zip()).await;
     let sofa =
         server.client.ground(&reference.id, &ask("the red sofa")).await.unwrap().aabb.unwrap();
     let y_up = |scan| with_poses(scan, |pose| z_to_y_up() * pose);
@@ -61,11 +64,63 @@ async fn axes_directions_and_units_are_only_a_matter_of_writing() {
             UpAxis::Z,
         ),
     ] {
-        let scene = parsed(&server.client, "application/zip", scan.zip()).await;
+        let scene = upload_and_parse(&server.client, "application/zip", scan.zip()).await;
         assert_eq!(scene.import.unwrap().up, up, "{what}");
         let found = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
         let found = found.aabb.unwrap_or_else(|| panic!("{what}: {found:?}"));
         assert!(found.iou(&sofa) > 0.9, "{what}: {found:?} instead of {sofa:?}");
     }
     server.stop().await;
+}
+
+/// Inverted poses are detected and read correctly, with a warning that names them, with and without
+/// a cloud.
+#[tokio::test]
+async fn inverted_poses_are_detected_and_corrected() {
+    let server = TestServer::start().await;
+    for scan in
+        [Scan::frames_only().with("cloud.ply", crate::test_scans::cloud()), Scan::frames_only()]
+    {
+        let import = server
+            .upload_and_parse(with_poses(scan, |pose| pose.try_inverse().unwrap()).zip())
+            .await
+            .import
+            .unwrap();
+        assert!(
+            import.warnings.iter().any(|w| w.contains("world_to_camera")),
+            "{:?}",
+            import.warnings
+        );
+        assert!(import.reprojection_agreement.unwrap() > 0.6, "{import:?}");
+    }
+    server.stop().await;
+}
+
+/// Real scans without an up axis are leveled by their cameras.
+#[tokio::test]
+async fn real_scans_are_leveled() {
+    for (name, up) in [("redkitchen.zip", UpAxis::NegY), ("hololens.zip", UpAxis::Y)] {
+        let Some(folder) = shared_scene(name) else { return };
+        let server = TestServer::start().await;
+        let scene = upload_and_parse(
+            &server.client,
+            "application/zip",
+            fs::read(folder.join(name)).unwrap(),
+        )
+        .await;
+        let import = scene.import.unwrap();
+        println!(
+            "{name}: up {}, agreement {:?}, {:?}",
+            import.up.name(),
+            import.reprojection_agreement,
+            scene.counts.unwrap()
+        );
+        assert_eq!(import.up, up, "{name}");
+        assert!(import.reprojection_agreement.unwrap() > 0.4, "{name}: {import:?}");
+        // A room is a few meters high, whatever its length.
+        assert!((1.0..6.0).contains(&scene.extent.unwrap().size.z), "{name}: {:?}", scene.extent);
+        let answer = server.client.ground(&scene.id, &ask("the theremin")).await.unwrap();
+        assert_eq!(answer.status, Status::NoMatch);
+        server.stop().await;
+    }
 }

@@ -1,7 +1,7 @@
-//! What people say of a parse that is wrong.
+//! Corrections of a parse by people.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, ask, expect_problem};
 use serde_json::json;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_core::geometry::boxes::Aabb;
@@ -12,9 +12,9 @@ use uniground_types::corrections::Change;
 use uniground_types::instances::Levels;
 
 #[tokio::test]
-async fn answers_know_what_people_have_said() {
+async fn answers_use_corrections() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     let chosen = async |query: &str| client.ground(&scene.id, &ask(query)).await.unwrap();
     let before = chosen("the red sofa").await;
@@ -50,14 +50,17 @@ async fn answers_know_what_people_have_said() {
         truth["objects"].as_array().unwrap().iter().find(|o| o["id"] == sofa.0).unwrap().clone();
     assert_eq!((entry["name"].as_str(), entry["corrected"].as_bool()), (Some(name), Some(true)));
 
-    // Junk: neither answer nor anchor, and not in the lists.
+    // A dismissed instance is neither an answer nor an anchor and is missing from lists.
     let junk =
         client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![bin] }).await.unwrap();
     let answer = chosen("the green trash can").await;
     assert_ne!(answer.answer.predicted_id, Some(bin), "{answer:?}");
-    assert!(answer.candidates.unwrap().iter().all(|c| c.id != bin));
+    assert!(
+        answer.candidates.unwrap().iter().all(|c| c.id != bin),
+        "the dismissed instance is a candidate"
+    );
     let listed = client.all_instances(&scene.id, Levels::Things).await.unwrap();
-    assert!(listed.iter().all(|i| i.id != bin && !i.dismissed));
+    assert!(listed.iter().all(|i| i.id != bin && !i.dismissed), "the dismissed instance is listed");
     assert!(
         client
             .all_instances(&scene.id, Levels::All)
@@ -67,7 +70,7 @@ async fn answers_know_what_people_have_said() {
             .any(|i| i.id == bin && i.dismissed)
     );
 
-    // Taken back, all is as it was; what was said stays readable.
+    // Undoing restores the earlier state; the corrections stay readable.
     for correction in [&junk, &renamed] {
         assert!(
             client.undo_correction(&scene.id, &correction.id).await.unwrap().undone_at.is_some()
@@ -85,9 +88,9 @@ async fn answers_know_what_people_have_said() {
 }
 
 #[tokio::test]
-async fn things_that_are_one_become_one() {
+async fn instances_can_be_merged() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     let id_of = async |query: &str| {
         client.ground(&scene.id, &ask(query)).await.unwrap().answer.predicted_id.unwrap()
@@ -116,15 +119,15 @@ async fn things_that_are_one_become_one() {
     let view = answer.candidates.unwrap().into_iter().find(|c| c.id == made).unwrap().view.unwrap();
     assert!(
         image::load_from_memory(&client.bytes(&view).await.unwrap()).is_ok(),
-        "it is drawn when it is looked at"
+        "the picture is rendered on request"
     );
 
-    let refused = problem(client.correct(&scene.id, &Change::Split { instance_id: made }).await);
+    let refused =
+        expect_problem(client.correct(&scene.id, &Change::Split { instance_id: made }).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "was_merged"));
 
-    // What it was made of is no thing of its own any more, and what stands on it is not taken away
-    // from under it.
-    let refused = problem(
+    // The merged instances are no longer listed, and what stands on them keeps its support.
+    let refused = expect_problem(
         client
             .correct(&scene.id, &Change::Merge { instance_ids: vec![sofa, made], name: None })
             .await,
@@ -144,7 +147,7 @@ async fn things_that_are_one_become_one() {
     let all = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     let larger_one = all.iter().find(|i| Some(i.id) == larger.made).unwrap();
     assert_eq!(larger_one.point_count, one.point_count + of(bin).point_count);
-    let refused = problem(client.undo_correction(&scene.id, &merged.id).await);
+    let refused = expect_problem(client.undo_correction(&scene.id, &merged.id).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "correction_in_use"), "{refused:?}");
     for correction in [&larger, &merged] {
         client.undo_correction(&scene.id, &correction.id).await.unwrap();
@@ -154,9 +157,9 @@ async fn things_that_are_one_become_one() {
         before.into_iter().filter(|i| i.level == Level::Thing).collect::<Vec<_>>()
     );
 
-    // It outlives the server.
+    // Corrections survive a restart.
     let again = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
-    let data = server.give_back().await;
+    let data = server.stop_and_keep_data().await;
     let server = TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -170,9 +173,9 @@ async fn things_that_are_one_become_one() {
 }
 
 #[tokio::test]
-async fn a_thing_that_is_several_leaves_its_parts() {
+async fn an_instance_can_be_split_into_its_parts() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let before = client.all_instances(&scene.id, Levels::All).await.unwrap();
     let parts_of = |id: InstanceId| {
@@ -184,7 +187,7 @@ async fn a_thing_that_is_several_leaves_its_parts() {
     let several = before
         .iter()
         .find(|i| parts_of(i.id).len() >= 2)
-        .expect("something in the living room has two parts");
+        .expect("no instance of the living room has two parts");
     let parts: Vec<InstanceId> = parts_of(several.id).iter().map(|part| part.id).collect();
     let split =
         client.correct(&scene.id, &Change::Split { instance_id: several.id }).await.unwrap();
@@ -193,7 +196,7 @@ async fn a_thing_that_is_several_leaves_its_parts() {
         things.iter().all(|i| i.id != several.id)
             && parts.iter().all(|part| things.iter().any(|i| i.id == *part))
     );
-    // Two of the parts may be one thing; of parts only their boxes are known.
+    // Two of the parts may belong together; parts have boxes only.
     let merge = Change::Merge { instance_ids: parts[..2].to_vec(), name: None };
     let made = client.correct(&scene.id, &merge).await.unwrap();
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
@@ -210,8 +213,8 @@ async fn a_thing_that_is_several_leaves_its_parts() {
         one.point_count > 0 && one.raw_box.shared_volume(&around) > 0.99 * one.raw_box.volume(),
         "{one:?} {around:?}"
     );
-    let refused = problem(client.undo_correction(&scene.id, &split.id).await);
-    assert_eq!(refused.code, "correction_in_use", "the merge is of its parts");
+    let refused = expect_problem(client.undo_correction(&scene.id, &split.id).await);
+    assert_eq!(refused.code, "correction_in_use", "the merge refers to the parts");
     for correction in [&made, &split] {
         client.undo_correction(&scene.id, &correction.id).await.unwrap();
     }
@@ -221,12 +224,12 @@ async fn a_thing_that_is_several_leaves_its_parts() {
 }
 
 #[tokio::test]
-async fn what_can_not_be_corrected_is_told() {
+async fn invalid_corrections_are_refused() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let refused = async |change: serde_json::Value| {
         let change: Change = serde_json::from_value(change).unwrap();
-        let problem = problem(server.client.correct(&scene.id, &change).await);
+        let problem = expect_problem(server.client.correct(&scene.id, &change).await);
         (problem.status, problem.code)
     };
     let unknown = |status, code: &str| (status, code.to_owned());
@@ -263,7 +266,7 @@ async fn what_can_not_be_corrected_is_told() {
         refused(json!({"kind": "split", "instance_id": without_parts.id})).await,
         unknown(409, "no_parts")
     );
-    let gone = problem(
+    let gone = expect_problem(
         server.client.undo_correction(&scene.id, "01a1ff70-0000-7000-8000-000000000001").await,
     );
     assert_eq!((gone.status, gone.code.as_str()), (404, "correction_not_found"));
@@ -271,9 +274,9 @@ async fn what_can_not_be_corrected_is_told() {
 }
 
 #[tokio::test]
-async fn ground_truth_is_read_by_the_evaluation() {
+async fn exported_ground_truth_is_readable_by_the_evaluation() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let sofa = server
         .client
         .ground(&scene.id, &ask("the red sofa"))
@@ -307,6 +310,6 @@ async fn ground_truth_is_read_by_the_evaluation() {
         .find(|i| i.id == sofa)
         .unwrap();
     assert_eq!(read.name, "red sofa");
-    assert!(read.aabb.iou(&told.aabb) > 0.999);
+    assert!(read.aabb.iou(&told.aabb) > 0.999, "{:?} {:?}", read.aabb, told.aabb);
     server.stop().await;
 }

@@ -1,9 +1,12 @@
-//! A store that moves to another folder and another database, and back: whoever asks can not tell.
+//! Migration of a data folder to another folder and another database, and back. Clients see no
+//! difference.
 
-use crate::archives::Scan;
 use crate::scripted_model::Script;
-use crate::server::{Process, command, finished, location, rows};
-use crate::vlm::six_lines;
+use crate::test_scans::Scan;
+use crate::test_server::{
+    Process, assert_contains, database_location, open_database, serve_command, wait_for_job,
+};
+use crate::vlm::six_field_reply;
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::{Method, RequestBuilder, StatusCode};
 use serde_json::{Value, json};
@@ -21,19 +24,20 @@ use uniground_types::keys::{NewKey, Scope};
 use uniground_types::scenes::SceneStatus;
 use uniground_types::uploads::Upload;
 
-/// Of the operator: all servers of a test have it.
+/// The operator's key, which all servers of a test accept.
 const KEY: &str = "a key of the operator's";
 const SQLITE: &str = "sqlite";
 
-/// Folders side by side, and a model that every server on them asks.
-struct House {
+/// Data folders and a model that every server on them calls.
+struct TestFolders {
     root: tempfile::TempDir,
     model: String,
 }
 
-impl House {
+impl TestFolders {
     async fn new() -> Self {
-        let model = Script::default().serve(vec![six_lines(2, "2 -> red sofa", true, 4)]).await;
+        let model =
+            Script::default().serve(vec![six_field_reply(2, "2 -> red sofa", true, 4)]).await;
         Self { root: tempfile::tempdir().unwrap(), model }
     }
 
@@ -42,7 +46,7 @@ impl House {
     }
 
     fn server(&self, data: &Utf8Path, database: &str) -> Server {
-        let mut command = command(data, "127.0.0.1:0");
+        let mut command = serve_command(data, "127.0.0.1:0");
         command
             .args(["--vlm-url", &self.model, "--vlm-model", "scripted", "--vlm-prompt-usd", "2"])
             .envs([
@@ -50,7 +54,7 @@ impl House {
                 ("UNIGROUND_API_KEY", KEY),
                 ("UNIGROUND_BLOBS", "folder"),
             ]);
-        let process = Process::started(command.stderr(Stdio::null()));
+        let process = Process::spawn(command.stderr(Stdio::null()));
         let url = process.client.request(Method::GET, "").build().unwrap().url().to_string();
         Server { client: Client::new(&url, Some(KEY.into())).unwrap(), process }
     }
@@ -66,22 +70,22 @@ impl Server {
         assert_eq!(self.process.terminate(), Some(0));
     }
 
-    /// A question that a model is paid for, under a key.
+    /// A question that pays for a model call, under an idempotency key.
     fn asked_once(&self, scene: &str) -> RequestBuilder {
         let request = self.client.request(Method::POST, &format!("v1/scenes/{scene}/ground"));
         request.header("idempotency-key", "look").json(&json!({"query": "the red sofa"}))
     }
 }
 
-/// Where a folder's rows go: to PostgreSQL where the tests have one.
-fn elsewhere(data: &Utf8Path) -> String {
-    match location(data) {
+/// Returns another place for a folder's rows: PostgreSQL if the tests have one.
+fn other_database(data: &Utf8Path) -> String {
+    match database_location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
         _ => SQLITE.to_owned(),
     }
 }
 
-fn migrating(from: (&Utf8Path, &str), to: (&Utf8Path, &str)) -> Command {
+fn migrate_command(from: (&Utf8Path, &str), to: (&Utf8Path, &str)) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command.args(["migrate", "--from", from.0.as_str(), "--from-database", from.1]);
     command.args(["--to", to.0.as_str(), "--to-database", to.1, "--json"]);
@@ -89,28 +93,28 @@ fn migrating(from: (&Utf8Path, &str), to: (&Utf8Path, &str)) -> Command {
 }
 
 fn migrate(from: (&Utf8Path, &str), to: (&Utf8Path, &str)) -> Value {
-    let output = migrating(from, to).output().unwrap();
-    assert!(output.status.success(), "{}", said(&output));
+    let output = migrate_command(from, to).output().unwrap();
+    assert!(output.status.success(), "{}", output_text(&output));
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-fn refused(from: (&Utf8Path, &str), to: (&Utf8Path, &str)) -> String {
-    let output = migrating(from, to).output().unwrap();
-    assert!(!output.status.success(), "{}", said(&output));
-    said(&output)
+fn migrate_error(from: (&Utf8Path, &str), to: (&Utf8Path, &str)) -> String {
+    let output = migrate_command(from, to).output().unwrap();
+    assert!(!output.status.success(), "{}", output_text(&output));
+    output_text(&output)
 }
 
-/// What a server says that does not start.
-fn not_served(data: &Utf8Path, database: &str) -> String {
-    let output = command(data, "127.0.0.1:0")
+/// Returns the error of a server that refuses to start.
+fn startup_error(data: &Utf8Path, database: &str) -> String {
+    let output = serve_command(data, "127.0.0.1:0")
         .envs([("UNIGROUND_DATABASE", database), ("UNIGROUND_BLOBS", "folder")])
         .output()
         .unwrap();
-    assert!(!output.status.success(), "{}", said(&output));
-    said(&output)
+    assert!(!output.status.success(), "{}", output_text(&output));
+    output_text(&output)
 }
 
-fn said(output: &Output) -> String {
+fn output_text(output: &Output) -> String {
     format!(
         "{}{}",
         String::from_utf8_lossy(&output.stdout),
@@ -118,21 +122,21 @@ fn said(output: &Output) -> String {
     )
 }
 
-/// A folder that everything was done in; the addresses of all that came of it.
-struct Lived {
+/// A data folder with rows in every table, and the URLs of everything in it.
+struct PopulatedFolder {
     scene: String,
     upload: String,
     paths: Vec<String>,
 }
 
-async fn live(server: &Server) -> Lived {
+async fn populate(server: &Server) -> PopulatedFolder {
     let client = &server.client;
     let created = client
         .create_scene_once(&[("name", "kitchen")], "application/zip", Scan::neutral().zip(), "room")
         .await
         .unwrap();
     let scene = created.scene.id;
-    let job = finished(client, &created.job.unwrap().id).await;
+    let job = wait_for_job(client, &created.job.unwrap().id).await;
     assert_eq!(job.error, None);
     let filed = json!({"labels": {"building": "A"}, "scene_to_map": {"rotation": [0.0, 0.0, 0.6, 0.8], "translation_m": [1.0, 2.0, 0.1]}});
     let change = client
@@ -176,7 +180,7 @@ async fn live(server: &Server) -> Lived {
         request.as_object_mut().unwrap().extend(bounds.as_object().unwrap().clone());
         let batch =
             client.create_batch(&serde_json::from_value(request).unwrap(), key).await.unwrap();
-        finished(client, batch.job_id.as_deref().unwrap()).await;
+        wait_for_job(client, batch.job_id.as_deref().unwrap()).await;
         assert_eq!(client.batch(&batch.id).await.unwrap().state, BatchState::Succeeded);
         batches.push(batch.id);
     }
@@ -240,11 +244,11 @@ async fn live(server: &Server) -> Lived {
             .flat_map(|id| [format!("v1/batches/{id}"), format!("v1/batches/{id}/results")]),
     );
     paths.extend([format!("v1/jobs/{}", job.id), upload.clone()]);
-    Lived { scene, upload, paths }
+    PopulatedFolder { scene, upload, paths }
 }
 
-/// What a server says to all of them, byte for byte.
-async fn told(server: &Server, paths: &[String]) -> Vec<(String, Vec<u8>)> {
+/// Returns the server's response to each path, byte for byte.
+async fn fetch_all(server: &Server, paths: &[String]) -> Vec<(String, Vec<u8>)> {
     let mut told = Vec::new();
     for path in paths {
         let bytes =
@@ -263,11 +267,11 @@ fn assert_same(told: &[(String, Vec<u8>)], before: &[(String, Vec<u8>)]) {
     }
 }
 
-/// What is no retry, and what goes on: a key has its answer, bytes their parse, half an upload its
-/// other half.
-async fn goes_on(
+/// Checks that retries and unfinished work carry over: an idempotency key returns its answer, the
+/// same bytes find their parse, and half an upload can be completed.
+async fn assert_work_continues(
     server: &Server,
-    Lived { scene, upload, .. }: &Lived,
+    PopulatedFolder { scene, upload, .. }: &PopulatedFolder,
     before: &[(String, Vec<u8>)],
 ) {
     let again = server.asked_once(scene).send().await.unwrap();
@@ -304,29 +308,29 @@ async fn goes_on(
         .await
         .unwrap();
     assert_eq!(rest.status(), 204, "{}", rest.text().await.unwrap());
-    // Nothing is at work any more when the server is asked next.
+    // No job is running when the server is queried next.
     let made: Upload =
         client.request(Method::GET, upload).send().await.unwrap().json().await.unwrap();
-    assert_eq!(finished(client, &made.job_id.unwrap()).await.error, None);
+    assert_eq!(wait_for_job(client, &made.job_id.unwrap()).await.error, None);
 }
 
-/// Whether a data folder is whole.
+/// Asserts that `uniground doctor` finds no damage.
 fn assert_whole(data: &Utf8Path, database: &str) {
     let looked = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["doctor", "--data-dir", data.as_str(), "--database", database])
         .output();
     let looked = looked.unwrap();
-    assert!(looked.status.success(), "{}", said(&looked));
+    assert!(looked.status.success(), "{}", output_text(&looked));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_store_moves_over_and_back_byte_for_byte() {
-    let house = House::new().await;
+async fn a_data_folder_migrates_and_back_byte_for_byte() {
+    let house = TestFolders::new().await;
     let (old, new, back) = (house.at("old"), house.at("new"), house.at("back"));
-    let database = elsewhere(&new);
+    let database = other_database(&new);
     let server = house.server(&old, SQLITE);
-    let lived = live(&server).await;
-    let before = told(&server, &lived.paths).await;
+    let lived = populate(&server).await;
+    let before = fetch_all(&server, &lived.paths).await;
     server.stop();
 
     let moved = migrate((&old, SQLITE), (&new, &database));
@@ -349,67 +353,68 @@ async fn a_store_moves_over_and_back_byte_for_byte() {
     }
     assert_whole(&new, &database);
     let server = house.server(&new, &database);
-    assert_same(&told(&server, &lived.paths).await, &before);
-    goes_on(&server, &lived, &before).await;
-    let later = told(&server, &lived.paths).await;
+    assert_same(&fetch_all(&server, &lived.paths).await, &before);
+    assert_work_continues(&server, &lived, &before).await;
+    let later = fetch_all(&server, &lived.paths).await;
     server.stop();
-    // Where it came from nothing has changed.
+    // The source is unchanged.
     let server = house.server(&old, SQLITE);
-    assert_same(&told(&server, &lived.paths).await, &before);
+    assert_same(&fetch_all(&server, &lived.paths).await, &before);
     server.stop();
 
     migrate((&new, &database), (&back, SQLITE));
     assert_whole(&back, SQLITE);
     let server = house.server(&back, SQLITE);
-    assert_same(&told(&server, &lived.paths).await, &later);
+    assert_same(&fetch_all(&server, &lived.paths).await, &later);
     server.stop();
-    // Two folders are two folders: neither takes the other's database.
+    // Two folders stay separate: neither accepts the other's database.
     if database != SQLITE {
         let other = house.at("other");
-        migrate((&back, SQLITE), (&other, &elsewhere(&other)));
-        assert!(not_served(&other, &database).contains("do not belong together"));
+        migrate((&back, SQLITE), (&other, &other_database(&other)));
+        assert_contains(startup_error(&other, &database), "do not belong together");
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_folder_that_stays_gets_another_database() {
-    let house = House::new().await;
+async fn a_folder_can_switch_to_another_database() {
+    let house = TestFolders::new().await;
     let data = house.at("data");
-    let database = elsewhere(&data);
+    let database = other_database(&data);
     let server = house.server(&data, SQLITE);
-    let lived = live(&server).await;
-    let before = told(&server, &lived.paths).await;
+    let lived = populate(&server).await;
+    let before = fetch_all(&server, &lived.paths).await;
     server.stop();
     if database == SQLITE {
-        assert!(refused((&data, SQLITE), (&data, SQLITE)).contains("have the same database"));
+        assert_contains(migrate_error((&data, SQLITE), (&data, SQLITE)), "have the same database");
         return;
     }
     let moved = migrate((&data, SQLITE), (&data, &database));
     assert_eq!(moved["files"], json!([]));
     let aside = moved["set_aside"].as_str().unwrap();
     assert!(Utf8Path::new(aside).is_file() && !data.join("uniground.sqlite").exists(), "{aside}");
-    assert!(not_served(&data, SQLITE).contains("its rows are kept in PostgreSQL"));
+    assert_contains(startup_error(&data, SQLITE), "its rows are kept in PostgreSQL");
     let server = house.server(&data, &database);
-    assert_same(&told(&server, &lived.paths).await, &before);
-    goes_on(&server, &lived, &before).await;
-    let later = told(&server, &lived.paths).await;
+    assert_same(&fetch_all(&server, &lived.paths).await, &before);
+    assert_work_continues(&server, &lived, &before).await;
+    let later = fetch_all(&server, &lived.paths).await;
     server.stop();
-    // A database that holds something is not written over, though it was this folder's own.
+    // A database with rows is not overwritten, even if it belonged to this folder.
     migrate((&data, &database), (&data, SQLITE));
-    let full = refused((&data, SQLITE), (&data, &database));
+    let full = migrate_error((&data, SQLITE), (&data, &database));
     assert!(full.contains("is not empty (rows of another data folder: 3 scenes"), "{full}");
     let server = house.server(&data, SQLITE);
-    assert_same(&told(&server, &lived.paths).await, &later);
+    assert_same(&fetch_all(&server, &lived.paths).await, &later);
     server.stop();
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_can_not_be_a_target_is_refused_and_nothing_changes() {
-    let house = House::new().await;
+async fn invalid_targets_are_refused_and_change_nothing() {
+    let house = TestFolders::new().await;
     let (data, other, full) = (house.at("data"), house.at("other"), house.at("full"));
     let server = house.server(&data, SQLITE);
     assert!(
-        refused((&data, SQLITE), (&other, SQLITE)).contains("another server uses this data folder")
+        migrate_error((&data, SQLITE), (&other, SQLITE))
+            .contains("another server uses this data folder")
     );
     server.stop();
     house.server(&other, SQLITE).stop();
@@ -420,36 +425,36 @@ async fn what_can_not_be_a_target_is_refused_and_nothing_changes() {
         (&full, "is not empty (thesis.tex)"),
         (&data.join("new"), "can not lie in the other"),
     ] {
-        let told = refused((&data, SQLITE), (to, SQLITE));
+        let told = migrate_error((&data, SQLITE), (to, SQLITE));
         assert!(told.contains(why), "{to}: {told}");
     }
     let free = house.at("free");
-    let told = refused((&house.at("nowhere"), SQLITE), (&free, SQLITE));
+    let told = migrate_error((&house.at("nowhere"), SQLITE), (&free, SQLITE));
     assert!(told.contains("nowhere") && !free.exists(), "{told}");
-    let told = refused((&data, "postgres://robot:s3cret@127.0.0.1:1/rooms"), (&free, SQLITE));
+    let told = migrate_error((&data, "postgres://robot:s3cret@127.0.0.1:1/rooms"), (&free, SQLITE));
     assert!(told.contains("are kept in SQLite: say so with --from-database"), "{told}");
-    let told = refused((&data, SQLITE), (&free, "postgres://robot:s3cret@127.0.0.1:1/rooms"));
+    let told = migrate_error((&data, SQLITE), (&free, "postgres://robot:s3cret@127.0.0.1:1/rooms"));
     assert!(told.contains("postgres://127.0.0.1:1/rooms") && !told.contains("s3cret"), "{told}");
-    let told = refused((&data, SQLITE), (&free, "mysql://robot@127.0.0.1/rooms"));
+    let told = migrate_error((&data, SQLITE), (&free, "mysql://robot@127.0.0.1/rooms"));
     assert!(told.contains("mysql:// is no database for this"), "{told}");
     assert_eq!(fs::read_to_string(full.join("thesis.tex")).unwrap(), "words");
-    // Whatever was refused is as it was.
+    // A refused migration changes nothing.
     for folder in [&data, &other] {
         house.server(folder, SQLITE).stop();
     }
-    migrate((&data, SQLITE), (&free, &elsewhere(&free)));
+    migrate((&data, SQLITE), (&free, &other_database(&free)));
 }
 
-/// A row that refers to nothing is none that can be kept: what came before it is nobody's, and once
-/// it is mended all of it moves.
+/// A row with a dangling reference cannot be copied. The partial target is unusable, and once the
+/// row is repaired the migration succeeds.
 #[tokio::test(flavor = "multi_thread")]
-async fn what_ends_in_the_middle_is_not_served_and_can_be_run_again() {
-    let house = House::new().await;
+async fn a_failed_migration_is_not_served_and_can_be_repeated() {
+    let house = TestFolders::new().await;
     let (old, new) = (house.at("old"), house.at("new"));
-    let database = elsewhere(&new);
+    let database = other_database(&new);
     let server = house.server(&old, SQLITE);
-    let lived = live(&server).await;
-    let before = told(&server, &lived.paths).await;
+    let lived = populate(&server).await;
+    let before = fetch_all(&server, &lived.paths).await;
     server.stop();
     let file = format!("sqlite:{}", old.join("uniground.sqlite"));
     let execute = async |sql: &'static str| {
@@ -459,30 +464,29 @@ async fn what_ends_in_the_middle_is_not_served_and_can_be_run_again() {
     };
     execute("PRAGMA foreign_keys = OFF; INSERT INTO answers (id, scene_id, parse_id, body, created_at) VALUES ('stray', 'gone', 'gone', '{}', '')").await;
     for _ in 0..2 {
-        let told = refused((&old, SQLITE), (&new, &database));
+        let told = migrate_error((&old, SQLITE), (&new, &database));
         assert!(told.contains("rows of answers could not be moved"), "{told}");
-        assert!(not_served(&new, &database).contains("run the same `uniground migrate` again"));
+        assert_contains(startup_error(&new, &database), "run the same `uniground migrate` again");
     }
     execute("DELETE FROM answers WHERE id = 'stray'").await;
-    // To another database, should that be wished now: the half in the first one is nobody's for
-    // ever.
-    let other = elsewhere(&house.at("other"));
+    // If the next run uses another database, the partial rows in the first one are never used.
+    let other = other_database(&house.at("other"));
     migrate((&old, SQLITE), (&new, &other));
     let server = house.server(&new, &other);
-    assert_same(&told(&server, &lived.paths).await, &before);
+    assert_same(&fetch_all(&server, &lived.paths).await, &before);
     server.stop();
     if database != SQLITE {
-        assert!(not_served(&new, &database).contains("do not belong together"));
+        assert_contains(startup_error(&new, &database), "do not belong together");
     }
 }
 
-/// A kill while rows are on their way.
+/// The process is killed while it copies rows.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_killed_move_is_begun_again() {
+async fn a_killed_migration_can_be_repeated() {
     const MANY: i64 = 300_000;
-    let house = House::new().await;
+    let house = TestFolders::new().await;
     let (old, new) = (house.at("old"), house.at("new"));
-    let database = elsewhere(&new);
+    let database = other_database(&new);
     house.server(&old, SQLITE).stop();
     let mut rows_of_old =
         SqliteConnection::connect(&format!("sqlite:{}", old.join("uniground.sqlite")))
@@ -494,7 +498,7 @@ async fn a_killed_move_is_begun_again() {
     sqlx::query(sql).bind(MANY).execute(&mut rows_of_old).await.unwrap();
     rows_of_old.close().await.unwrap();
 
-    let mut child = migrating((&old, SQLITE), (&new, &database))
+    let mut child = migrate_command((&old, SQLITE), (&new, &database))
         .stderr(Stdio::piped())
         .stdout(Stdio::null())
         .spawn()
@@ -506,12 +510,12 @@ async fn a_killed_move_is_begun_again() {
     assert!(
         new.join("uniground-moving.json").exists() && !new.join("uniground-data.json").exists()
     );
-    assert!(not_served(&new, &database).contains("run the same `uniground migrate` again"));
+    assert_contains(startup_error(&new, &database), "run the same `uniground migrate` again");
     let moved = migrate((&old, SQLITE), (&new, &database));
     assert_eq!(moved["rows"]["audit"], json!(MANY));
     assert!(!new.join("uniground-moving.json").exists());
     house.server(&new, &database).stop();
-    let mut kept = rows(&new).await;
+    let mut kept = open_database(&new).await;
     let count: i64 =
         sqlx::query_scalar("SELECT count(*) FROM audit").fetch_one(&mut kept).await.unwrap();
     assert_eq!(count, MANY);

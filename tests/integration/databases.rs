@@ -1,8 +1,8 @@
-//! Which database goes with which folder. That PostgreSQL works is shown by all other tests (`make
+//! Which database belongs to which folder. All other tests also run on PostgreSQL (`make
 //! test-postgres`).
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, location, problem, rows};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, ask, database_location, expect_problem, open_database};
 use camino::Utf8Path;
 use reqwest::Method;
 use serde_json::Value;
@@ -13,7 +13,7 @@ use std::time::Duration;
 use tokio::time::sleep;
 use uniground_storage::Location;
 
-fn serve(data: &Utf8Path, database: &str) -> Output {
+fn run_serve(data: &Utf8Path, database: &str) -> Output {
     Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args([
             "serve",
@@ -30,14 +30,14 @@ fn serve(data: &Utf8Path, database: &str) -> Output {
 }
 
 #[tokio::test]
-async fn a_folder_keeps_its_database() {
-    let data = TestServer::start().await.give_back().await;
+async fn a_folder_refuses_another_database() {
+    let data = TestServer::start().await.stop_and_keep_data().await;
     let data = Utf8Path::from_path(data.path()).unwrap();
-    let (own, other) = match location(data) {
+    let (own, other) = match database_location(data) {
         Location::Postgres(_) => ("PostgreSQL", "sqlite"),
         _ => ("SQLite", "postgres://robot@127.0.0.1:1/rooms"),
     };
-    let refused = serve(data, other);
+    let refused = run_serve(data, other);
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(
         !refused.status.success()
@@ -46,18 +46,18 @@ async fn a_folder_keeps_its_database() {
     );
 }
 
-/// A server that is not there is named, without its password; the folder is free for another
-/// database.
+/// The error for an unreachable database names it without its password, and the folder can use
+/// another database.
 #[test]
-fn a_database_that_can_not_be_reached_is_told() {
+fn an_unreachable_database_is_reported_without_its_password() {
     let place = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(place.path()).unwrap();
-    let refused = serve(data, "postgres://robot:s3cret@127.0.0.1:1/rooms");
+    let refused = run_serve(data, "postgres://robot:s3cret@127.0.0.1:1/rooms");
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && told.contains("postgres://127.0.0.1:1/rooms"), "{told}");
     assert!(!told.contains("s3cret"), "{told}");
     assert!(!data.join("uniground-data.json").exists());
-    let refused = serve(data, "mysql://robot:s3cret@127.0.0.1/rooms");
+    let refused = run_serve(data, "mysql://robot:s3cret@127.0.0.1/rooms");
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(
         told.contains("mysql:// is no database for this") && !told.contains("s3cret"),
@@ -65,11 +65,11 @@ fn a_database_that_can_not_be_reached_is_told() {
     );
 }
 
-/// Whatever stands in a question, its answer is kept and found by its own status.
+/// An answer is stored and found by its status whatever characters the question contains.
 #[tokio::test]
-async fn a_question_may_hold_any_character() {
+async fn a_question_can_contain_any_character_except_nul() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let odd = "the red sofa \"status\":\"no_match\" \u{1} \u{1f9f8}";
     let answer = server.client.ground(&scene, &ask(odd)).await.unwrap();
     let status = serde_json::to_value(answer.status).unwrap();
@@ -80,8 +80,8 @@ async fn a_question_may_hold_any_character() {
         (&listed["answers"][0]["id"], &listed["answers"][0]["query"]),
         (&answer.id.into(), &odd.into())
     );
-    // But one: no text has it, and not every database could keep it.
-    assert_eq!(problem(server.client.ground(&scene, &ask("the \0 sofa")).await).status, 422);
+    // Except NUL: text does not contain it, and not every database could store it.
+    assert_eq!(expect_problem(server.client.ground(&scene, &ask("the \0 sofa")).await).status, 422);
     for (address, expected) in [
         ("/v1/scenes/%00", 404),
         ("/v1/jobs/a%00b", 404),
@@ -94,11 +94,11 @@ async fn a_question_may_hold_any_character() {
     server.stop().await;
 }
 
-/// A number that may be left out is kept when it is not, whoever came before.
+/// An optional number is stored when it is given, whatever the requests before it contained.
 #[tokio::test]
-async fn what_may_be_left_out_is_kept_when_it_is_said() {
+async fn optional_numbers_are_stored_when_given() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     for max_cost_usd in [None, Some(1.5), None, Some(2.5)] {
         let item = serde_json::json!({"scene_id": scene, "query": "the red sofa"});
         let request = serde_json::from_value(
@@ -110,25 +110,24 @@ async fn what_may_be_left_out_is_kept_when_it_is_said() {
     server.stop().await;
 }
 
-/// A file that lost its end is found by whoever asks whether the server is ready, not by whoever
-/// asks a question.
+/// The readiness check, not a question, detects a truncated database file.
 #[tokio::test]
-async fn a_database_file_that_was_cut_short_is_not_ready() {
+async fn a_truncated_database_file_makes_the_server_unready() {
     let server = TestServer::start().await;
-    if matches!(location(server.data()), Location::Postgres(_)) {
-        eprintln!("left out: PostgreSQL watches over its own files");
+    if matches!(database_location(server.data()), Location::Postgres(_)) {
+        eprintln!("skipped: PostgreSQL checks its own files");
         return server.stop().await;
     }
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     server.client.ground(&scene, &ask("the red sofa")).await.unwrap();
-    assert!(server.client.bytes("readyz").await.is_ok());
-    let mut rows = rows(server.data()).await;
+    server.client.bytes("readyz").await.unwrap();
+    let mut rows = open_database(server.data()).await;
     sqlx::query("PRAGMA wal_checkpoint(FULL)").execute(&mut rows).await.unwrap();
     rows.close().await.unwrap();
     let file =
         fs::OpenOptions::new().write(true).open(server.data().join("uniground.sqlite")).unwrap();
     file.set_len(file.metadata().unwrap().len() / 2).unwrap();
-    // Within the second for which health is known.
+    // Readiness results are cached for a second, so ask repeatedly.
     let mut tries = 0;
     let response = loop {
         let response = server.client.request(Method::GET, "readyz").send().await.unwrap();

@@ -1,6 +1,6 @@
-//! `uniground eval` on the sample scene: figures, going on where it stopped, reports, comparison.
+//! `uniground eval` on the sample scene: figures, resuming, reports, comparison.
 
-use crate::server::TestServer;
+use crate::test_server::TestServer;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::process::{Command, Output};
@@ -12,24 +12,24 @@ use uniground_evaluation::systems::Server;
 
 const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
 
-fn eval(out: &Utf8Path, args: &[&str]) -> Output {
+fn run_eval(out: &Utf8Path, args: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command.args(["eval", EXAMPLES, "--out", out.as_str()]).args(args).output().unwrap()
 }
 
-fn text(output: &[u8]) -> String {
+fn to_text(output: &[u8]) -> String {
     String::from_utf8_lossy(output).into_owned()
 }
 
-/// A fresh folder.
-fn folder() -> (tempfile::TempDir, Utf8PathBuf) {
+/// Returns a fresh folder.
+fn temp_folder() -> (tempfile::TempDir, Utf8PathBuf) {
     let temporary = tempfile::tempdir().unwrap();
     let path = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
     (temporary, path)
 }
 
-/// A report without what differs from run to run.
-fn comparable(out: &Utf8Path) -> Report {
+/// Returns a report without the values that differ from run to run.
+fn comparable_report(out: &Utf8Path) -> Report {
     let mut report = Report::read(out).unwrap();
     report.run.written_at.clear();
     for cell in &mut report.cells {
@@ -40,23 +40,23 @@ fn comparable(out: &Utf8Path) -> Report {
     report
 }
 
-fn files_below(folder: &Utf8Path) -> Vec<Utf8PathBuf> {
+fn list_files(folder: &Utf8Path) -> Vec<Utf8PathBuf> {
     let mut files = Vec::new();
     for entry in folder.read_dir_utf8().unwrap() {
         let path = entry.unwrap().into_path();
-        if path.is_dir() { files.extend(files_below(&path)) } else { files.push(path) }
+        if path.is_dir() { files.extend(list_files(&path)) } else { files.push(path) }
     }
     files
 }
 
 #[test]
-fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
-    let (_keep, out) = folder();
+fn a_run_scores_every_source_and_resumes() {
+    let (_keep, out) = temp_folder();
     let matrix = ["--matrix", "source=parsed,oracle,oracle-boxes"];
-    let first = eval(&out, &matrix);
-    assert!(first.status.success(), "{}", text(&first.stderr));
-    println!("{}", text(&first.stdout));
-    let report = comparable(&out);
+    let first = run_eval(&out, &matrix);
+    assert!(first.status.success(), "{}", to_text(&first.stderr));
+    println!("{}", to_text(&first.stdout));
+    let report = comparable_report(&out);
     let names: Vec<&str> = report.cells.iter().map(|c| c.name.as_str()).collect();
     assert_eq!(names, ["source=parsed", "source=oracle", "source=oracle-boxes"]);
     for cell in &report.cells {
@@ -66,9 +66,14 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
         );
         assert_eq!(cell.by_scene.keys().collect::<Vec<_>>(), ["living_room"]);
     }
-    // Perfect boxes and names can only help; nothing bounds a target better than its own box.
+    // Perfect boxes and names can only raise the figures; a target's own box is the upper bound.
     let [parsed, oracle, boxes] = &report.cells[..] else { panic!("{names:?}") };
-    assert!(oracle.figures.complete[0].value >= parsed.figures.complete[0].value);
+    assert!(
+        oracle.figures.complete[0].value >= parsed.figures.complete[0].value,
+        "{:?} {:?}",
+        oracle.figures.complete,
+        parsed.figures.complete
+    );
     assert_eq!((oracle.figures.any_instance, boxes.figures.any_instance), ([1.0; 2], [1.0; 2]));
     assert!(
         oracle.figures.complete[0].value >= 0.85,
@@ -76,7 +81,7 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
         oracle.figures.complete
     );
 
-    // Every wrong answer is on the page with its picture, and the page needs nothing beside it.
+    // Every wrong answer is on the page with its image, and the page needs no other file.
     let page = fs::read_to_string(out.join("index.html")).unwrap();
     for failure in report.cells.iter().flat_map(uniground_evaluation::report::CellReport::failures)
     {
@@ -86,30 +91,30 @@ fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
     }
     assert!(page.contains("data:image/jpeg;base64,") && !page.contains("src=\"pictures/"));
 
-    // Cut off in the middle of a reply: only what is missing is asked again, and the result is the
-    // same.
-    let logs = files_below(&out.join("cells"));
+    // The file ends in the middle of a reply: only the missing questions are asked again, and the
+    // result is the same.
+    let logs = list_files(&out.join("cells"));
     assert_eq!(logs.len(), 3);
     let before: Vec<Vec<u8>> = logs.iter().map(|log| fs::read(log).unwrap()).collect();
     fs::write(&logs[0], &before[0][..before[0].len() - 40]).unwrap();
-    let second = eval(&out, &matrix);
-    assert!(second.status.success(), "{}", text(&second.stderr));
-    assert_eq!(comparable(&out), report);
-    assert_eq!(fs::read(&logs[1]).unwrap(), before[1], "what was there was asked again");
+    let second = run_eval(&out, &matrix);
+    assert!(second.status.success(), "{}", to_text(&second.stderr));
+    assert_eq!(comparable_report(&out), report);
+    assert_eq!(fs::read(&logs[1]).unwrap(), before[1], "a stored reply was asked again");
     let lines = |bytes: &[u8]| bytes.split(|b| *b == b'\n').count();
     assert_eq!(lines(&fs::read(&logs[0]).unwrap()), lines(&before[0]));
 }
 
 #[test]
 fn a_server_gives_the_same_figures_as_the_process() {
-    let (_keep, out) = folder();
-    let local = eval(&out, &["--concurrency", "4"]);
-    assert!(local.status.success(), "{}", text(&local.stderr));
-    let local = comparable(&out);
+    let (_keep, out) = temp_folder();
+    let local = run_eval(&out, &["--concurrency", "4"]);
+    assert!(local.status.success(), "{}", to_text(&local.stderr));
+    let local = comparable_report(&out);
 
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let server = runtime.block_on(TestServer::start());
-    let (_keep, remote_out) = folder();
+    let (_keep, remote_out) = temp_folder();
     let suite = Suite::open(Utf8Path::new(EXAMPLES), &SuiteOptions::default()).unwrap();
     let cells = configuration::cells("", &Configuration::default()).unwrap();
     let system = Server::connect(&server.url(), None).unwrap();
@@ -127,20 +132,20 @@ fn a_server_gives_the_same_figures_as_the_process() {
             here.query
         );
     }
-    // Asked again, the server still has the scene.
-    let (_keep, again_out) = folder();
+    // The server still has the scene on the second run.
+    let (_keep, again_out) = temp_folder();
     let options = RunOptions { out: &again_out, ..options };
     run(&suite, &system, &options).unwrap();
     assert_eq!(runtime.block_on(server.client.scenes(100, None)).unwrap().scenes.len(), 1);
-    // A server that lost the scene is asked again, though every reply is kept: it might answer
-    // otherwise now.
+    // If the server lost the scene, all questions are asked again although every reply is stored,
+    // because the server might answer differently.
     let scenes = || runtime.block_on(server.client.scenes(100, None)).unwrap().scenes;
     let lost = scenes()[0].id.clone();
     runtime.block_on(server.client.delete_scene(&lost)).unwrap();
     let asked_again = run(&suite, &system, &options).unwrap();
     assert!(scenes().len() == 1 && scenes()[0].id != lost);
     assert_eq!(asked_again[0].outcomes.len(), suite.tasks.len());
-    // What only the process can do is refused before anything is asked.
+    // Options that need an in-process run are refused before any question is asked.
     let oracle = configuration::cells("source=oracle", &Configuration::default()).unwrap();
     let refused = run(&suite, &system, &RunOptions { cells: &oracle, ..options }).unwrap_err();
     assert!(format!("{refused:#}").contains("need a run in process"), "{refused:#}");
@@ -149,16 +154,17 @@ fn a_server_gives_the_same_figures_as_the_process() {
 }
 
 #[test]
-fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
-    let (_keep, out) = folder();
+fn a_drop_against_the_baseline_fails_and_lists_the_lost_answers() {
+    let (_keep, out) = temp_folder();
     let baseline = out.join("baseline.json");
     let matrix = ["--matrix", "source=oracle"];
-    let written = eval(&out, &[&matrix[..], &["--write-baseline", baseline.as_str()]].concat());
-    assert!(written.status.success(), "{}", text(&written.stderr));
-    let held = eval(&out, &[&matrix[..], &["--baseline", baseline.as_str()]].concat());
-    assert!(held.status.success(), "{}", text(&held.stderr));
+    let written = run_eval(&out, &[&matrix[..], &["--write-baseline", baseline.as_str()]].concat());
+    assert!(written.status.success(), "{}", to_text(&written.stderr));
+    let held = run_eval(&out, &[&matrix[..], &["--baseline", baseline.as_str()]].concat());
+    assert!(held.status.success(), "{}", to_text(&held.stderr));
 
-    // The same expressions with most of the targets exchanged: what was right is wrong now.
+    // The same expressions with most of the targets exchanged, so that correct answers become
+    // wrong.
     let worse = out.join("worse");
     fs::create_dir(&worse).unwrap();
     for name in ["living_room.zip", "living_room.scene.json"] {
@@ -182,15 +188,16 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
     let fallen = fallen.args(["--baseline", baseline.as_str()]).output().unwrap();
     assert_eq!(fallen.status.code(), Some(1));
     assert!(
-        text(&fallen.stderr).contains("significantly worse than the baseline: source=oracle"),
+        to_text(&fallen.stderr)
+            .contains("significantly worse than the baseline: source=oracle"),
         "{}",
-        text(&fallen.stderr)
+        to_text(&fallen.stderr)
     );
     assert!(
-        text(&fallen.stdout).contains(": the dining table")
-            && text(&fallen.stdout).contains("lost in source=oracle: living_room#1~"),
+        to_text(&fallen.stdout).contains(": the dining table")
+            && to_text(&fallen.stdout).contains("lost in source=oracle: living_room#1~"),
         "{}",
-        text(&fallen.stdout)
+        to_text(&fallen.stdout)
     );
 
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
@@ -198,13 +205,13 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
         .args(["eval", "diff", out.as_str(), out.join("worse-out").as_str()])
         .output()
         .unwrap();
-    assert!(difference.status.success());
-    assert!(text(&difference.stdout).contains("**drop**"), "{}", text(&difference.stdout));
+    assert!(difference.status.success(), "{}", to_text(&difference.stderr));
+    assert!(to_text(&difference.stdout).contains("**drop**"), "{}", to_text(&difference.stdout));
 }
 
 #[test]
-fn scenes_that_can_not_be_used_are_left_out_and_told() {
-    let (_keep, root) = folder();
+fn unusable_scenes_are_skipped_and_reported() {
+    let (_keep, root) = temp_folder();
     fs::copy(
         Utf8Path::new(EXAMPLES).join("living_room.scene.json"),
         root.join("broken.scene.json"),
@@ -222,8 +229,8 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
         .args(["eval", root.as_str(), "--out", out.as_str(), "--matrix", "source=parsed,oracle"])
         .output()
         .unwrap();
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let told = text(&output.stderr);
+    assert!(output.status.success(), "{}", to_text(&output.stderr));
+    let told = to_text(&output.stderr);
     assert!(
         told.contains("bare.queries.json:1: target 99 is not in the annotations of bare"),
         "{told}"
@@ -237,7 +244,8 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
         "{:?}",
         parsed.left_out
     );
-    // Annotations alone are enough for the oracle; a broken scan beside them is not passed over.
+    // Annotations alone are enough for the oracle source. A broken scan next to them is still
+    // reported.
     assert_eq!(
         oracle.outcomes.iter().map(|o| (o.id.as_str(), o.is_right())).collect::<Vec<_>>(),
         [("bare#1", true)]
@@ -245,8 +253,8 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
     assert_eq!(oracle.left_out.len(), 1);
 }
 
-/// A room of three boxes in a task folder; the answer of its stage 1 is in `ref.json`, Y-up.
-fn task_folder(root: &Utf8Path, target_name: &str) {
+/// Writes a task folder with a room of three boxes. Its stage 1 result is in `ref.json`, with Y up.
+fn write_task_folder(root: &Utf8Path, target_name: &str) {
     let folder = root.join("scene0001_00/1");
     fs::create_dir_all(&folder).unwrap();
     let write = |name: &str, text: &str| fs::write(folder.join(name), text).unwrap();
@@ -284,8 +292,8 @@ fn task_folder(root: &Utf8Path, target_name: &str) {
 }
 
 #[test]
-fn hints_are_handed_over_in_paper_compatible_runs_only() {
-    let (_keep, root) = folder();
+fn hints_are_used_only_in_paper_compatible_runs() {
+    let (_keep, root) = temp_folder();
     let run_with = |args: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
         let out = root.join("out");
@@ -301,11 +309,11 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
             .args(args)
             .output()
             .unwrap();
-        assert!(output.status.success(), "{}", text(&output.stderr));
+        assert!(output.status.success(), "{}", to_text(&output.stderr));
         Report::read(&out).unwrap()
     };
-    task_folder(&root.join("tasks"), "sofa");
-    // Nobody knows what a zorgle is, and a leak-free run is not told.
+    write_task_folder(&root.join("tasks"), "sofa");
+    // "Zorgle" is an unknown word, and a run without hints gets no explanation of it.
     let plain = run_with(&[]);
     assert_eq!(
         (plain.cells[0].figures.expressions, plain.cells[0].figures.complete[0].value),
@@ -315,14 +323,14 @@ fn hints_are_handed_over_in_paper_compatible_runs_only() {
     let told = run_with(&["--paper-compatible"]);
     assert_eq!(told.cells[0].figures.complete[0].value, 1.0, "{:?}", told.cells[0].outcomes);
     assert!(told.run.paper_compatible && told.cells[0].notes[0].contains("paper-compatible"));
-    // Other hints are another question: what was kept does not answer it.
-    task_folder(&root.join("tasks"), "mug");
+    // Other hints make another question: stored replies do not answer it.
+    write_task_folder(&root.join("tasks"), "mug");
     assert_eq!(run_with(&["--paper-compatible"]).cells[0].figures.complete[0].value, 0.0);
 }
 
 #[test]
-fn a_run_that_scores_nothing_fails_and_says_why() {
-    let (_keep, root) = folder();
+fn a_run_without_scores_fails_with_a_reason() {
+    let (_keep, root) = temp_folder();
     fs::copy(
         Utf8Path::new(EXAMPLES).join("living_room.scene.json"),
         root.join("broken.scene.json"),
@@ -338,7 +346,7 @@ fn a_run_that_scores_nothing_fails_and_says_why() {
     let output =
         command.args(["eval", root.as_str(), "--out", root.join("out").as_str()]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let told = text(&output.stderr);
+    let told = to_text(&output.stderr);
     assert!(
         told.contains("1 of 1 expressions left out") && told.contains("nothing was scored"),
         "{told}"
@@ -346,16 +354,16 @@ fn a_run_that_scores_nothing_fails_and_says_why() {
 }
 
 #[test]
-fn wrong_usage_is_told_before_anything_runs() {
-    let (_keep, out) = folder();
+fn usage_errors_are_reported_before_the_run() {
+    let (_keep, out) = temp_folder();
     for (args, expected) in [
         (&["--matrix", "colour=red"][..], "the axes are source"),
         (&["--concurrency", "0"], "0 is not in 1..=256"),
         (&["--matrix", "top_k=5,1000"], "expected 1 to 100"),
     ] {
-        let output = eval(&out, args);
+        let output = run_eval(&out, args);
         assert_eq!(output.status.code(), Some(2), "{args:?}");
-        assert!(text(&output.stderr).contains(expected), "{}", text(&output.stderr));
+        assert!(to_text(&output.stderr).contains(expected), "{}", to_text(&output.stderr));
     }
     for (args, expected) in [
         (&["--matrix", "reasoner=vlm"][..], "no vision-language model is configured"),
@@ -363,8 +371,8 @@ fn wrong_usage_is_told_before_anything_runs() {
         (&["--server", "http://127.0.0.1:1"], "cannot connect to the server at http://127.0.0.1:1"),
         (&["--baseline", "no-such.json"], "no-such.json"),
     ] {
-        let output = eval(&out, args);
+        let output = run_eval(&out, args);
         assert_eq!(output.status.code(), Some(1), "{args:?}");
-        assert!(text(&output.stderr).contains(expected), "{}", text(&output.stderr));
+        assert!(to_text(&output.stderr).contains(expected), "{}", to_text(&output.stderr));
     }
 }

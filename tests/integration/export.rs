@@ -1,7 +1,7 @@
-//! A scene with what was found in it, as files.
+//! Export of a scene with its instances as files.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, expect_problem};
 use reqwest::{Method, StatusCode};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -11,14 +11,14 @@ use uniground_types::corrections::Change;
 use uniground_types::export::ExportFormat;
 use uniground_types::instances::Levels;
 
-/// The description in a GLB.
-fn document(glb: &[u8]) -> Value {
+/// Returns the JSON document of a GLB.
+fn glb_document(glb: &[u8]) -> Value {
     let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
     serde_json::from_slice(&glb[20..20 + length]).unwrap()
 }
 
-/// Points of each thing by what `extras` call its id; 0 for the rest.
-fn points_of_nodes(document: &Value) -> BTreeMap<u64, u64> {
+/// Returns the number of points per instance id in `extras`; 0 stands for the rest of the scan.
+fn count_points_by_id(document: &Value) -> BTreeMap<u64, u64> {
     let nodes = document["nodes"].as_array().unwrap();
     let children = nodes[0]["children"].as_array().unwrap().iter();
     let points = |node: &Value| {
@@ -34,9 +34,9 @@ fn points_of_nodes(document: &Value) -> BTreeMap<u64, u64> {
 }
 
 #[tokio::test]
-async fn a_scene_is_taken_to_other_programs() {
+async fn a_scene_exports_to_glb_ply_and_usdz() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     client.rename_scene(&scene.id, "Grandma's room").await.unwrap();
     let get = async |query: &str, mark: Option<&str>| {
@@ -71,7 +71,7 @@ async fn a_scene_is_taken_to_other_programs() {
         assert_eq!(
             get(&query, None).await.bytes().await.unwrap(),
             bytes,
-            "{format}: the same scene makes the same bytes"
+            "{format}: two exports of the same scene differ"
         );
         let again = get(&query, Some(&mark)).await;
         assert_eq!(
@@ -81,10 +81,10 @@ async fn a_scene_is_taken_to_other_programs() {
         assert!(again.bytes().await.unwrap().is_empty());
     }
 
-    // All that belongs to things is in their nodes, and what was found is told alike.
+    // All points of instances are in their nodes, and every format lists the same instances.
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
-    let whole = document(&client.export(&scene.id, ExportFormat::Glb, None).await.unwrap());
-    let points = points_of_nodes(&whole);
+    let whole = glb_document(&client.export(&scene.id, ExportFormat::Glb, None).await.unwrap());
+    let points = count_points_by_id(&whole);
     let total = scene.counts.unwrap().points;
     assert_eq!(points.values().sum::<u64>(), total);
     assert!(
@@ -108,7 +108,7 @@ async fn a_scene_is_taken_to_other_programs() {
         ("scene.usda".into(), zip::CompressionMethod::Stored)
     );
 
-    // What people have said counts.
+    // Corrections are applied.
     let of = |name: &str| {
         things
             .iter()
@@ -119,7 +119,7 @@ async fn a_scene_is_taken_to_other_programs() {
     let rename = Change::Rename { instance_id: sofa.id, name: "Grandma's bench".into() };
     client.correct(&scene.id, &rename).await.unwrap();
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![mug.id] }).await.unwrap();
-    let corrected = document(&client.export(&scene.id, ExportFormat::Glb, None).await.unwrap());
+    let corrected = glb_document(&client.export(&scene.id, ExportFormat::Glb, None).await.unwrap());
     let names: Vec<&str> = corrected["nodes"]
         .as_array()
         .unwrap()
@@ -127,7 +127,7 @@ async fn a_scene_is_taken_to_other_programs() {
         .map(|node| node["name"].as_str().unwrap())
         .collect();
     assert!(names.contains(&"Grandma's bench") && names.contains(&"rest of the scan"), "{names:?}");
-    let after = points_of_nodes(&corrected);
+    let after = count_points_by_id(&corrected);
     assert!(!after.contains_key(&u64::from(mug.id.0)), "{after:?}");
     assert_eq!(after[&0], points.get(&0).unwrap_or(&0) + u64::from(mug.point_count));
     assert!(
@@ -143,16 +143,16 @@ async fn a_scene_is_taken_to_other_programs() {
 }
 
 #[tokio::test]
-async fn what_was_merged_is_one_node() {
+async fn merged_instances_are_one_node() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     let pair: Vec<_> = things.iter().filter(|thing| thing.structure.is_none()).take(2).collect();
     let ids: Vec<InstanceId> = pair.iter().map(|thing| thing.id).collect();
     let merge = Change::Merge { instance_ids: ids.clone(), name: Some("pair".into()) };
     let made = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
-    let points = points_of_nodes(&document(
+    let points = count_points_by_id(&glb_document(
         &client.export(&scene.id, ExportFormat::Glb, None).await.unwrap(),
     ));
     assert_eq!(
@@ -167,9 +167,9 @@ async fn what_was_merged_is_one_node() {
 }
 
 #[tokio::test]
-async fn wrong_requests_are_named() {
+async fn invalid_export_requests_are_refused() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
     for (query, pointer, told) in [
         ("format=rrd", "format", "`glb`, `ply`, `usdz`, `json`"),
@@ -179,7 +179,7 @@ async fn wrong_requests_are_named() {
         ("format=glb&point=5", "query", "point"),
     ] {
         let refused =
-            problem(client.bytes(&format!("v1/scenes/{}/export?{query}", scene.id)).await);
+            expect_problem(client.bytes(&format!("v1/scenes/{}/export?{query}", scene.id)).await);
         assert_eq!(
             (refused.status, refused.code.as_str()),
             (422, "invalid_request"),
@@ -195,7 +195,7 @@ async fn wrong_requests_are_named() {
     }
     let nobody = "018f0000-0000-7000-8000-000000000000";
     assert_eq!(
-        problem(client.export(nobody, ExportFormat::Glb, None).await).code,
+        expect_problem(client.export(nobody, ExportFormat::Glb, None).await).code,
         "scene_not_found"
     );
     server.stop().await;

@@ -1,15 +1,15 @@
-//! What is in a scene and how it stands to each other.
+//! The scene graph: instances and their relations.
 
-use crate::server::{TestServer, problem};
+use crate::test_server::{TestServer, assert_contains, expect_problem};
 use std::collections::BTreeSet;
 use uniground_types::corrections::Change;
 use uniground_types::graph::{GraphRelation, NodeKind};
 use uniground_types::instances::Levels;
 
 #[tokio::test]
-async fn a_scene_is_a_graph_in_three_formats() {
+async fn the_scene_graph_is_served_in_three_formats() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let graph = client.graph(&scene.id, Levels::All).await.unwrap();
     assert_eq!((graph.scene_id.as_str(), graph.parse_version), (scene.id.as_str(), 1));
@@ -25,9 +25,11 @@ async fn a_scene_is_a_graph_in_three_formats() {
         things.iter().filter(|node| node.instance_id.is_some()).count() as u32,
         scene.counts.unwrap().instances
     );
-    // What answers say of support the graph says too.
-    let answer =
-        client.ground(&scene.id, &crate::server::ask("the mug on the coffee table")).await.unwrap();
+    // The graph has the same support relations as answers.
+    let answer = client
+        .ground(&scene.id, &crate::test_server::ask("the mug on the coffee table"))
+        .await
+        .unwrap();
     let mug = format!("i{}", answer.answer.predicted_id.unwrap());
     let on = graph
         .edges
@@ -50,14 +52,14 @@ async fn a_scene_is_a_graph_in_three_formats() {
         "{xml}"
     );
 
-    // Around the mug there is what it stands to, and nothing else.
+    // The graph around the mug contains only the mug's relations.
     let around = text(&format!("around={}", &mug[1..])).await;
     let around: uniground_types::graph::SceneGraph = serde_json::from_str(&around).unwrap();
     assert!(
         around.edges.iter().all(|edge| edge.from == mug || edge.to == mug)
             && around.nodes.len() < graph.nodes.len()
     );
-    // Parts are known too.
+    // Parts are included on request.
     let part = instances
         .iter()
         .find(|instance| instance.level == uniground_types::scene::Level::Part)
@@ -65,18 +67,20 @@ async fn a_scene_is_a_graph_in_three_formats() {
     let of_part: uniground_types::graph::SceneGraph =
         serde_json::from_str(&text(&format!("around={}", part.id)).await).unwrap();
     assert!(of_part.edges.iter().any(|edge| edge.relation == GraphRelation::PartOf), "{of_part:?}");
-    let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?around=9999", scene.id)).await);
+    let refused =
+        expect_problem(client.bytes(&format!("v1/scenes/{}/graph?around=9999", scene.id)).await);
     assert_eq!((refused.status, refused.code.as_str()), (404, "instance_not_found"));
-    let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?format=dot", scene.id)).await);
+    let refused =
+        expect_problem(client.bytes(&format!("v1/scenes/{}/graph?format=dot", scene.id)).await);
     assert_eq!((refused.status, refused.code.as_str()), (422, "invalid_request"));
 
-    // What people have said counts.
+    // Corrections are applied.
     let id = answer.answer.predicted_id.unwrap();
     client
         .correct(&scene.id, &Change::Rename { instance_id: id, name: "Grandma's <cup>".into() })
         .await
         .unwrap();
-    assert!(text("format=graphml").await.contains("Grandma's &lt;cup&gt;"));
+    assert_contains(text("format=graphml").await, "Grandma's &lt;cup&gt;");
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![id] }).await.unwrap();
     assert!(
         client.graph(&scene.id, Levels::All).await.unwrap().nodes.iter().all(|node| node.id != mug)

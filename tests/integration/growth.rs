@@ -1,7 +1,7 @@
-//! Scenes that grow: frames added, ids that stay, what came, went and moved.
+//! Scenes that grow: added frames, stable ids, and what appeared, disappeared and moved.
 
-use crate::archives::{EIGHTHS, Scan, THINGS, Thing};
-use crate::server::{TestServer, ask, finished, problem};
+use crate::test_scans::{EIGHTHS, Scan, THINGS, Thing};
+use crate::test_server::{TestServer, ask, expect_problem, wait_for_job};
 use futures::future::join_all;
 use reqwest::Method;
 use std::collections::BTreeMap;
@@ -15,30 +15,31 @@ use uniground_types::job::JobState;
 use uniground_types::placement::{FrameChoice, SceneToMap};
 use uniground_types::scenes::{Scene, SceneChange};
 
-/// Between the eight places of the first look: things are seen from all sides.
+/// Camera positions between the eight of the first upload, so that instances are seen from all
+/// sides.
 const BETWEEN: [f32; 8] = [0.04, 0.165, 0.29, 0.415, 0.54, 0.665, 0.79, 0.915];
-/// A yellow box that was not there, where nothing stood.
+/// A yellow box in a place that was empty.
 const YELLOW: Thing = ([-0.2, -1.3, 0.0], [0.2, -1.0, 0.5], [210, 190, 30]);
-/// The blue box, elsewhere.
+/// The blue box at another place.
 const MOVED: Thing = ([-1.6, -0.3, 0.0], [-1.1, 0.1, 0.4], [30, 60, 190]);
 const FLOOR: Thing = THINGS[0];
 const SOFA: Thing = THINGS[1];
 const BLUE: Thing = THINGS[2];
 const GREEN: Thing = THINGS[3];
 
-async fn grown(client: &Client, scene: &str, frames: &Scan) -> Scene {
+async fn add_frames(client: &Client, scene: &str, frames: &Scan) -> Scene {
     let created = client.add_frames(scene, FrameChoice::Source, frames.zip()).await.unwrap();
-    let job = finished(client, &created.job.unwrap().id).await;
+    let job = wait_for_job(client, &created.job.unwrap().id).await;
     assert_eq!(job.error, None, "{job:?}");
     client.scene(scene).await.unwrap()
 }
 
-async fn things(client: &Client, scene: &str) -> Vec<InstanceView> {
+async fn list_things(client: &Client, scene: &str) -> Vec<InstanceView> {
     client.all_instances(scene, Levels::Things).await.unwrap()
 }
 
-/// The thing whose box's middle is that of one of the room.
-fn at<'a>(instances: &'a [InstanceView], thing: &Thing) -> &'a InstanceView {
+/// Returns the instance whose box has the same center as this box of the room.
+fn instance_at<'a>(instances: &'a [InstanceView], thing: &Thing) -> &'a InstanceView {
     let off = |instance: &InstanceView| {
         (0..3)
             .map(|i| (instance.aabb.center[i] - f32::midpoint(thing.0[i], thing.1[i])).powi(2))
@@ -51,49 +52,52 @@ fn at<'a>(instances: &'a [InstanceView], thing: &Thing) -> &'a InstanceView {
     near[0]
 }
 
-fn boxes_of(changes: &[ChangedThing]) -> Vec<[f32; 3]> {
+fn box_centers(changes: &[ChangedThing]) -> Vec<[f32; 3]> {
     changes.iter().map(|thing| thing.aabb.center.coords.into()).collect()
 }
 
-/// Of the floor there may be more to see.
-fn nothing_happened(changes: &Changes) -> bool {
+/// Returns whether nothing changed. The floor may show more of itself.
+fn is_unchanged(changes: &Changes) -> bool {
     let seen = changes.first_seen.iter().all(|thing| thing.aabb.size.z < 0.1);
     seen && Changes { first_seen: Vec::new(), ..changes.clone() }.is_empty()
 }
 
-fn near(center: [f32; 3], thing: &Thing) -> bool {
+fn is_near(center: [f32; 3], thing: &Thing) -> bool {
     (0..3).all(|i| (center[i] - f32::midpoint(thing.0[i], thing.1[i])).abs() < 0.12)
 }
 
 #[tokio::test]
-async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
+async fn ids_are_stable_and_changes_are_reported() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
-    let before = things(client, &scene.id).await;
-    let (sofa, blue, green) =
-        (at(&before, &SOFA).clone(), at(&before, &BLUE).clone(), at(&before, &GREEN).clone());
+    let scene = server.upload_and_parse(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let before = list_things(client, &scene.id).await;
+    let (sofa, blue, green) = (
+        instance_at(&before, &SOFA).clone(),
+        instance_at(&before, &BLUE).clone(),
+        instance_at(&before, &GREEN).clone(),
+    );
     let renamed = Change::Rename { instance_id: sofa.id, name: "old settee".into() };
     client.correct(&scene.id, &renamed).await.unwrap();
 
-    // The blue box is elsewhere, the green one gone, a yellow one there.
+    // The blue box has moved, the green one is gone, a yellow one is new.
     let now = [FLOOR, SOFA, MOVED, YELLOW];
-    let later = grown(client, &scene.id, &Scan::of_room(&now, &BETWEEN)).await;
+    let later = add_frames(client, &scene.id, &Scan::of_room(&now, &BETWEEN)).await;
     assert_eq!((later.parse_version, later.import.as_ref().unwrap().frames), (2, 16));
-    let after = things(client, &scene.id).await;
-    let same = at(&after, &SOFA);
+    let after = list_things(client, &scene.id).await;
+    let same = instance_at(&after, &SOFA);
     assert_eq!(
         (same.id, same.given_name.as_deref()),
         (sofa.id, Some("old settee")),
-        "what stays keeps its id and its name"
+        "an unchanged instance keeps its id and name"
     );
     assert!((same.aabb.size - sofa.aabb.size).norm() < 0.05, "{same:?}");
-    let yellow = at(&after, &YELLOW);
-    let moved = at(&after, &MOVED);
+    let yellow = instance_at(&after, &YELLOW);
+    let moved = instance_at(&after, &MOVED);
     let last = before.iter().map(|thing| thing.id.0).max().unwrap();
     assert!(
         yellow.id.0 > last && moved.id.0 > last,
-        "no id is given twice: {} and {} after {last}",
+        "an id is reused: {} and {} after {last}",
         yellow.id,
         moved.id
     );
@@ -110,11 +114,11 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
     );
     assert!((elsewhere[0].distance_m - (moved.aabb.center - blue.aabb.center).norm()).abs() < 1e-3);
     assert!(regrouped.is_empty() && not_seen.is_empty(), "{regrouped:?} {not_seen:?}");
-    // Of the floor there may be more to see.
+    // Only floor may be seen for the first time.
     assert!(first_seen.iter().all(|thing| thing.aabb.size.z < 0.1), "{first_seen:?}");
     assert!(unchanged >= 1, "the sofa");
 
-    // What is gone is told of by its id, and is no answer.
+    // A removed instance is still returned by id but is never an answer.
     let gone: InstanceView = client
         .all_instances(&scene.id, Levels::All)
         .await
@@ -134,21 +138,21 @@ async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
         );
     }
     let picture = format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, yellow.id);
-    assert!(image::load_from_memory(&client.bytes(&picture).await.unwrap()).is_ok());
+    image::load_from_memory(&client.bytes(&picture).await.unwrap()).unwrap();
     server.stop().await;
 }
 
-/// A robot does not wait for people, nor they for it.
+/// Corrections and added frames do not block each other.
 #[tokio::test]
-async fn what_is_corrected_while_a_scene_grows_is_kept() {
+async fn corrections_during_an_update_are_preserved() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
-    let sofa = at(&things(client, &scene.id).await, &SOFA).id;
+    let scene = server.upload_and_parse(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let sofa = instance_at(&list_things(client, &scene.id).await, &SOFA).id;
     let frames = Scan::of_room(&THINGS, &BETWEEN);
     let created = client.add_frames(&scene.id, FrameChoice::Source, frames.zip()).await.unwrap();
     let job = created.job.unwrap().id;
-    // At once, and while it is at it.
+    // One correction before the update and one during it.
     for name in ["settee", "old settee"] {
         client
             .correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() })
@@ -158,60 +162,64 @@ async fn what_is_corrected_while_a_scene_grows_is_kept() {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     }
-    assert_eq!(finished(client, &job).await.error, None);
-    let after = things(client, &scene.id).await;
+    assert_eq!(wait_for_job(client, &job).await.error, None);
+    let after = list_things(client, &scene.id).await;
     assert_eq!(client.scene(&scene.id).await.unwrap().parse_version, 2);
     assert_eq!(
-        (at(&after, &SOFA).id, at(&after, &SOFA).given_name.as_deref()),
+        (instance_at(&after, &SOFA).id, instance_at(&after, &SOFA).given_name.as_deref()),
         (sofa, Some("old settee"))
     );
     server.stop().await;
 }
 
 #[tokio::test]
-async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
+async fn repeated_updates_report_each_change_once() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
-    let before = things(client, &scene.id).await;
-    // The same room: nothing is different.
+    let scene = server.upload_and_parse(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let before = list_things(client, &scene.id).await;
+    // The same room: nothing changes.
     let same = Scan::of_room(&THINGS, &BETWEEN);
-    grown(client, &scene.id, &same).await;
+    add_frames(client, &scene.id, &same).await;
     let told = client.changes_since(&scene.id, 1).await.unwrap();
-    assert!(nothing_happened(&told.changes), "{told:?}");
-    let again = things(client, &scene.id).await;
+    assert!(is_unchanged(&told.changes), "{told:?}");
+    let again = list_things(client, &scene.id).await;
     for thing in [&SOFA, &BLUE, &GREEN] {
-        assert_eq!(at(&again, thing).id, at(&before, thing).id);
+        assert_eq!(instance_at(&again, thing).id, instance_at(&before, thing).id);
     }
 
-    // A yellow box comes and goes again.
-    let came =
-        grown(client, &scene.id, &Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &BETWEEN))
-            .await;
+    // A yellow box appears and disappears again.
+    let came = add_frames(
+        client,
+        &scene.id,
+        &Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &BETWEEN),
+    )
+    .await;
     assert_eq!(came.parse_version, 3);
     let told = client.changes_since(&scene.id, 1).await.unwrap();
     assert!(
-        told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW),
+        told.changes.appeared.len() == 1
+            && is_near(box_centers(&told.changes.appeared)[0], &YELLOW),
         "{told:?}"
     );
-    let went = grown(client, &scene.id, &same).await;
+    let went = add_frames(client, &scene.id, &same).await;
     assert_eq!((went.parse_version, went.import.unwrap().frames), (4, 32));
-    assert!(nothing_happened(&client.changes_since(&scene.id, 1).await.unwrap().changes));
+    assert!(is_unchanged(&client.changes_since(&scene.id, 1).await.unwrap().changes));
     let told = client.changes_since(&scene.id, 3).await.unwrap();
     assert!(
-        told.changes.gone.len() == 1 && near(boxes_of(&told.changes.gone)[0], &YELLOW),
+        told.changes.gone.len() == 1 && is_near(box_centers(&told.changes.gone)[0], &YELLOW),
         "{told:?}"
     );
     assert!(client.changes_since(&scene.id, 4).await.unwrap().changes.is_empty());
     for since in [0, 5] {
         assert_eq!(
-            problem(client.changes_since(&scene.id, since).await).code,
+            expect_problem(client.changes_since(&scene.id, since).await).code,
             "no_version",
             "{since}"
         );
     }
 
-    // Parsed anew from all it is made of: the same things under the same ids.
+    // A parse of all frames from scratch gives the same instances under the same ids.
     let job = client
         .parse(
             &scene.id,
@@ -219,28 +227,28 @@ async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
         )
         .await
         .unwrap();
-    assert_eq!(finished(client, &job.id).await.error, None);
-    let again = things(client, &scene.id).await;
+    assert_eq!(wait_for_job(client, &job.id).await.error, None);
+    let again = list_things(client, &scene.id).await;
     for thing in [&SOFA, &BLUE, &GREEN] {
-        assert_eq!(at(&again, thing).id, at(&before, thing).id);
+        assert_eq!(instance_at(&again, thing).id, instance_at(&before, thing).id);
     }
-    assert!(client.changes_since(&scene.id, 1).await.is_ok());
+    client.changes_since(&scene.id, 1).await.unwrap();
 
-    // Gone with the scene is all it was made of.
+    // Deleting the scene deletes all its frames.
     client.delete_scene(&scene.id).await.unwrap();
     for folder in ["blobs/contents", "blobs/parses", "blobs/checkpoints"] {
-        assert_eq!(server.stored(folder), Vec::<String>::new(), "{folder}");
+        assert_eq!(server.list_folder(folder), Vec::<String>::new(), "{folder}");
     }
     server.stop().await;
 }
 
 #[tokio::test]
-async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
+async fn unrelated_or_missing_frames_are_refused_and_change_nothing() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::frames_only().zip()).await;
-    let content = server.stored("blobs/contents");
-    // The same pictures, a metre higher and turned upside down.
+    let scene = server.upload_and_parse(Scan::frames_only().zip()).await;
+    let content = server.list_folder("blobs/contents");
+    // The same images with poses a meter higher and upside down.
     let mut elsewhere = Scan::of_room(&THINGS, &[0.1, 0.5]);
     for i in 0..2 {
         let text = String::from_utf8(elsewhere.0[&format!("pose/{i}.txt")].clone()).unwrap();
@@ -264,27 +272,30 @@ async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
         (b"no archive".to_vec(), "archive_unreadable"),
         (Scan::frames_only().with("grown.json", "{}").zip(), "archive_entry_unsafe"),
     ] {
-        let refused = problem(client.add_frames(&scene.id, FrameChoice::Source, frames).await);
+        let refused =
+            expect_problem(client.add_frames(&scene.id, FrameChoice::Source, frames).await);
         assert_eq!((refused.code.as_str(), refused.status), (code, 422), "{refused:?}");
     }
-    let refused =
-        problem(client.add_frames(&scene.id, FrameChoice::Map, Scan::frames_only().zip()).await);
+    let refused = expect_problem(
+        client.add_frames(&scene.id, FrameChoice::Map, Scan::frames_only().zip()).await,
+    );
     assert_eq!(refused.code, "no_map");
-    let refused =
-        problem(client.add_frames("nobody", FrameChoice::Source, Scan::frames_only().zip()).await);
+    let refused = expect_problem(
+        client.add_frames("nobody", FrameChoice::Source, Scan::frames_only().zip()).await,
+    );
     assert_eq!(refused.code, "scene_not_found");
-    assert_eq!(server.stored("blobs/contents"), content, "nothing is stored");
+    assert_eq!(server.list_folder("blobs/contents"), content, "refused frames must not be stored");
     assert_eq!(client.scene(&scene.id).await.unwrap(), scene);
-    assert_eq!(server.stored("tmp"), Vec::<String>::new());
+    assert_eq!(server.list_folder("tmp"), Vec::<String>::new());
     server.stop().await;
 }
 
-/// A robot tells poses in its map, and sends the same again when it did not hear the answer.
+/// A robot gives poses in its map, and repeats the request when it received no response.
 #[tokio::test]
-async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once() {
+async fn frames_in_map_coordinates_are_placed_and_added_once_per_key() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::frames_only().zip()).await;
+    let scene = server.upload_and_parse(Scan::frames_only().zip()).await;
     // A quarter turn and a shift: the map's x is the scene's -y.
     let s = std::f64::consts::FRAC_1_SQRT_2;
     let to_map = SceneToMap { rotation: [0.0, 0.0, s, s], translation_m: [10.0, 20.0, 0.5] };
@@ -315,14 +326,15 @@ async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once()
         response.json::<BTreeMap<String, serde_json::Value>>().await.unwrap()
     };
     let first = send().await;
-    finished(client, first["job"]["id"].as_str().unwrap()).await;
+    wait_for_job(client, first["job"]["id"].as_str().unwrap()).await;
     let again = send().await;
     assert_eq!(again["job"]["id"], first["job"]["id"]);
     let after = client.scene(&scene.id).await.unwrap();
     assert_eq!((after.parse_version, after.import.unwrap().frames), (2, 11));
     let told = client.changes_since(&scene.id, 1).await.unwrap();
     assert!(
-        told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW),
+        told.changes.appeared.len() == 1
+            && is_near(box_centers(&told.changes.appeared)[0], &YELLOW),
         "{told:?}"
     );
     let other = client
@@ -333,12 +345,12 @@ async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once()
     server.stop().await;
 }
 
-/// Two scans of one room, the second from another origin.
+/// Two scans of one room, the second with another origin.
 #[tokio::test]
-async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
+async fn two_scans_of_a_room_are_aligned_and_compared() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let first = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let first = server.upload_and_parse(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     let mut second = Scan::of_room(&[FLOOR, SOFA, MOVED, YELLOW], &EIGHTHS);
     let (sin, cos) = 0.05_f32.sin_cos();
     for i in 0..8 {
@@ -348,7 +360,13 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
         let line = |x: f32, y: f32, z: f32, plus: f32| {
             let at =
                 |column: usize| x * rows[0][column] + y * rows[1][column] + z * rows[2][column];
-            format!("{} {} {} {}\n", at(0), at(1), at(2), at(3) + plus)
+            format!(
+                "{} {} {} {}\n",
+                instance_at(0),
+                instance_at(1),
+                instance_at(2),
+                instance_at(3) + plus
+            )
         };
         let moved = format!(
             "{}{}{}0 0 0 1\n",
@@ -358,7 +376,7 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
         );
         second.0.insert(format!("pose/{i}.txt"), moved.into_bytes());
     }
-    let second = server.parsed(second.zip()).await;
+    let second = server.upload_and_parse(second.zip()).await;
     let told = client.changes_to(&first.id, &second.id, true).await.unwrap();
     let alignment = told.alignment.unwrap();
     let off: f64 =
@@ -367,23 +385,23 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
         off < 0.03 && (alignment.rotation[2] * 2.0 - 0.05).abs() < 0.01 && alignment.rms_m < 0.02,
         "{alignment:?}"
     );
-    let before = things(client, &first.id).await;
+    let before = list_things(client, &first.id).await;
     let Changes { appeared, gone, moved, unchanged, .. } = told.changes.clone();
     assert_eq!(
         gone.iter().map(|thing| thing.id).collect::<Vec<_>>(),
-        [at(&before, &GREEN).id],
+        [instance_at(&before, &GREEN).id],
         "{told:?}"
     );
     assert_eq!(
         moved.iter().map(|moved| moved.before.id).collect::<Vec<_>>(),
-        [at(&before, &BLUE).id],
+        [instance_at(&before, &BLUE).id],
         "{told:?}"
     );
     assert!(appeared.len() == 1 && unchanged >= 1, "{told:?}");
 
-    // A room elsewhere is none of it.
+    // Another room does not match.
     let far = server
-        .parsed(
+        .upload_and_parse(
             Scan::of_room(
                 &[
                     ([-2.0, -2.0, -4.0], [2.0, 2.0, -3.9], [90; 3]),
@@ -394,28 +412,28 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
             .zip(),
         )
         .await;
-    let refused = problem(client.changes_to(&first.id, &far.id, true).await);
+    let refused = expect_problem(client.changes_to(&first.id, &far.id, true).await);
     assert_eq!(refused.code, "scans_apart", "{refused:?}");
     server.stop().await;
 }
 
-/// Comparing two scans is work for seconds: few are compared at once, the others are told to come
-/// again.
+/// Comparing two scans takes seconds, so only a few run at once; the others get an error with a
+/// retry time.
 #[tokio::test(flavor = "multi_thread")]
-async fn few_scans_are_compared_at_once() {
+async fn concurrent_comparisons_are_limited() {
     let server = TestServer::start().await;
-    let first = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
-    let second = server.parsed(Scan::of_room(&THINGS, &BETWEEN).zip()).await;
+    let first = server.upload_and_parse(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let second = server.upload_and_parse(Scan::of_room(&THINGS, &BETWEEN).zip()).await;
     let compared = (0..40).map(|_| server.client.changes_to(&first.id, &second.id, false));
     let (done, refused): (Vec<_>, Vec<_>) =
         join_all(compared).await.into_iter().partition(Result::is_ok);
     let counts = (done.len(), refused.len());
     for refused in refused {
-        let refused = problem(refused);
+        let refused = expect_problem(refused);
         assert_eq!((refused.status, refused.code.as_str()), (429, "overloaded"), "{refused:?}");
     }
     assert!(counts.0 > 0 && counts.1 > 0, "{counts:?} were compared and refused");
-    // And there is room again.
-    assert!(server.client.changes_to(&first.id, &second.id, false).await.is_ok());
+    // Afterwards a comparison is accepted again.
+    server.client.changes_to(&first.id, &second.id, false).await.unwrap();
     server.stop().await;
 }

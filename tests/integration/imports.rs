@@ -1,16 +1,18 @@
-//! Scans on the server's own disk.
+//! Import of scans from the server's own disk.
 
-use crate::archives::Scan;
-use crate::server::{Process, TestServer, command, finished, post_raw, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{
+    Process, TestServer, expect_problem, post_raw, serve_command, wait_for_job,
+};
 use camino::Utf8Path;
 use std::fs;
 use std::os::unix::fs::symlink;
 use uniground_types::job::JobState;
 use uniground_types::scenes::{ImportRequest, SceneStatus};
 
-/// A folder with `scans/room.zip`, the same unpacked as `scans/room/`, and a scan outside of
-/// `scans`.
-fn disk() -> tempfile::TempDir {
+/// Returns a folder with `scans/room.zip`, the same scan unpacked as `scans/room/`, and a scan
+/// outside of `scans`.
+fn prepare_disk() -> tempfile::TempDir {
     let disk = tempfile::tempdir().unwrap();
     let root = Utf8Path::from_path(disk.path()).unwrap();
     let zip = Scan::neutral().zip();
@@ -27,15 +29,15 @@ fn disk() -> tempfile::TempDir {
 }
 
 #[tokio::test]
-async fn what_lies_on_the_servers_disk_needs_no_upload() {
-    let (data, disk) = (tempfile::tempdir().unwrap(), disk());
+async fn a_scan_below_the_import_folder_needs_no_upload() {
+    let (data, disk) = (tempfile::tempdir().unwrap(), prepare_disk());
     let root = Utf8Path::from_path(disk.path()).unwrap().join("scans");
-    let mut command = command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0");
-    let process = Process::started(command.arg("--import-root").arg(&root));
+    let mut command = serve_command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0");
+    let process = Process::spawn(command.arg("--import-root").arg(&root));
     let client = &process.client;
     let first = client.import_scene(&ImportRequest::of("room.zip")).await.unwrap();
-    assert_eq!(finished(client, &first.job.unwrap().id).await.state, JobState::Succeeded);
-    // A link that stays below the folder is as good; the same bytes are parsed once.
+    assert_eq!(wait_for_job(client, &first.job.unwrap().id).await.state, JobState::Succeeded);
+    // A symbolic link that stays below the folder is accepted; the same bytes are parsed once.
     let again = client
         .import_scene(&ImportRequest {
             name: Some("again".into()),
@@ -48,7 +50,7 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
         (first.scene.content_hash.as_str(), "again")
     );
     let folder = client.import_scene(&ImportRequest::of("room")).await.unwrap();
-    assert_eq!(finished(client, &folder.job.unwrap().id).await.state, JobState::Succeeded);
+    assert_eq!(wait_for_job(client, &folder.job.unwrap().id).await.state, JobState::Succeeded);
     let [zipped, unpacked] = [first.scene.id, folder.scene.id];
     let (zipped, unpacked) =
         (client.scene(&zipped).await.unwrap(), client.scene(&unpacked).await.unwrap());
@@ -61,19 +63,19 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
 
     let (outside, absolute) = ("../room.zip", root.join("room.zip"));
     for path in [outside, "link.zip", "no such", "/etc/passwd", "room.zip/x", ""] {
-        let refused = problem(client.import_scene(&ImportRequest::of(path)).await);
+        let refused = expect_problem(client.import_scene(&ImportRequest::of(path)).await);
         let expected =
             if path.is_empty() { (422, "invalid_request") } else { (404, "import_not_found") };
         assert_eq!((refused.status, refused.code.as_str()), expected, "{path:?}: {refused:?}");
         assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
     }
-    // Below the folder it is, however it is said.
-    assert!(client.import_scene(&ImportRequest::of(absolute)).await.is_ok());
-    let refused = problem(client.import_scene(&ImportRequest::of("nothing")).await);
+    // An absolute path below the folder is accepted too.
+    client.import_scene(&ImportRequest::of(absolute)).await.unwrap();
+    let refused = expect_problem(client.import_scene(&ImportRequest::of("nothing")).await);
     assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/path"), "{refused:?}");
     assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
     fs::write(root.join("room/grown.json"), "{}").unwrap();
-    let refused = problem(client.import_scene(&ImportRequest::of("room")).await);
+    let refused = expect_problem(client.import_scene(&ImportRequest::of("room")).await);
     assert_eq!(
         (refused.status, refused.code.as_str()),
         (422, "archive_entry_unsafe"),
@@ -95,9 +97,10 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
 }
 
 #[tokio::test]
-async fn without_a_folder_nothing_is_imported() {
+async fn imports_are_refused_without_an_import_folder() {
     let server = TestServer::start().await;
-    let refused = problem(server.client.import_scene(&ImportRequest::of("etc/passwd")).await);
+    let refused =
+        expect_problem(server.client.import_scene(&ImportRequest::of("etc/passwd")).await);
     assert_eq!((refused.status, refused.code.as_str()), (403, "import_not_allowed"));
     server.stop().await;
 }

@@ -1,7 +1,7 @@
-//! Requests that are wrong: a problem each, and the server goes on.
+//! Invalid requests: each is answered with a problem, and the server keeps serving.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, post_raw, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, ask, expect_problem, post_raw};
 use reqwest::Method;
 use serde_json::Value;
 use uniground_types::placement::SceneToMap;
@@ -9,9 +9,9 @@ use uniground_types::problem::Problem;
 use uniground_types::scenes::SceneChange;
 
 #[tokio::test]
-async fn wrong_questions_are_named_by_field() {
+async fn invalid_questions_name_the_field() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let path = format!("v1/scenes/{}/ground", scene.id);
     let long = format!(r#"{{"query": "{}"}}"#, "x".repeat(10_000));
     for (body, status, code, pointer) in [
@@ -64,7 +64,7 @@ async fn wrong_questions_are_named_by_field() {
     let form =
         post_raw(&server.client, &path, "application/x-www-form-urlencoded", "query=sofa").await;
     assert_eq!((form.status, form.code.as_str()), (415, "unsupported_media_type"));
-    // Odd words are questions too.
+    // Unusual words are valid questions.
     for query in [
         "🛋️🛋️🛋️",
         "'; DROP TABLE scenes; --",
@@ -78,9 +78,9 @@ async fn wrong_questions_are_named_by_field() {
 }
 
 #[tokio::test]
-async fn unknown_things_are_not_found() {
+async fn unknown_ids_and_routes_are_not_found() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let nobody = "018f0000-0000-7000-8000-000000000000";
     for (path, code) in [
         (format!("v1/scenes/{nobody}"), "scene_not_found"),
@@ -97,7 +97,7 @@ async fn unknown_things_are_not_found() {
         (format!("v1/answers/{nobody}/evidence/global.jpg"), "answer_not_found"),
         ("v1/rooms".into(), "no_such_route"),
     ] {
-        let refusal = problem(server.client.bytes(&path).await);
+        let refusal = expect_problem(server.client.bytes(&path).await);
         assert_eq!(
             (refusal.status, refusal.code.as_str()),
             (404, code),
@@ -105,18 +105,18 @@ async fn unknown_things_are_not_found() {
             refusal.detail
         );
     }
-    assert_eq!(problem(server.client.cancel_job(nobody).await).code, "job_not_found");
+    assert_eq!(expect_problem(server.client.cancel_job(nobody).await).code, "job_not_found");
     assert_eq!(
-        problem(server.client.ground(nobody, &ask("the sofa")).await).code,
+        expect_problem(server.client.ground(nobody, &ask("the sofa")).await).code,
         "scene_not_found"
     );
     server.stop().await;
 }
 
 #[tokio::test]
-async fn wrong_methods_parameters_and_settings_are_problems() {
+async fn invalid_methods_parameters_and_settings_are_problems() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let response = server.client.request(Method::PUT, "v1/scenes").send().await.unwrap();
     assert_eq!(
         (
@@ -128,7 +128,7 @@ async fn wrong_methods_parameters_and_settings_are_problems() {
     assert_eq!(response.headers()["content-type"], "application/problem+json");
 
     for path in ["v1/scenes?limit=0", "v1/scenes?limit=many", "v1/scenes?size=3"] {
-        let refusal = problem(server.client.bytes(path).await);
+        let refusal = expect_problem(server.client.bytes(path).await);
         assert_eq!(
             (refusal.status, refusal.code.as_str()),
             (422, "invalid_request"),
@@ -157,18 +157,18 @@ async fn wrong_methods_parameters_and_settings_are_problems() {
         );
     }
     assert_eq!(
-        problem(server.client.rename_scene(&scene.id, " ").await).errors[0].pointer,
+        expect_problem(server.client.rename_scene(&scene.id, " ").await).errors[0].pointer,
         "/name"
     );
     server.stop().await;
 }
 
-/// The words `NaN` and `inf` are numbers to whoever reads a query, and a large number in JSON is an
-/// infinite `f32`.
+/// Query parsers accept `NaN` and `inf` as numbers, and a large JSON number becomes an infinite
+/// `f32`.
 #[tokio::test]
-async fn numbers_that_are_none_are_refused_by_field() {
+async fn non_finite_numbers_are_refused_by_field() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     for word in ["NaN", "nan", "inf", "-inf", "infinity", "1e999", "-1"] {
         for (method, path, pointer) in [
             (Method::POST, format!("v1/scenes?metres_per_unit={word}"), "metres_per_unit"),
@@ -249,15 +249,15 @@ async fn numbers_that_are_none_are_refused_by_field() {
     let place = SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [1e300, 0.0, 0.0] };
     let change = SceneChange { scene_to_map: Some(Some(place)), ..SceneChange::default() };
     assert_eq!(
-        problem(server.client.change_scene(scene, &change).await).errors[0].pointer,
+        expect_problem(server.client.change_scene(scene, &change).await).errors[0].pointer,
         "/scene_to_map/translation_m"
     );
     server.stop().await;
 }
 
-/// On every route that takes one, by the description.
+/// Checks every route that takes an idempotency key, by the OpenAPI description.
 #[tokio::test]
-async fn an_idempotency_key_that_is_none_is_refused_by_name() {
+async fn an_invalid_idempotency_key_is_refused() {
     let server = TestServer::start().await;
     let description: Value =
         serde_json::from_slice(&server.client.bytes("openapi.json").await.unwrap()).unwrap();
@@ -303,10 +303,10 @@ async fn an_idempotency_key_that_is_none_is_refused_by_name() {
     server.stop().await;
 }
 
-/// Cursors are ids as they are given out: in braces or capitals they would be compared as other
-/// texts.
+/// Cursors are accepted only in the form in which they are returned: braces or capitals would
+/// compare as different texts.
 #[tokio::test]
-async fn a_cursor_that_is_none_is_refused_by_name() {
+async fn an_invalid_cursor_is_refused() {
     let server = TestServer::start().await;
     let id = "01a1ff70-0000-7000-8000-00000000000a";
     for list in ["v1/scenes", "v1/answers", "v1/jobs", "v1/batches", "v1/keys", "v1/audit"] {
@@ -318,7 +318,8 @@ async fn a_cursor_that_is_none_is_refused_by_name() {
             "x".into(),
             String::new(),
         ] {
-            let refusal = problem(server.client.bytes(&format!("{list}?cursor={cursor}")).await);
+            let refusal =
+                expect_problem(server.client.bytes(&format!("{list}?cursor={cursor}")).await);
             assert_eq!(
                 (refusal.status, refusal.errors[0].pointer.as_str()),
                 (422, "cursor"),

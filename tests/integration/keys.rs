@@ -1,13 +1,17 @@
-//! Keys of callers: what they allow, how often, for how much, and what is remembered of it.
+//! Access and API keys: required keys, scopes, rate limits, quotas, budgets, and the audit log.
 
-use crate::archives::Scan;
 use crate::scripted_model::{Script, says};
-use crate::server::{Process, TestServer, ask, command, finished, in_places, location, problem};
-use crate::vlm::{config, six_lines};
+use crate::test_scans::Scan;
+use crate::test_server::{
+    Process, TestServer, ask, assert_contains, database_location, expect_problem, serve_command,
+    storage_env, wait_for_job,
+};
+use crate::vlm::{six_field_reply, vlm_config};
 use camino::Utf8Path;
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
-use std::process::Command;
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
 use uniground::config::{LimitsConfig, VlmConfig};
 use uniground_client::Client;
 use uniground_storage::Location;
@@ -15,7 +19,11 @@ use uniground_types::batch::{BatchRequest, BatchState};
 use uniground_types::keys::{CreatedKey, NewKey, Scope};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-fn wanted(name: &str, scope: Scope) -> NewKey {
+const KEY: &str = "ug_0123456789abcdef";
+/// Routes that need no key.
+const PUBLIC: [&str; 2] = ["/healthz", "/readyz"];
+
+fn new_key(name: &str, scope: Scope) -> NewKey {
     NewKey {
         name: name.into(),
         scope,
@@ -26,25 +34,25 @@ fn wanted(name: &str, scope: Scope) -> NewKey {
     }
 }
 
-/// A client with a key of its own; `of` may make keys.
-async fn holder(of: &Client, url: &str, new: NewKey) -> (Client, CreatedKey) {
+/// Creates a key with `of`, an administrator's client, and returns a client that uses it.
+async fn create_key_client(of: &Client, url: &str, new: NewKey) -> (Client, CreatedKey) {
     let created = of.create_key(&new).await.unwrap();
     (Client::new(url, Some(created.secret.clone())).unwrap(), created)
 }
 
-/// The first key is made on the stopped server's folder, and then nobody gets in without one.
+/// The first key is created in the stopped server's folder; from then on every request needs one.
 #[tokio::test]
-async fn the_first_key_opens_a_server_to_the_network() {
+async fn a_server_with_a_key_can_listen_on_the_network() {
     let data = tempfile::tempdir().unwrap();
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let key = |args: &[&str]| {
         let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
-        program.arg("key").args(args).envs(in_places(folder)).output().unwrap()
+        program.arg("key").args(args).envs(storage_env(folder)).output().unwrap()
     };
     let made = key(&["create", "boss", "--scope", "admin", "--data-dir", folder.as_str()]);
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     let secret = String::from_utf8(made.stdout).unwrap().trim().to_owned();
-    let process = Process::started(&mut command(folder, "0.0.0.0:0"));
+    let process = Process::spawn(&mut serve_command(folder, "0.0.0.0:0"));
     let url = process
         .client
         .request(Method::GET, "")
@@ -55,8 +63,8 @@ async fn the_first_key_opens_a_server_to_the_network() {
         .replace("0.0.0.0", "127.0.0.1");
     let (anonymous, boss) =
         (Client::new(&url, None).unwrap(), Client::new(&url, Some(secret)).unwrap());
-    assert_eq!(problem(anonymous.scenes(1, None).await).code, "unauthorized");
-    let robot = boss.create_key(&wanted("robot", Scope::Read)).await.unwrap();
+    assert_eq!(expect_problem(anonymous.scenes(1, None).await).code, "unauthorized");
+    let robot = boss.create_key(&new_key("robot", Scope::Read)).await.unwrap();
     let known = boss.keys(10, None).await.unwrap();
     assert_eq!(
         known.keys.iter().map(|key| key.name.as_str()).collect::<Vec<_>>(),
@@ -64,24 +72,31 @@ async fn the_first_key_opens_a_server_to_the_network() {
     );
     assert!(
         !serde_json::to_string(&known).unwrap().contains(&robot.secret),
-        "a secret is told once"
+        "a secret is returned only once"
     );
     let revoked = boss.revoke_key(&robot.key.id).await.unwrap();
     let again = boss.revoke_key(&robot.key.id).await.unwrap();
-    assert!(revoked.revoked_at.is_some() && again.revoked_at == revoked.revoked_at);
+    assert!(
+        revoked.revoked_at.is_some() && again.revoked_at == revoked.revoked_at,
+        "{revoked:?} {again:?}"
+    );
     let robot = Client::new(&url, Some(robot.secret)).unwrap();
-    assert_eq!(problem(robot.scenes(1, None).await).detail, "this key was revoked");
+    assert_eq!(expect_problem(robot.scenes(1, None).await).detail, "this key was revoked");
     assert_eq!(
-        problem(boss.revoke_key("018f0000-0000-7000-8000-000000000000").await).code,
+        expect_problem(boss.revoke_key("018f0000-0000-7000-8000-000000000000").await).code,
         "key_not_found"
     );
     let listed = key(&["list", "--data-dir", folder.as_str()]);
-    match location(folder) {
+    match database_location(folder) {
         Location::Postgres(_) => {
-            assert!(String::from_utf8_lossy(&listed.stdout).contains("boss"), "several may use it");
+            assert!(
+                String::from_utf8_lossy(&listed.stdout).contains("boss"),
+                "several processes may use the database"
+            );
         }
-        _ => assert!(
-            String::from_utf8_lossy(&listed.stderr).contains("another server uses this data")
+        _ => assert_contains(
+            String::from_utf8_lossy(&listed.stderr),
+            "another server uses this data",
         ),
     }
     assert_eq!(process.terminate(), Some(0));
@@ -89,13 +104,13 @@ async fn the_first_key_opens_a_server_to_the_network() {
     assert!(listed.contains("boss") && listed.contains("revoked"), "{listed}");
 }
 
-/// Where anybody may ask, a stranger would lock everybody else out; on one's own machine there are
-/// none, and any name will do from then on.
+/// On an open network, a caller without a key must not create the first one and lock out the
+/// others. On loopback anybody may, under any name.
 #[tokio::test]
-async fn a_stranger_does_not_make_the_first_key() {
+async fn the_first_key_cannot_be_created_over_an_open_network() {
     let data = tempfile::tempdir().unwrap();
-    let mut open = command(Utf8Path::from_path(data.path()).unwrap(), "0.0.0.0:0");
-    let process = Process::started(open.arg("--allow-anybody"));
+    let mut open = serve_command(Utf8Path::from_path(data.path()).unwrap(), "0.0.0.0:0");
+    let process = Process::spawn(open.arg("--allow-anybody"));
     let url = process
         .client
         .request(Method::GET, "")
@@ -106,10 +121,10 @@ async fn a_stranger_does_not_make_the_first_key() {
         .replace("0.0.0.0", "127.0.0.1");
     let stranger = Client::new(&url, None).unwrap();
     assert_eq!(
-        problem(stranger.create_key(&wanted("mine", Scope::Admin)).await).code,
+        expect_problem(stranger.create_key(&new_key("mine", Scope::Admin)).await).code,
         "first_key_by_hand"
     );
-    assert!(stranger.scenes(1, None).await.is_ok(), "and nobody is locked out");
+    assert!(stranger.scenes(1, None).await.is_ok(), "callers without a key still have access");
     assert_eq!(process.terminate(), Some(0));
 
     let server = TestServer::start().await;
@@ -118,21 +133,22 @@ async fn a_stranger_does_not_make_the_first_key() {
         request.send().await.unwrap().status().as_u16()
     };
     assert_eq!(named(&server.client).await, 421);
-    let (admin, _) = holder(&server.client, &server.url(), wanted("admin", Scope::Admin)).await;
+    let (admin, _) =
+        create_key_client(&server.client, &server.url(), new_key("admin", Scope::Admin)).await;
     assert_eq!((named(&server.client).await, named(&admin).await), (401, 200));
     server.stop().await;
 }
 
-/// Every route wants the scope its description names, and nothing that changes anything is open to
-/// readers.
+/// Every route requires the scope in its description, and no route that changes anything accepts a
+/// read key.
 #[tokio::test(flavor = "multi_thread")]
-async fn every_route_refuses_the_under_scoped() {
+async fn every_route_refuses_an_insufficient_scope() {
     let server = TestServer::start().await;
     let url = server.url();
-    let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
-    let (reader, _) = holder(&admin, &url, wanted("reader", Scope::Read)).await;
-    let (writer, _) = holder(&admin, &url, wanted("writer", Scope::Write)).await;
-    // Asked with a body, and changing nothing.
+    let (admin, _) = create_key_client(&server.client, &url, new_key("admin", Scope::Admin)).await;
+    let (reader, _) = create_key_client(&admin, &url, new_key("reader", Scope::Read)).await;
+    let (writer, _) = create_key_client(&admin, &url, new_key("writer", Scope::Write)).await;
+    // The requests have a body and change nothing.
     let of_scene =
         ["ground", "shortlist", "approach"].map(|what| format!("/v1/scenes/{{scene_id}}/{what}"));
     let questions: Vec<&str> =
@@ -145,7 +161,7 @@ async fn every_route_refuses_the_under_scoped() {
             let Some(scope) = operation["security"][0]["key"][0].as_str() else {
                 assert!(
                     ["/healthz", "/readyz"].contains(&path.as_str()),
-                    "{method} {path} is open to everybody"
+                    "{method} {path} requires no key"
                 );
                 continue;
             };
@@ -153,7 +169,7 @@ async fn every_route_refuses_the_under_scoped() {
             let changes = !method.is_safe() && !questions.contains(&path.as_str());
             assert!(
                 !changes || scope > Scope::Read,
-                "{method} {path} changes something and is open to readers"
+                "{method} {path} changes data and accepts a read key"
             );
             for (client, has) in [(&reader, Scope::Read), (&writer, Scope::Write)] {
                 let status = client
@@ -176,14 +192,14 @@ async fn every_route_refuses_the_under_scoped() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_has_a_rate_and_a_quota() {
+async fn a_key_has_a_rate_limit_and_a_scene_limit() {
     let server = TestServer::start().await;
     let url = server.url();
-    let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
-    let (slow, _) = holder(
+    let (admin, _) = create_key_client(&server.client, &url, new_key("admin", Scope::Admin)).await;
+    let (slow, _) = create_key_client(
         &admin,
         &url,
-        NewKey { requests_per_minute: Some(3), ..wanted("slow", Scope::Read) },
+        NewKey { requests_per_minute: Some(3), ..new_key("slow", Scope::Read) },
     )
     .await;
     for left in ["2", "1", "0"] {
@@ -196,66 +212,73 @@ async fn a_key_has_a_rate_and_a_quota() {
                 .starts_with(&format!("\"key\";r={left};t="))
         );
     }
-    let refused = problem(slow.scenes(1, None).await);
+    let refused = expect_problem(slow.scenes(1, None).await);
     assert_eq!((refused.status, refused.code.as_str()), (429, "rate_limited"));
     assert!(refused.retry_after_s.is_some_and(|wait| (1..=20).contains(&wait)), "{refused:?}");
-    assert!(admin.scenes(1, None).await.is_ok(), "one key's rate is nobody else's");
+    assert!(admin.scenes(1, None).await.is_ok(), "another key has its own rate limit");
 
-    let (robot, _) =
-        holder(&admin, &url, NewKey { max_scenes: Some(1), ..wanted("robot", Scope::Write) }).await;
+    let (robot, _) = create_key_client(
+        &admin,
+        &url,
+        NewKey { max_scenes: Some(1), ..new_key("robot", Scope::Write) },
+    )
+    .await;
     let upload = async |client: &Client, name: &str, key: &str| {
         client
             .create_scene_once(&[("name", name)], "application/zip", Scan::neutral().zip(), key)
             .await
     };
     let first = upload(&robot, "a", "k").await.unwrap();
-    let refused = problem(upload(&robot, "b", "another").await);
+    let refused = expect_problem(upload(&robot, "b", "another").await);
     assert_eq!((refused.status, refused.code.as_str()), (403, "quota_used_up"));
     assert_eq!(
         upload(&robot, "a", "k").await.unwrap().scene.id,
         first.scene.id,
-        "what was made stays made"
+        "a retry returns the created scene"
     );
-    // The same idempotency key in somebody else's hands is another.
+    // The same idempotency key under another API key is a different key.
     assert_ne!(upload(&admin, "a", "k").await.unwrap().scene.id, first.scene.id);
-    finished(&robot, &first.job.unwrap().id).await;
+    wait_for_job(&robot, &first.job.unwrap().id).await;
     robot.delete_scene(&first.scene.id).await.unwrap();
-    assert!(upload(&robot, "b", "another").await.is_ok());
+    upload(&robot, "b", "another").await.unwrap();
     server.stop().await;
 }
 
-/// What a key may spend in a day is spent by all its questions, those of its batches too, and by
-/// nobody else's.
+/// A key's daily budget covers all its questions, including its batches, and is shared with no
+/// other key.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_has_money_of_its_own() {
+async fn a_key_has_its_own_daily_budget() {
     let script = Script::default();
     let model = VlmConfig {
         vlm_prompt_usd: 1000.0,
         vlm_completion_usd: 5000.0,
-        ..config(&script.serve(vec![says("-")]).await)
+        ..vlm_config(&script.serve(vec![says("-")]).await)
     };
     let server = TestServer::start_configured(LimitsConfig::default(), model).await;
     let url = server.url();
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
-    let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
-    let (robot, key) =
-        holder(&admin, &url, NewKey { daily_usd: Some(20.0), ..wanted("robot", Scope::Write) })
-            .await;
-    script.next(vec![six_lines(1, "", true, 1)]);
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
+    let (admin, _) = create_key_client(&server.client, &url, new_key("admin", Scope::Admin)).await;
+    let (robot, key) = create_key_client(
+        &admin,
+        &url,
+        NewKey { daily_usd: Some(20.0), ..new_key("robot", Scope::Write) },
+    )
+    .await;
+    script.next(vec![six_field_reply(1, "", true, 1)]);
     let by_model = GroundRequest { reasoner: ReasonerChoice::Vlm, ..ask("the red sofa") };
     let mut paid = 0;
     let refused = loop {
         match robot.ground(&scene, &by_model).await {
             Ok(_) => paid += 1,
-            refused => break problem(refused),
+            refused => break expect_problem(refused),
         }
-        assert!(paid < 40, "the key's money never ends");
+        assert!(paid < 40, "the key's budget is never exhausted");
     };
     assert!(
         paid > 1 && refused.code == "budget_spent" && refused.detail.contains("this key today"),
         "{paid} {refused:?}"
     );
-    assert!(admin.ground(&scene, &by_model).await.is_ok(), "others have money of their own");
+    assert!(admin.ground(&scene, &by_model).await.is_ok(), "another key has its own budget");
     let spent = admin
         .keys(10, None)
         .await
@@ -270,7 +293,7 @@ async fn a_key_has_money_of_its_own() {
         serde_json::from_value(json!({"items": [{"query": "the red sofa", "reasoner": "vlm"}], "defaults": {"scene_id": scene}})).unwrap();
     let calls = script.calls();
     let batch = robot.create_batch(&batch, None).await.unwrap();
-    finished(&robot, batch.job_id.as_deref().unwrap()).await;
+    wait_for_job(&robot, batch.job_id.as_deref().unwrap()).await;
     let waits = robot.batch(&batch.id).await.unwrap();
     assert_eq!(
         (waits.state, waits.reason.as_deref(), script.calls()),
@@ -279,43 +302,46 @@ async fn a_key_has_money_of_its_own() {
     server.stop().await;
 }
 
-/// What was begun with a key that is revoked is not gone on with; somebody else may.
+/// A batch stops when its key is revoked; another key can resume it.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_batch_ends_with_its_key() {
+async fn a_batch_stops_when_its_key_is_revoked() {
     let script = Script::default();
-    let model = config(&script.serve(vec![crate::scripted_model::Scripted::Stall]).await);
+    let model = vlm_config(&script.serve(vec![crate::scripted_model::Scripted::Stall]).await);
     let server = TestServer::start_configured(LimitsConfig::default(), model).await;
     let url = server.url();
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
-    let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
-    let (robot, key) = holder(&admin, &url, wanted("robot", Scope::Write)).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
+    let (admin, _) = create_key_client(&server.client, &url, new_key("admin", Scope::Admin)).await;
+    let (robot, key) = create_key_client(&admin, &url, new_key("robot", Scope::Write)).await;
     let items: Vec<Value> = (0..3).map(|_| json!({"query": "the red sofa"})).collect();
     let request = json!({"items": items, "defaults": {"scene_id": scene, "reasoner": "vlm", "timeout_s": 0.5}, "concurrency": 1});
     let batch = robot.create_batch(&serde_json::from_value(request).unwrap(), None).await.unwrap();
     admin.tell_batch(&batch.id, "pause").await.unwrap();
-    finished(&admin, batch.job_id.as_deref().unwrap()).await;
+    wait_for_job(&admin, batch.job_id.as_deref().unwrap()).await;
     admin.revoke_key(&key.key.id).await.unwrap();
     let resumed = admin.tell_batch(&batch.id, "resume").await.unwrap();
-    finished(&admin, resumed.job_id.as_deref().unwrap()).await;
+    wait_for_job(&admin, resumed.job_id.as_deref().unwrap()).await;
     let paused = admin.batch(&batch.id).await.unwrap();
     assert_eq!((paused.state, paused.reason.as_deref()), (BatchState::Paused, Some("key_refused")));
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_done_is_written_down_with_whose_key_and_what_came_of_it() {
+async fn the_audit_log_records_the_key_and_the_outcome() {
     let server = TestServer::start().await;
     let url = server.url();
-    let (admin, _) = holder(&server.client, &url, wanted("admin", Scope::Admin)).await;
-    let (robot, key) = holder(&admin, &url, wanted("robot", Scope::Write)).await;
+    let (admin, _) = create_key_client(&server.client, &url, new_key("admin", Scope::Admin)).await;
+    let (robot, key) = create_key_client(&admin, &url, new_key("robot", Scope::Write)).await;
     let scene = robot
         .create_scene(Some("kitchen"), "application/zip", Scan::neutral().zip())
         .await
         .unwrap()
         .scene;
     robot.scene(&scene.id).await.unwrap();
-    assert!(robot.delete_scene("018f0000-0000-7000-8000-000000000000").await.is_err());
-    assert!(robot.keys(1, None).await.is_err());
+    assert!(
+        robot.delete_scene("018f0000-0000-7000-8000-000000000000").await.is_err(),
+        "a key without the scope deleted a scene"
+    );
+    assert!(robot.keys(1, None).await.is_err(), "a key without the scope listed keys");
     let page = admin.audit(2, None).await.unwrap();
     let rest = admin.audit(10, page.next_cursor.as_deref()).await.unwrap();
     let told: Vec<(&str, &str, u16, bool)> = page
@@ -337,18 +363,18 @@ async fn what_was_done_is_written_down_with_whose_key_and_what_came_of_it() {
         ("POST", "/v1/keys", 201, false),
         ("POST", "/v1/keys", 201, false),
     ];
-    assert_eq!(told, expected, "reading is nobody's business");
-    assert!(page.entries.iter().all(|entry| entry.request_id.is_some()));
+    assert_eq!(told, expected, "reads are not in the audit log");
+    assert!(page.entries.iter().all(|entry| entry.request_id.is_some()), "{:?}", page.entries);
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn answers_and_jobs_are_listed_by_what_they_are_about() {
+async fn answers_and_jobs_can_be_filtered() {
     let server = TestServer::start().await;
     let client = &server.client;
     let [a, b] = [
-        server.parsed(Scan::neutral().zip()).await.id,
-        server.parsed(Scan::neutral().zip()).await.id,
+        server.upload_and_parse(Scan::neutral().zip()).await.id,
+        server.upload_and_parse(Scan::neutral().zip()).await.id,
     ];
     let mut given = Vec::new();
     for (scene, query) in [(&a, "the red sofa"), (&a, "the fridge"), (&b, "the red sofa")] {
@@ -376,10 +402,10 @@ async fn answers_and_jobs_are_listed_by_what_they_are_about() {
         serde_json::from_value(json!({"items": [{"query": "the red sofa", "scene_id": b}]}))
             .unwrap();
     let batch = client.create_batch(&batch, None).await.unwrap();
-    finished(client, batch.job_id.as_deref().unwrap()).await;
+    wait_for_job(client, batch.job_id.as_deref().unwrap()).await;
     assert_eq!(ids(&[("batch_id", &batch.id)]).await.0.len(), 1);
     let bad = client.answers(&[("since", "yesterday")]).await;
-    assert_eq!(problem(bad).errors[0].pointer, "since");
+    assert_eq!(expect_problem(bad).errors[0].pointer, "since");
 
     let lines = String::from_utf8(client.bytes("v1/answers?format=jsonl").await.unwrap()).unwrap();
     assert!(
@@ -414,4 +440,62 @@ async fn answers_and_jobs_are_listed_by_what_they_are_about() {
     assert_eq!(kinds(&[("state", "succeeded")]).await[0], ("batch".to_owned(), batch.id.clone()));
     assert!(kinds(&[("state", "failed")]).await.is_empty());
     server.stop().await;
+}
+
+#[test]
+fn a_network_address_without_a_key_is_refused_at_startup() {
+    let data = tempfile::tempdir().unwrap();
+    let refused =
+        serve_command(Utf8Path::from_path(data.path()).unwrap(), "0.0.0.0:0").output().unwrap();
+    let message = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{message}");
+    assert!(message.contains("UNIGROUND_API_KEY"), "{message}");
+}
+
+#[tokio::test]
+async fn every_route_except_health_requires_the_configured_key() {
+    let data = tempfile::tempdir().unwrap();
+    let mut child = serve_command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0")
+        .env("UNIGROUND_API_KEY", KEY)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let address = line.trim().strip_prefix("listening on ").unwrap().to_owned();
+    let (anonymous, known) =
+        (Client::new(&address, None).unwrap(), Client::new(&address, Some(KEY.into())).unwrap());
+    let wrong = Client::new(&address, Some("ug_something_else".into())).unwrap();
+
+    let openapi: serde_json::Value =
+        serde_json::from_slice(&anonymous.bytes("openapi.json").await.unwrap()).unwrap();
+    let mut asked = 0;
+    for (path, operations) in openapi["paths"].as_object().unwrap() {
+        for method in operations.as_object().unwrap().keys() {
+            let method: Method = method.to_uppercase().parse().unwrap();
+            for client in [&anonymous, &wrong] {
+                let response = client
+                    .request(method.clone(), path.trim_start_matches('/'))
+                    .send()
+                    .await
+                    .unwrap();
+                let expected_open = PUBLIC.contains(&path.as_str());
+                assert_eq!(
+                    response.status().as_u16() == 401,
+                    !expected_open,
+                    "{method} {path}: {}",
+                    response.status()
+                );
+                if !expected_open {
+                    assert_eq!(response.headers()["www-authenticate"], "Bearer");
+                }
+            }
+            asked += 1;
+        }
+    }
+    assert!(asked >= 15, "only {asked} operations found");
+    assert_eq!(known.scenes(1, None).await.unwrap().scenes, []);
+    let process = Process { client: known, child };
+    assert_eq!(process.terminate(), Some(0));
 }

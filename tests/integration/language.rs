@@ -1,5 +1,4 @@
-//! Language and space alone: annotated objects with their names, so that only words and geometry
-//! are measured.
+//! Language and geometry alone: questions over annotated objects with their names, without parsing.
 
 use crate::shared_scenes::{development_rooms, shared_scene};
 use camino::Utf8Path;
@@ -23,20 +22,20 @@ struct Expression {
     kind: String,
 }
 
-/// A room as its annotations know it.
-struct Known {
+/// A room as its annotations describe it.
+struct AnnotatedScene {
     queries: Vec<Expression>,
     annotations: Annotations,
 }
 
-fn rooms(names: &[&'static str]) -> Option<Vec<(&'static str, Known)>> {
+fn load_rooms(names: &[&'static str]) -> Option<Vec<(&'static str, AnnotatedScene)>> {
     let folder = shared_scene("room1.zip")?;
     let room = |name: &'static str| {
         let text = fs::read_to_string(folder.join(format!("{name}.queries.json"))).unwrap();
         let (annotations, omissions) =
             Annotations::read(&folder.join(format!("{name}.scene.json")));
         assert!(omissions.is_empty(), "{omissions:?}");
-        (name, Known { queries: serde_json::from_str(&text).unwrap(), annotations })
+        (name, AnnotatedScene { queries: serde_json::from_str(&text).unwrap(), annotations })
     };
     Some(names.iter().map(|name| room(name)).collect())
 }
@@ -45,7 +44,8 @@ fn instances(annotations: &Annotations) -> Vec<Instance> {
     instances_of(annotations, &PointCloud::default(), NamedBy::Annotated)
 }
 
-/// Whether an answer is the annotated one; ids of instances follow the order of annotations.
+/// Returns whether an answer is the annotated one. Instance ids follow the order of the
+/// annotations.
 fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Option<u32>) -> bool {
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
     let view = SceneView {
@@ -63,9 +63,9 @@ fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Op
     }
 }
 
-/// Right of all, over the kinds asked for.
+/// Returns the number of correct answers and of questions, for the selected kinds.
 fn score(
-    known: &Known,
+    known: &AnnotatedScene,
     annotations: &Annotations,
     words: impl Fn(&str) -> String,
     kinds: impl Fn(&str) -> bool,
@@ -82,14 +82,15 @@ fn score(
     (asked.iter().filter(right).count(), asked.len())
 }
 
-fn share((right, of): (usize, usize)) -> f32 {
+fn ratio((right, of): (usize, usize)) -> f32 {
     right as f32 / of as f32
 }
 
-/// The floors of a room: all with a target, relations and superlatives, absent things found absent.
-fn check_floors(
+/// Asserts the minimum accuracy of a room: questions with a target, relations and superlatives, and
+/// absent objects.
+fn assert_accuracy(
     name: &str,
-    known: &Known,
+    known: &AnnotatedScene,
     annotations: &Annotations,
     words: impl Fn(&str) -> String,
     skip_views: bool,
@@ -102,22 +103,24 @@ fn check_floors(
     println!(
         "{name}: {present:?} with a target, {spatial:?} relations and superlatives, {absent:?} absent"
     );
-    assert!(share(present) >= 0.85 && share(spatial) >= 0.9 && absent.0 >= 5, "{name}");
+    assert!(ratio(present) >= 0.85 && ratio(spatial) >= 0.9 && absent.0 >= 5, "{name}");
 }
 
 #[test]
-fn annotated_rooms_are_understood() {
-    for (name, known) in rooms(&["room1", "room2", "room3", "room4", "room5"]).unwrap_or_default() {
-        check_floors(name, &known, &known.annotations, str::to_owned, false);
+fn questions_about_annotated_rooms_are_answered() {
+    for (name, known) in
+        load_rooms(&["room1", "room2", "room3", "room4", "room5"]).unwrap_or_default()
+    {
+        assert_accuracy(name, &known, &known.annotations, str::to_owned, false);
     }
 }
 
-/// Nothing but the views depends on where X points.
+/// Only view-dependent questions depend on the direction of X.
 #[test]
-fn annotated_rooms_are_understood_however_the_world_is_turned() {
-    for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
+fn answers_do_not_depend_on_the_orientation_of_the_axes() {
+    for (name, known) in load_rooms(&["room1", "room2"]).unwrap_or_default() {
         for deg in [20.0, 45.0, 73.0, 200.0] {
-            check_floors(
+            assert_accuracy(
                 &format!("{name} turned by {deg}"),
                 &known,
                 &known.annotations.turned(deg),
@@ -128,20 +131,20 @@ fn annotated_rooms_are_understood_however_the_world_is_turned() {
     }
 }
 
-/// Other words for the same: each noun becomes a synonym, relations are said otherwise, orders
-/// become questions.
+/// Paraphrases: each noun becomes a synonym, relations are rephrased, and commands become
+/// questions.
 #[test]
-fn annotated_rooms_are_understood_in_other_words() {
-    for (name, known) in rooms(&["room1", "room2"]).unwrap_or_default() {
-        check_floors(
+fn paraphrased_questions_are_answered() {
+    for (name, known) in load_rooms(&["room1", "room2"]).unwrap_or_default() {
+        assert_accuracy(
             &format!("{name} in other words"),
             &known,
             &known.annotations,
             paraphrased,
             false,
         );
-        // The order turned round: what it is near comes first.
-        check_floors(
+        // The inverted order: the anchor comes first.
+        assert_accuracy(
             &format!("{name} turned round"),
             &known,
             &known.annotations,
@@ -151,7 +154,7 @@ fn annotated_rooms_are_understood_in_other_words() {
     }
 }
 
-fn paraphrased(query: &str) -> String {
+fn paraphrase(query: &str) -> String {
     const OTHERWISE: [(&str, &str); 12] = [
         ("this is a ", "it is a "),
         ("find the ", "please locate the "),
@@ -173,7 +176,7 @@ fn paraphrased(query: &str) -> String {
             break;
         }
     }
-    // The longest noun of the sentence becomes the first synonym that is known for it alone.
+    // The longest noun of the sentence becomes the first synonym that stands only for it.
     let tokens: Vec<String> = words.split_whitespace().map(str::to_owned).collect();
     for length in (1..=3).rev() {
         for start in 0..tokens.len().saturating_sub(length - 1) {
@@ -182,8 +185,8 @@ fn paraphrased(query: &str) -> String {
             let Some(known) = Lexicon::get().nouns().iter().find(|n| n.name == bare) else {
                 continue;
             };
-            // Another word for "table" is a narrower one: a kitchen table. Only words for one thing
-            // have words for the same.
+            // Some words for "table" are narrower (kitchen table). Only words with a single meaning
+            // have synonyms here.
             let Some(synonym) =
                 known.synonyms.first().filter(|_| Lexicon::get().find_all(bare).len() == 1)
             else {
@@ -198,9 +201,10 @@ fn paraphrased(query: &str) -> String {
     tokens.join(" ")
 }
 
-/// The whole system with no model at all; the quality gate holds the figure, this the floor.
+/// The whole system without a model. The quality gate checks the exact figure, this test a lower
+/// bound.
 #[test]
-fn parsed_rooms_are_answered_without_any_model() {
+fn questions_about_parsed_rooms_are_answered_without_a_model() {
     let Some(rooms) = development_rooms(&["room1", "room2"]) else { return };
     let suite =
         Suite::open(Utf8Path::from_path(rooms.path()).unwrap(), &SuiteOptions::default()).unwrap();
@@ -238,10 +242,10 @@ fn parsed_rooms_are_answered_without_any_model() {
     assert!(figures.complete[0].value >= 0.35, "{:?}", figures.complete);
 }
 
-/// Words that name nothing get no box, whatever they are.
+/// Words that name no object never get a box.
 #[test]
-fn words_that_name_nothing_get_no_box() {
-    let Some(rooms) = rooms(&["room1", "room2"]) else { return };
+fn words_that_name_no_object_get_no_box() {
+    let Some(rooms) = load_rooms(&["room1", "room2"]) else { return };
     let instances = instances(&rooms[0].1.annotations);
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
     let view = SceneView {

@@ -1,11 +1,11 @@
-//! Imports run downwards only, as ARCHITECTURE.md draws the house. The compiler checks the walls
-//! between the packages; here stand those within them.
+//! Imports point only downwards, as in ARCHITECTURE.md. The compiler checks the packages; these
+//! tests check the modules within a package.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Floors of a package from the top; modules on one floor do not know each other.
+/// The layers of a package from the top. Modules in one layer do not import each other.
 type Floors = &'static [&'static [&'static str]];
 
 const PACKAGES: [(&str, Floors); 2] = [
@@ -37,8 +37,8 @@ const PACKAGES: [(&str, Floors); 2] = [
     ),
 ];
 
-/// What leans on its own floor by design: the log is configured, and secrets that are read are kept
-/// out of it.
+/// Allowed imports within one layer: logging is configured, and secrets in the configuration are
+/// kept out of the log.
 const ALLOWED: &[(&str, &str)] = &[("telemetry", "config"), ("config", "telemetry")];
 
 fn root() -> &'static Path {
@@ -56,8 +56,8 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The top-level modules a source file names, `use` lines and inline paths alike; tests may look
-/// anywhere.
+/// Returns the top-level modules that a source file names, in `use` lines and inline paths. Tests
+/// may import anything.
 fn imports(text: &str) -> Vec<String> {
     let code: String = text
         .split("#[cfg(test)]")
@@ -77,7 +77,7 @@ fn imports(text: &str) -> Vec<String> {
 }
 
 #[test]
-fn imports_run_downwards_only() {
+fn modules_import_only_lower_layers() {
     let mut wrong = Vec::new();
     for (package, floors) in PACKAGES {
         let root = root().join(package);
@@ -113,10 +113,10 @@ fn imports_run_downwards_only() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// A robot's own process needs no server, and a client no pipelines. What packages depend on in
-/// turn is for `make lint` to see.
+/// A robot's own process needs no server, and a client no pipelines. `make lint` checks transitive
+/// dependencies.
 #[test]
-fn no_package_leans_on_what_it_should_not_know() {
+fn packages_do_not_depend_on_forbidden_packages() {
     for (package, strangers) in [
         (
             "uniground-types",
@@ -148,7 +148,7 @@ fn no_package_leans_on_what_it_should_not_know() {
 }
 
 #[test]
-fn files_stay_small() {
+fn source_files_stay_below_the_line_limit() {
     let mut files = Vec::new();
     for folder in ["src", "crates"] {
         sources(&root().join(folder), &mut files);

@@ -1,7 +1,7 @@
-//! A server of the chat protocol that somebody else wrote: `LiteLLM`'s proxy, with a model that
-//! answers without being there (`tests/litellm/config.yaml`). `make test-models` starts it.
+//! A chat server by another vendor: `LiteLLM`'s proxy with mock answers
+//! (`tests/litellm/config.yaml`). `make test-models` starts it.
 
-use crate::server::{TestServer, ask, problem};
+use crate::test_server::{TestServer, ask, expect_problem};
 use camino::Utf8PathBuf;
 use std::fs;
 use uniground::config::{LimitsConfig, VlmConfig};
@@ -10,9 +10,13 @@ use uniground_types::question::{EvidenceMode, GroundRequest, ReasonerChoice};
 
 const QUERY: &str = "the mug on the coffee table";
 
-async fn server(model: &str, key: &str, json: bool) -> (TestServer, String, tempfile::TempDir) {
+async fn start_server(
+    model: &str,
+    key: &str,
+    json: bool,
+) -> (TestServer, String, tempfile::TempDir) {
     let url = std::env::var("LITELLM_URL")
-        .unwrap_or_else(|_| panic!("make test-models starts the server and says where it is"));
+        .unwrap_or_else(|_| panic!("LITELLM_URL is set by make test-models"));
     let folder = tempfile::tempdir().unwrap();
     let file = Utf8PathBuf::from_path_buf(folder.path().join("key")).unwrap();
     fs::write(&file, key).unwrap();
@@ -29,28 +33,33 @@ async fn server(model: &str, key: &str, json: bool) -> (TestServer, String, temp
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
     let scan = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
-    let scene = server.parsed(scan).await.id;
+    let scene = server.upload_and_parse(scan).await.id;
     (server, scene, folder)
 }
 
-fn insisting() -> GroundRequest {
+fn request_requiring_model() -> GroundRequest {
     GroundRequest { reasoner: ReasonerChoice::Vlm, ..ask(QUERY) }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs a LiteLLM proxy: make test-models"]
-async fn a_foreign_server_understands_and_is_understood() {
+async fn litellm_accepts_requests_and_its_answers_are_used() {
     for json in [false, true] {
-        let (server, scene, _key) = server("scripted", "sk-litellm-test", json).await;
-        // Six pictures, half a megabyte of them, go through.
-        let answer = server.client.ground(&scene, &insisting()).await.unwrap();
+        let (server, scene, _key) = start_server("scripted", "sk-litellm-test", json).await;
+        // The request contains six images, half a megabyte in total.
+        let answer = server.client.ground(&scene, &request_requiring_model()).await.unwrap();
         assert_eq!(
             (answer.status, answer.usage.vlm_calls, answer.degraded),
             (Status::NoMatch, 1, false)
         );
-        assert_eq!(answer.answer.explanation, "nothing of the kind is here");
-        assert!(answer.usage.prompt_tokens > 0 && answer.usage.cost_usd > 0.0);
-        let cached = GroundRequest { evidence: EvidenceMode::CachedNames, ..insisting() };
+        assert_eq!(answer.answer.explanation, "the target is not in the scene");
+        assert!(
+            answer.usage.prompt_tokens > 0 && answer.usage.cost_usd > 0.0,
+            "{:?}",
+            answer.usage
+        );
+        let cached =
+            GroundRequest { evidence: EvidenceMode::CachedNames, ..request_requiring_model() };
         assert_eq!(server.client.ground(&scene, &cached).await.unwrap().usage.vlm_calls, 2);
         server.stop().await;
     }
@@ -58,14 +67,14 @@ async fn a_foreign_server_understands_and_is_understood() {
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "needs a LiteLLM proxy: make test-models"]
-async fn a_foreign_server_s_errors_are_told_in_its_words() {
+async fn litellm_errors_are_reported_verbatim() {
     for (model, key, attempts, told) in [
         ("scripted", "sk-wrong", 1, "400"),
         ("no-such-model", "sk-litellm-test", 1, "Invalid model name"),
         ("broken", "sk-litellm-test", 2, "mock rate limit error"),
     ] {
-        let (server, scene, _key) = server(model, key, false).await;
-        let error = problem(server.client.ground(&scene, &insisting()).await);
+        let (server, scene, _key) = start_server(model, key, false).await;
+        let error = expect_problem(server.client.ground(&scene, &request_requiring_model()).await);
         assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
         assert!(
             error.detail.contains(told)

@@ -1,16 +1,16 @@
-//! The log of the binary, at the level that is on by default: what went wrong is told once, with
-//! the ids to look it up by.
+//! The log of the binary at the default level: each error is logged once, with the ids needed to
+//! find it.
 
-use crate::archives::Scan;
 use crate::scripted_model::{Script, fails};
-use crate::server::{Process, ask, command, finished};
+use crate::test_scans::Scan;
+use crate::test_server::{Process, ask, serve_command, wait_for_job};
 use reqwest::Method;
 use serde_json::Value;
 use std::fs;
 use std::time::Duration;
 use uniground_client::Client;
 
-fn lines(log: &camino::Utf8Path) -> Vec<Value> {
+fn read_lines(log: &camino::Utf8Path) -> Vec<Value> {
     fs::read_to_string(log)
         .unwrap()
         .lines()
@@ -18,13 +18,13 @@ fn lines(log: &camino::Utf8Path) -> Vec<Value> {
         .collect()
 }
 
-/// The spans around a line, outermost first.
-fn spans(line: &Value) -> Vec<Value> {
+/// Returns the spans around a line, outermost first.
+fn enclosing_spans(line: &Value) -> Vec<Value> {
     line["spans"].as_array().cloned().unwrap_or_default()
 }
 
 #[tokio::test]
-async fn an_error_is_told_once_with_route_request_and_cause() {
+async fn an_error_is_logged_once_with_route_request_and_cause() {
     let folder = tempfile::tempdir().unwrap();
     let data = camino::Utf8Path::from_path(folder.path()).unwrap();
     let log = data.join("log");
@@ -34,8 +34,8 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
         .create_scene(Some("room"), "application/zip", Scan::neutral().zip())
         .await
         .unwrap();
-    let job = finished(&process.client, &created.job.unwrap().id).await;
-    // Somebody takes the cloud away.
+    let job = wait_for_job(&process.client, &created.job.unwrap().id).await;
+    // The cloud file is deleted.
     let parses = data.join("data/blobs/parses");
     let parse = parses.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path();
     fs::remove_file(parse.join("cloud.ply")).unwrap();
@@ -55,13 +55,14 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
     tokio::time::sleep(Duration::from_millis(200)).await;
     process.kill();
 
-    let lines = lines(&log);
+    let lines = read_lines(&log);
     let of_request = |line: &&Value| {
-        line["level"] == "ERROR" && spans(line).iter().any(|span| span["id"] == "look-me-up")
+        line["level"] == "ERROR"
+            && enclosing_spans(line).iter().any(|span| span["id"] == "look-me-up")
     };
     let about: Vec<&Value> = lines.iter().filter(of_request).collect();
     assert_eq!(about.len(), 1, "{about:#?}");
-    let (line, request) = (about[0], &spans(about[0])[0]);
+    let (line, request) = (about[0], &enclosing_spans(about[0])[0]);
     assert_eq!(
         (line["level"].as_str(), line["fields"]["code"].as_str()),
         (Some("ERROR"), Some("parse_damaged"))
@@ -73,22 +74,22 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
     );
     let of_job: Vec<&Value> = lines
         .iter()
-        .filter(|line| spans(line).iter().any(|span| span["id"] == job.id.as_str()))
+        .filter(|line| enclosing_spans(line).iter().any(|span| span["id"] == job.id.as_str()))
         .collect();
     assert!(of_job.iter().any(|line| line["fields"]["message"] == "job succeeded"), "{of_job:#?}");
-    let job_span = &spans(of_job[0])[0];
+    let job_span = &enclosing_spans(of_job[0])[0];
     assert_eq!(
         (job_span["kind"].as_str(), job_span["subject"].as_str()),
         (Some("parse"), Some(created.scene.id.as_str()))
     );
     assert!(
         !lines.iter().any(|line| line["level"] == "ERROR" && line != about[0]),
-        "a caller's mistake is no error of the server's"
+        "a client error must not be logged as an error"
     );
 }
 
-/// Keys that callers show, that a model wants and that stand in an address, at the loudest level
-/// there is.
+/// API keys of callers, of the model, and in URLs never appear in the log, even at the most verbose
+/// level.
 #[tokio::test]
 async fn secrets_never_reach_the_log() {
     let folder = tempfile::tempdir().unwrap();
@@ -98,14 +99,14 @@ async fn secrets_never_reach_the_log() {
     let url = script.serve(vec![fails(500, "planted-model-key was wrong")]).await;
     let address =
         url.replace("http://", "http://user:planted-password@") + "?api-key=planted-in-address";
-    let mut command = command(&data.join("data"), "127.0.0.1:0");
+    let mut command = serve_command(&data.join("data"), "127.0.0.1:0");
     command
         .env("UNIGROUND_API_KEY", "planted-service-key")
         .env("UNIGROUND_VLM_API_KEY", "planted-model-key")
         .env("RUST_LOG", "trace")
         .args(["--vlm-url", &address, "--vlm-model", "scripted", "--vlm-attempts", "1"])
         .stderr(fs::File::create(&log).unwrap());
-    let mut process = Process::started(&mut command);
+    let mut process = Process::spawn(&mut command);
     let own = process
         .client
         .request(Method::GET, "healthz")
@@ -117,7 +118,7 @@ async fn secrets_never_reach_the_log() {
     process.client = Client::new(&own, Some("planted-service-key".into())).unwrap();
     let created =
         process.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
-    finished(&process.client, &created.job.unwrap().id).await;
+    wait_for_job(&process.client, &created.job.unwrap().id).await;
     process.client.ground(&created.scene.id, &ask("the red sofa")).await.unwrap();
     process.kill();
     let log = fs::read_to_string(&log).unwrap();

@@ -1,15 +1,12 @@
-//! The service as its users meet it: a real server on port 0, driven through the typed client.
+//! Integration tests: a real server on port 0, driven through the typed client.
 
-// A helper that can not go on fails its test.
+// A helper that fails aborts its test.
 #![allow(clippy::unwrap_used)]
 // Tables of cases are long and easy to read.
 #![allow(clippy::too_many_lines)]
 
-mod access;
 mod approach;
-mod archives;
 mod backups;
-mod bad_input;
 mod batch_defaults;
 mod batches;
 mod chat_models;
@@ -26,6 +23,7 @@ mod graph;
 mod growth;
 mod imports;
 mod invalid_requests;
+mod invalid_scans;
 mod keys;
 mod language;
 mod layering;
@@ -39,19 +37,18 @@ mod neural;
 mod openapi;
 mod placement;
 mod real_models;
-mod recovery;
 mod restart;
-mod resumable;
+mod resumable_uploads;
 mod retention;
 mod scenes;
 mod scripted_model;
-mod server;
 mod shared_scenes;
 mod slow_clients;
 mod snapshots;
 mod stage_one;
-mod streaming;
 mod telemetry;
+mod test_scans;
+mod test_server;
 mod upgrades;
 mod uploads;
 mod vlm;

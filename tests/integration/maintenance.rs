@@ -1,8 +1,10 @@
-//! What a data folder keeps, what it lets go of, and how damage in it is found and mended.
+//! Maintenance of a data folder: orphans, old answers, disk space, and how damage is found and
+//! repaired.
 
-use crate::archives::Scan;
-use crate::server::{
-    Process, TestServer, ask, blobs, finished, in_places, location, parsed, problem, rows,
+use crate::test_scans::Scan;
+use crate::test_server::{
+    Process, TestServer, ask, blobs_config, database_location, expect_problem, open_database,
+    open_database_unchecked, storage_env, upload_and_parse, wait_for_job,
 };
 use camino::{Utf8Path, Utf8PathBuf};
 use sqlx::Connection;
@@ -13,16 +15,16 @@ use uniground_service::{Dependencies, Services};
 use uniground_storage::{JobState, Location, Store};
 use uniground_types::corrections::Change;
 
-fn doctor(data: &Utf8Path, more: &[&str]) -> Output {
+fn run_doctor(data: &Utf8Path, more: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["doctor", "--data-dir", data.as_str()])
         .args(more)
-        .envs(in_places(data))
+        .envs(storage_env(data))
         .output();
     program.unwrap()
 }
 
-fn told(output: &Output) -> String {
+fn output_text(output: &Output) -> String {
     format!(
         "{}{}",
         String::from_utf8_lossy(&output.stdout),
@@ -30,17 +32,17 @@ fn told(output: &Output) -> String {
     )
 }
 
-fn only(folder: &Utf8Path) -> Utf8PathBuf {
+fn only_entry(folder: &Utf8Path) -> Utf8PathBuf {
     folder.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path()
 }
 
-/// A folder nobody knows is set aside, not removed; one that is older than the database is not even
-/// touched.
+/// An orphan folder is moved to quarantine, not deleted. One that is older than the database is
+/// left alone.
 #[tokio::test]
-async fn what_no_record_speaks_of_goes_to_the_quarantine() {
+async fn orphan_folders_are_quarantined() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
-    let data = server.give_back().await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
+    let data = server.stop_and_keep_data().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     fs::create_dir(folder.join("blobs/parses/stranger")).unwrap();
     fs::write(folder.join("blobs/parses/stranger/cloud.ply"), "points").unwrap();
@@ -51,25 +53,27 @@ async fn what_no_record_speaks_of_goes_to_the_quarantine() {
         ModelsConfig::builtin(),
     )
     .await;
-    assert!(!server.stored("blobs/parses").contains(&"stranger".to_owned()));
-    let day = only(&server.data().join("quarantine"));
+    assert!(
+        !server.list_folder("blobs/parses").contains(&"stranger".to_owned()),
+        "the orphan is still in blobs/parses"
+    );
+    let day = only_entry(&server.data().join("quarantine"));
     assert_eq!(fs::read_to_string(day.join("parses/stranger/cloud.ply")).unwrap(), "points");
 
-    // A database that is restored, or comes from elsewhere, has not seen what is older than its
-    // coming.
-    let data = server.give_back().await;
+    // A restored or copied database does not know folders that are older than itself.
+    let data = server.stop_and_keep_data().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     fs::create_dir(folder.join("blobs/parses/another")).unwrap();
-    let mut rows = rows(folder).await;
+    let mut rows = open_database(folder).await;
     sqlx::query("UPDATE data_folder SET id = 'elsewhere'").execute(&mut rows).await.unwrap();
     rows.close().await.unwrap();
-    // A server's database can be named with any folder: it is not believed at all.
-    if let Location::Postgres(_) = location(folder) {
-        let refused = doctor(folder, &[]);
+    // A database may have been given with the wrong folder, so nothing is collected.
+    if let Location::Postgres(_) = database_location(folder) {
+        let refused = run_doctor(folder, &[]);
         assert!(
-            !refused.status.success() && told(&refused).contains("do not belong together"),
+            !refused.status.success() && output_text(&refused).contains("do not belong together"),
             "{}",
-            told(&refused)
+            output_text(&refused)
         );
         return;
     }
@@ -80,18 +84,21 @@ async fn what_no_record_speaks_of_goes_to_the_quarantine() {
         ModelsConfig::builtin(),
     )
     .await;
-    assert!(server.stored("blobs/parses").contains(&"another".to_owned()));
+    assert!(
+        server.list_folder("blobs/parses").contains(&"another".to_owned()),
+        "the older folder was removed"
+    );
     assert_eq!(server.client.scene(&scene.id).await.unwrap().id, scene.id);
     server.stop().await;
 }
 
 #[tokio::test]
-async fn the_doctor_finds_damage_and_the_next_server_mends_it() {
+async fn the_doctor_finds_damage_and_the_next_start_repairs_it() {
     let data = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(data.path()).unwrap();
     let server = Process::start(data);
-    let scene = parsed(&server.client, "application/zip", Scan::neutral().zip()).await;
-    // What people have said of a parse is said of the one that takes its place.
+    let scene = upload_and_parse(&server.client, "application/zip", Scan::neutral().zip()).await;
+    // Corrections of a parse apply to the parse that replaces it.
     let sofa = server
         .client
         .ground(&scene.id, &ask("the red sofa"))
@@ -110,67 +117,74 @@ async fn the_doctor_finds_damage_and_the_next_server_mends_it() {
         .unwrap();
     let merge = Change::Merge { instance_ids: vec![sofa, block], name: Some("corner sofa".into()) };
     let made = server.client.correct(&scene.id, &merge).await.unwrap().made;
-    let refused = doctor(data, &[]);
+    let refused = run_doctor(data, &[]);
     assert!(
-        !refused.status.success() && told(&refused).contains("another server"),
+        !refused.status.success() && output_text(&refused).contains("another server"),
         "{}",
-        told(&refused)
+        output_text(&refused)
     );
     assert_eq!(server.terminate(), Some(0));
-    let well = doctor(data, &[]);
-    assert!(well.status.success() && told(&well).contains("no problems found"), "{}", told(&well));
-
-    fs::write(only(&data.join("blobs/parses")).join("cloud.ply"), "ply").unwrap();
-    fs::create_dir(data.join("blobs/answers/stranger")).unwrap();
-    let ill = doctor(data, &[]);
-    assert!(!ill.status.success(), "{}", told(&ill));
+    let well = run_doctor(data, &[]);
     assert!(
-        told(&ill).contains("cloud.ply damaged") && told(&ill).contains("blobs/answers/stranger"),
+        well.status.success() && output_text(&well).contains("no problems found"),
         "{}",
-        told(&ill)
+        output_text(&well)
     );
-    let repaired = doctor(data, &["--repair"]);
+
+    fs::write(only_entry(&data.join("blobs/parses")).join("cloud.ply"), "ply").unwrap();
+    fs::create_dir(data.join("blobs/answers/stranger")).unwrap();
+    let ill = run_doctor(data, &[]);
+    assert!(!ill.status.success(), "{}", output_text(&ill));
     assert!(
-        repaired.status.success() && told(&repaired).contains("repaired: 2; 1 parses will run"),
+        output_text(&ill).contains("cloud.ply damaged")
+            && output_text(&ill).contains("blobs/answers/stranger"),
         "{}",
-        told(&repaired)
+        output_text(&ill)
+    );
+    let repaired = run_doctor(data, &["--repair"]);
+    assert!(
+        repaired.status.success() && output_text(&repaired).contains("repaired: 2; 1 parses will run"),
+        "{}",
+        output_text(&repaired)
     );
 
     let server = Process::start(data);
     let job = server.client.scene(&scene.id).await.unwrap().job_id.unwrap();
-    assert_eq!(finished(&server.client, &job).await.state, JobState::Succeeded);
+    assert_eq!(wait_for_job(&server.client, &job).await.state, JobState::Succeeded);
     let again = server.client.scene(&scene.id).await.unwrap();
     assert_eq!((again.parse_version, again.counts), (2, scene.counts));
     let answer = server.client.ground(&scene.id, &ask("the corner sofa")).await.unwrap();
     assert_eq!((answer.answer.predicted_id, answer.parse_version), (made, 2));
     assert_eq!(server.terminate(), Some(0));
-    assert!(doctor(data, &[]).status.success());
+    assert!(run_doctor(data, &[]).status.success());
 
-    // A scan can not be made again: that is for people.
-    let content = only(&data.join("blobs/contents"));
+    // A scan cannot be recomputed: an operator has to restore it.
+    let content = only_entry(&data.join("blobs/contents"));
     fs::remove_file(content.join("pose/3.txt")).unwrap();
-    let left = doctor(data, &["--repair"]);
+    let left = run_doctor(data, &["--repair"]);
     assert!(
-        !left.status.success() && told(&left).contains("upload the scan again"),
+        !left.status.success() && output_text(&left).contains("upload the scan again"),
         "{}",
-        told(&left)
+        output_text(&left)
     );
 }
 
 #[tokio::test]
-async fn old_answers_go_and_new_ones_stay() {
+async fn old_answers_are_removed_and_new_ones_stay() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let answer = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
-    let data = server.give_back().await;
+    let data = server.stop_and_keep_data().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let mut rows = rows(folder).await;
-    // Of January 2020, by id and time.
+    let mut rows = open_database(folder).await;
+    // Dated January 2020, by id and time.
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
                SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, (SELECT '1' AS value UNION ALL SELECT '2' UNION ALL SELECT '3') AS few";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
     let store =
-        Store::open(folder, &location(folder), &blobs(folder).home().unwrap()).await.unwrap();
+        Store::open(folder, &database_location(folder), &blobs_config(folder).home().unwrap())
+            .await
+            .unwrap();
     let limits = LimitsConfig {
         retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() },
         ..LimitsConfig::default()
@@ -184,9 +198,9 @@ async fn old_answers_go_and_new_ones_stay() {
     store.close().await;
 }
 
-/// A scan that is too large is one scan that is not parsed, and not the end of the server.
+/// A scan that needs too much memory fails its job and does not bring down the server.
 #[tokio::test]
-async fn a_parse_that_wants_too_much_memory_is_not_begun() {
+async fn a_parse_over_the_memory_limit_is_refused() {
     let limits = LimitsConfig { max_memory_bytes: Some(1 << 20), ..LimitsConfig::default() };
     let server = TestServer::start_with(limits).await;
     let client = &server.client;
@@ -196,8 +210,8 @@ async fn a_parse_that_wants_too_much_memory_is_not_begun() {
         .unwrap()
         .job
         .unwrap();
-    let job = finished(client, &job.id).await;
-    // Others may have let go of theirs meanwhile.
+    let job = wait_for_job(client, &job.id).await;
+    // The job runs twice, because other jobs may have freed memory in between.
     assert_eq!((job.state, job.attempts), (JobState::Failed, 2));
     let error = job.error.unwrap();
     assert_eq!(error.code, "memory_short");
@@ -205,30 +219,31 @@ async fn a_parse_that_wants_too_much_memory_is_not_begun() {
     server.stop().await;
 }
 
-/// Before the disk is full nothing new is taken, and what is there goes on.
+/// Below the reserve of free disk space new scans are refused, and existing scenes still answer.
 #[tokio::test]
-async fn a_disk_that_is_nearly_full_takes_no_more_scans() {
+async fn a_nearly_full_disk_refuses_new_scans() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
-    let data = server.give_back().await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
+    let data = server.stop_and_keep_data().await;
     let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
     let server =
         TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::builtin()).await;
-    let refused =
-        problem(server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await);
+    let refused = expect_problem(
+        server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await,
+    );
     assert_eq!((refused.status, refused.code.as_str()), (507, "storage_full"));
     let parse =
         serde_json::json!({"settings": {"parsing": {"merging": {"keep_planes_apart": false}}}});
-    assert_eq!(problem(server.client.parse(&scene.id, &parse).await).code, "storage_full");
+    assert_eq!(expect_problem(server.client.parse(&scene.id, &parse).await).code, "storage_full");
     assert!(server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap().stored);
     server.stop().await;
 }
 
-/// A batch takes room for its answers: it is put off, and goes on once the disk has room.
+/// A batch pauses when its answers would fill the disk, and continues once there is space.
 #[tokio::test]
-async fn a_batch_waits_for_room_on_the_disk() {
+async fn a_batch_waits_for_disk_space() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let line = format!("{}\n", serde_json::json!({"scene_id": scene, "query": "the red sofa"}));
     let batch = server
         .client
@@ -236,10 +251,10 @@ async fn a_batch_waits_for_room_on_the_disk() {
         .await
         .unwrap();
     let paused = server.client.tell_batch(&batch.id, "pause").await.unwrap();
-    finished(&server.client, paused.job_id.as_deref().unwrap()).await;
+    wait_for_job(&server.client, paused.job_id.as_deref().unwrap()).await;
     let before = server.client.batch(&batch.id).await.unwrap().done;
-    assert!(before < 600);
-    let data = server.give_back().await;
+    assert!(before < 600, "{before} items were answered before the disk check");
+    let data = server.stop_and_keep_data().await;
     let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
     let server =
         TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::builtin()).await;
@@ -248,9 +263,9 @@ async fn a_batch_waits_for_room_on_the_disk() {
         tokio::time::sleep(std::time::Duration::from_millis(50)).await;
     }
     assert_eq!(server.client.batch(&batch.id).await.unwrap().done, before);
-    let refused = problem(server.client.create_batch_of_lines(line, &[], None).await);
+    let refused = expect_problem(server.client.create_batch_of_lines(line, &[], None).await);
     assert_eq!((refused.status, refused.code.as_str()), (507, "storage_full"));
-    let data = server.give_back().await;
+    let data = server.stop_and_keep_data().await;
     let server = TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -258,7 +273,44 @@ async fn a_batch_waits_for_room_on_the_disk() {
         ModelsConfig::builtin(),
     )
     .await;
-    assert_eq!(finished(&server.client, &job).await.state, JobState::Succeeded);
+    assert_eq!(wait_for_job(&server.client, &job).await.state, JobState::Succeeded);
     assert_eq!(server.client.batch(&batch.id).await.unwrap().done, 600);
     server.stop().await;
+}
+
+#[tokio::test]
+async fn the_doctor_finds_and_repairs_dangling_references() {
+    let server = TestServer::start().await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
+    let data = server.stop_and_keep_data().await;
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    if matches!(database_location(folder), Location::Postgres(_)) {
+        println!("skipped: PostgreSQL enforces its own references");
+        return;
+    }
+    let mut rows = open_database_unchecked(folder).await;
+    let sql =
+        "INSERT INTO corrections (id, parse_id, change, author, created_at) VALUES ('c', 'nowhere', '{}', NULL, '2026-01-01T00:00:00Z');
+               UPDATE scenes SET parse_id = 'nowhere'";
+    sqlx::raw_sql(sql).execute(&mut rows).await.unwrap();
+    rows.close().await.unwrap();
+
+    let found = run_doctor(folder, &[]);
+    assert!(!found.status.success(), "{}", output_text(&found));
+    let told = output_text(&found);
+    assert!(
+        told.contains("1 rows of scenes refer by parse_id to rows of parses that do not exist"),
+        "{told}"
+    );
+    assert!(told.contains("1 rows of corrections refer by parse_id"), "{told}");
+    let repaired = run_doctor(folder, &["--repair"]);
+    assert!(repaired.status.success(), "{}", output_text(&repaired));
+    assert!(run_doctor(folder, &[]).status.success());
+
+    // The scene has its parse again: the stored one, or a new one.
+    let server = Process::start(folder);
+    let job = server.client.scene(&scene.id).await.unwrap().job_id.unwrap();
+    assert_eq!(wait_for_job(&server.client, &job).await.state, JobState::Succeeded);
+    server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
+    assert_eq!(server.terminate(), Some(0));
 }

@@ -1,7 +1,7 @@
-//! Questions about many scenes, and labels to choose among them.
+//! Questions across many scenes, and labels that select among them.
 
-use crate::archives::{EIGHTHS, Scan, THINGS};
-use crate::server::{TestServer, config, problem};
+use crate::test_scans::{EIGHTHS, Scan, THINGS};
+use crate::test_server::{TestServer, expect_problem, serve_config};
 use camino::Utf8Path;
 use reqwest::{Method, StatusCode};
 use std::time::Duration;
@@ -15,29 +15,29 @@ use uniground_types::labels::Labels;
 use uniground_types::many::ManyGroundRequest;
 use uniground_types::scenes::{Created, Scene, SceneChange};
 
-fn labelled(labels: &[(&str, &str)]) -> Labels {
+fn to_labels(labels: &[(&str, &str)]) -> Labels {
     labels.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect()
 }
 
-async fn filed(client: &Client, scene: &Scene, name: &str, labels: &[(&str, &str)]) {
+async fn set_name_and_labels(client: &Client, scene: &Scene, name: &str, labels: &[(&str, &str)]) {
     let change = SceneChange {
         name: Some(name.into()),
-        labels: Some(labelled(labels)),
+        labels: Some(to_labels(labels)),
         ..SceneChange::default()
     };
     let changed = client.change_scene(&scene.id, &change).await.unwrap();
-    assert_eq!((changed.name.as_str(), &changed.labels), (name, &labelled(labels)));
+    assert_eq!((changed.name.as_str(), &changed.labels), (name, &to_labels(labels)));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_room_that_has_it_comes_first() {
+async fn the_scene_with_the_target_is_ranked_first() {
     let server = TestServer::start().await;
     let client = &server.client;
-    // The green box stands in one of them, the floor and the red sofa in both.
-    let with = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
-    let without = server.parsed(Scan::of_room(&THINGS[..2], &EIGHTHS).zip()).await;
-    filed(client, &with, "office", &[("building", "A"), ("floor", "2")]).await;
-    filed(client, &without, "hall", &[("building", "A"), ("floor", "1")]).await;
+    // One scene has the green box; both have the floor and the red sofa.
+    let with = server.upload_and_parse(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let without = server.upload_and_parse(Scan::of_room(&THINGS[..2], &EIGHTHS).zip()).await;
+    set_name_and_labels(client, &with, "office", &[("building", "A"), ("floor", "2")]).await;
+    set_name_and_labels(client, &without, "hall", &[("building", "A"), ("floor", "1")]).await;
     let asked = client.ground_many(&ManyGroundRequest::of("the green trash can")).await.unwrap();
     assert_eq!(
         (asked.looked_into, asked.answers.len(), &asked.not_asked[..]),
@@ -47,23 +47,23 @@ async fn the_room_that_has_it_comes_first() {
     let best = &asked.answers[0];
     assert_eq!((best.scene_name.as_str(), &best.answer.scene_id), ("office", &with.id));
     assert_ne!(best.answer.status, Status::NoMatch);
-    assert_eq!(best.labels, labelled(&[("building", "A"), ("floor", "2")]));
-    // It is an answer as any: kept, and the same as that scene's own.
+    assert_eq!(best.labels, to_labels(&[("building", "A"), ("floor", "2")]));
+    // The answer is stored and equals the scene's own answer.
     assert_eq!(client.answer(&best.answer.id).await.unwrap(), best.answer);
 
-    // In some of them only, and no more answers than wanted.
+    // Restricted to some scenes, with a limit on answers.
     let one = ManyGroundRequest { top_k: 1, ..ManyGroundRequest::of("the red sofa") };
     assert_eq!(client.ground_many(&one).await.unwrap().answers.len(), 1);
-    let on_the_first = ManyGroundRequest { labels: labelled(&[("floor", "1")]), ..one.clone() };
+    let on_the_first = ManyGroundRequest { labels: to_labels(&[("floor", "1")]), ..one.clone() };
     let asked = client.ground_many(&on_the_first).await.unwrap();
     assert_eq!((asked.looked_into, asked.answers[0].scene_name.as_str()), (1, "hall"));
     let named = ManyGroundRequest { scenes: Some(vec![with.id.clone()]), ..one.clone() };
     assert_eq!(client.ground_many(&named).await.unwrap().answers[0].answer.scene_id, with.id);
-    let nowhere = ManyGroundRequest { labels: labelled(&[("building", "B")]), ..one.clone() };
+    let nowhere = ManyGroundRequest { labels: to_labels(&[("building", "B")]), ..one.clone() };
     let asked = client.ground_many(&nowhere).await.unwrap();
     assert_eq!((asked.looked_into, asked.answers.len()), (0, 0));
 
-    // What is not parsed is told of, and stops nobody.
+    // A scene that is not parsed is reported and blocks nothing.
     let stored = client
         .request(Method::POST, "v1/scenes?parse=false")
         .header("content-type", "application/zip");
@@ -77,17 +77,17 @@ async fn the_room_that_has_it_comes_first() {
     server.stop().await;
 }
 
-/// Of more rooms than can be looked into one by one those are that are known to have it, also once
-/// somebody has said what it is called.
+/// With more scenes than can be scanned, those that probably contain the target are scanned, also
+/// by a name from a correction.
 #[tokio::test(flavor = "multi_thread")]
-async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
+async fn only_likely_scenes_are_scanned_among_many() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let with = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let with = server.upload_and_parse(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
     let without = Scan::of_room(&THINGS[..2], &EIGHTHS).zip();
-    server.parsed(without.clone()).await;
+    server.upload_and_parse(without.clone()).await;
     for _ in 0..1000 {
-        // The same room again and again: parsed once.
+        // The same room many times: it is parsed once.
         let upload = client
             .request(Method::POST, "v1/scenes")
             .header("content-type", "application/zip")
@@ -109,7 +109,7 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
         false
     };
     assert!(found("the green trash can", &with.id).await);
-    // What somebody says it is called is known a little later.
+    // A name from a correction enters the index a little later.
     let named = client.instances(&with.id, 100).await.unwrap().instances;
     let thing = named.iter().find(|i| i.structure.is_none()).unwrap().id;
     client
@@ -118,7 +118,7 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
         .unwrap();
     assert!(found("the theremin", &with.id).await);
     let elsewhere = ManyGroundRequest {
-        labels: labelled(&[("floor", "9")]),
+        labels: to_labels(&[("floor", "9")]),
         ..ManyGroundRequest::of("the theremin")
     };
     assert_eq!(client.ground_many(&elsewhere).await.unwrap().looked_into, 0);
@@ -126,13 +126,13 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
 }
 
 #[tokio::test]
-async fn labels_are_what_was_said_last() {
+async fn the_latest_labels_apply() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     assert_eq!(scene.labels, Labels::new());
-    filed(client, &scene, "den", &[("building", "A"), ("floor", "2")]).await;
-    // A name that is given anew changes nothing else.
+    set_name_and_labels(client, &scene, "den", &[("building", "A"), ("floor", "2")]).await;
+    // Renaming a scene changes nothing else.
     assert_eq!(client.rename_scene(&scene.id, "study").await.unwrap().labels.len(), 2);
     let listed = async |labels: &str| {
         client.scenes_labelled(labels, 10, None).await.map(|page| page.scenes.len())
@@ -140,22 +140,25 @@ async fn labels_are_what_was_said_last() {
     assert_eq!(listed("building=A").await.unwrap(), 1);
     assert_eq!(listed("building=A,floor=2").await.unwrap(), 1);
     assert_eq!(listed("building=A,floor=3").await.unwrap(), 0);
-    assert_eq!(problem(listed("building").await).code, "invalid_request");
-    filed(client, &scene, "study", &[]).await;
+    assert_eq!(expect_problem(listed("building").await).code, "invalid_request");
+    set_name_and_labels(client, &scene, "study", &[]).await;
     assert_eq!(listed("building=A").await.unwrap(), 0);
     let wrong =
-        SceneChange { labels: Some(labelled(&[("two words", "x")])), ..SceneChange::default() };
-    assert_eq!(problem(client.change_scene(&scene.id, &wrong).await).code, "invalid_request");
+        SceneChange { labels: Some(to_labels(&[("two words", "x")])), ..SceneChange::default() };
+    assert_eq!(
+        expect_problem(client.change_scene(&scene.id, &wrong).await).code,
+        "invalid_request"
+    );
     server.stop().await;
 }
 
 #[tokio::test]
-async fn what_can_not_be_asked_is_named() {
+async fn invalid_many_scene_requests_are_refused() {
     let server = TestServer::start().await;
     let client = &server.client;
     let asked = || ManyGroundRequest::of("the red sofa");
     let refused =
-        async |request: ManyGroundRequest| problem(client.ground_many(&request).await).code;
+        async |request: ManyGroundRequest| expect_problem(client.ground_many(&request).await).code;
     assert_eq!(refused(ManyGroundRequest { top_k: 21, ..asked() }).await, "invalid_request");
     assert_eq!(
         refused(ManyGroundRequest { scenes: Some(Vec::new()), ..asked() }).await,
@@ -169,16 +172,16 @@ async fn what_can_not_be_asked_is_named() {
     let keyed =
         client.request(Method::POST, "v1/ground").header("idempotency-key", "k").json(&asked());
     assert_eq!(keyed.send().await.unwrap().status(), StatusCode::UNPROCESSABLE_ENTITY);
-    // No scene at all is no error: it is nowhere.
+    // A search over no scenes is not an error: the target is not found.
     let nowhere = client.ground_many(&asked()).await.unwrap();
     assert_eq!((nowhere.looked_into, nowhere.answers.len()), (0, 0));
     server.stop().await;
 }
 
 #[tokio::test]
-async fn vectors_want_a_database_that_can_keep_them() {
+async fn a_vector_index_requires_a_capable_database() {
     let data = tempfile::tempdir().unwrap();
-    let mut config = config(Utf8Path::from_path(data.path()).unwrap());
+    let mut config = serve_config(Utf8Path::from_path(data.path()).unwrap());
     config.database.vectors = Vectors::Pgvector;
     let told = format!("{:#}", app::start(&config).await.err().unwrap());
     assert!(

@@ -1,7 +1,6 @@
-//! The tools of the Model Context Protocol, as they go over the wire. Clients that exist are tried
-//! in `tests/mcp`.
+//! Tools of the Model Context Protocol on the wire. Real clients are tested in `tests/mcp`.
 
-use crate::server::TestServer;
+use crate::test_server::{TestServer, assert_contains};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use reqwest::{Method, StatusCode, header};
@@ -11,7 +10,7 @@ use std::process::{Command, Stdio};
 use uniground_client::Client;
 use uniground_types::keys::{NewKey, Scope};
 
-async fn send(client: &Client, message: &Value) -> (StatusCode, String) {
+async fn send_message(client: &Client, message: &Value) -> (StatusCode, String) {
     let request = client
         .request(Method::POST, "mcp")
         .header(header::ACCEPT, "application/json, text/event-stream");
@@ -20,32 +19,35 @@ async fn send(client: &Client, message: &Value) -> (StatusCode, String) {
     (response.status(), response.text().await.unwrap())
 }
 
-async fn result(client: &Client, method: &str, params: Value) -> Value {
-    let (status, text) =
-        send(client, &json!({"jsonrpc": "2.0", "id": 7, "method": method, "params": params})).await;
+async fn call_method(client: &Client, method: &str, params: Value) -> Value {
+    let (status, text) = send_message(
+        client,
+        &json!({"jsonrpc": "2.0", "id": 7, "method": method, "params": params}),
+    )
+    .await;
     let reply: Value = serde_json::from_str(&text).unwrap_or_else(|_| panic!("{status}: {text}"));
     assert!(status == 200 && reply["id"] == 7 && reply["result"].is_object(), "{reply:#}");
     reply["result"].clone()
 }
 
-async fn call(client: &Client, tool: &str, arguments: Value) -> Value {
-    result(client, "tools/call", json!({"name": tool, "arguments": arguments})).await
+async fn call_tool(client: &Client, tool: &str, arguments: Value) -> Value {
+    call_method(client, "tools/call", json!({"name": tool, "arguments": arguments})).await
 }
 
 #[tokio::test]
-async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
+async fn an_agent_grounds_a_target_and_gets_an_approach_pose() {
     let server = TestServer::start().await;
-    let scene = server.parsed(uniground_service::sample::LIVING_ROOM.to_vec()).await;
+    let scene = server.upload_and_parse(uniground_service::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let hello = json!({"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}});
-    let welcome = result(client, "initialize", hello).await;
+    let welcome = call_method(client, "initialize", hello).await;
     assert_eq!(
         (&welcome["protocolVersion"], &welcome["serverInfo"]["name"]),
         (&json!("2025-06-18"), &json!("uniground"))
     );
-    assert!(welcome["instructions"].as_str().unwrap().contains("list_scenes"));
+    assert_contains(welcome["instructions"].as_str().unwrap(), "list_scenes");
 
-    let tools = result(client, "tools/list", json!({})).await;
+    let tools = call_method(client, "tools/list", json!({})).await;
     let names: Vec<&str> = tools["tools"]
         .as_array()
         .unwrap()
@@ -66,19 +68,19 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
         ]
     );
     let text = tools.to_string();
-    assert!(!text.contains("#/components/"), "schemas are whole");
+    assert!(!text.contains("#/components/"), "schemas must contain no references");
 
-    let scenes = call(client, "list_scenes", json!({"name": "LIVING"})).await;
+    let scenes = call_tool(client, "list_scenes", json!({"name": "LIVING"})).await;
     assert_eq!(
         scenes["structuredContent"]["scenes"][0]["scene_id"],
         scene.id.as_str(),
         "{scenes:#}"
     );
     assert_eq!(
-        call(client, "list_scenes", json!({"name": "no such"})).await["structuredContent"]["scenes"],
+        call_tool(client, "list_scenes", json!({"name": "no such"})).await["structuredContent"]["scenes"],
         json!([])
     );
-    let answer = call(
+    let answer = call_tool(
         client,
         "ground",
         json!({"scene_id": scene.id, "query": "the mug on the coffee table"}),
@@ -90,14 +92,14 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
         (&json!("grounded"), &json!(false)),
         "{answer:#}"
     );
-    // Clients that know no structured content read the same.
+    // Clients without structured content get the same as text.
     let as_text: Value =
         serde_json::from_str(answer["content"][0]["text"].as_str().unwrap()).unwrap();
     assert_eq!(&as_text, found);
     let mug = found["targets"][0]["id"].as_u64().unwrap();
 
     let anywhere =
-        call(client, "find_in_scenes", json!({"query": "the mug on the coffee table"})).await;
+        call_tool(client, "find_in_scenes", json!({"query": "the mug on the coffee table"})).await;
     let anywhere = &anywhere["structuredContent"];
     assert_eq!(
         (&anywhere["looked_into"], &anywhere["found"][0]["scene_id"]),
@@ -106,10 +108,12 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
     );
     assert_eq!(anywhere["found"][0]["targets"][0]["id"], mug);
     let elsewhere =
-        call(client, "find_in_scenes", json!({"query": "the mug", "labels": {"floor": "9"}})).await;
+        call_tool(client, "find_in_scenes", json!({"query": "the mug", "labels": {"floor": "9"}}))
+            .await;
     assert_eq!(elsewhere["structuredContent"]["found"], json!([]));
 
-    let listed = call(client, "list_objects", json!({"scene_id": scene.id, "name": "mug"})).await;
+    let listed =
+        call_tool(client, "list_objects", json!({"scene_id": scene.id, "name": "mug"})).await;
     assert!(
         listed["structuredContent"]["objects"]
             .as_array()
@@ -119,47 +123,50 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
         "{listed:#}"
     );
     let object =
-        call(client, "get_object", json!({"scene_id": scene.id, "instance_id": mug})).await;
+        call_tool(client, "get_object", json!({"scene_id": scene.id, "instance_id": mug})).await;
     assert_eq!(
         (&object["structuredContent"]["id"], &object["content"][1]["mimeType"]),
         (&json!(mug), &json!("image/jpeg"))
     );
     let relations =
-        call(client, "relations", json!({"scene_id": scene.id, "instance_id": mug})).await;
+        call_tool(client, "relations", json!({"scene_id": scene.id, "instance_id": mug})).await;
     assert!(relations["content"][0]["text"].as_str().unwrap().contains("table"), "{relations:#}");
 
     let robot = json!({"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2});
-    let stand =
-        call(client, "approach", json!({"scene_id": scene.id, "instance_id": mug, "robot": robot}))
-            .await;
+    let stand = call_tool(
+        client,
+        "approach",
+        json!({"scene_id": scene.id, "instance_id": mug, "robot": robot}),
+    )
+    .await;
     assert_eq!(stand["structuredContent"]["status"], "found", "{stand:#}");
     for arguments in [
         json!({"scene_id": scene.id, "instance_ids": [mug]}),
         json!({"scene_id": scene.id, "instance_ids": [mug], "view": "photograph"}),
         json!({"scene_id": scene.id}),
     ] {
-        let view = call(client, "render_view", arguments).await;
+        let view = call_tool(client, "render_view", arguments).await;
         let jpeg = STANDARD.decode(view["content"][0]["data"].as_str().unwrap()).unwrap();
         assert!(image::load_from_memory(&jpeg).unwrap().width() >= 320);
     }
 
-    let resources = result(client, "resources/list", json!({})).await;
+    let resources = call_method(client, "resources/list", json!({})).await;
     let report = resources["resources"]
         .as_array()
         .unwrap()
         .iter()
         .find(|one| one["uri"].as_str().unwrap().ends_with("/report"))
         .unwrap();
-    let read = result(client, "resources/read", json!({"uri": report["uri"]})).await;
+    let read = call_method(client, "resources/read", json!({"uri": report["uri"]})).await;
     let report: Value =
         serde_json::from_str(read["contents"][0]["text"].as_str().unwrap()).unwrap();
     assert_eq!(report["scene_id"], scene.id.as_str(), "{report:#}");
     server.stop().await;
 }
 
-/// A model reads what went wrong and calls again.
+/// Errors are tool results that tell the model how to call again.
 #[tokio::test]
-async fn what_goes_wrong_is_told_to_the_model() {
+async fn errors_are_returned_to_the_model_as_tool_results() {
     let server = TestServer::start().await;
     let client = &server.client;
     let nobody = "018f0000-0000-7000-8000-000000000000";
@@ -180,27 +187,28 @@ async fn what_goes_wrong_is_told_to_the_model() {
         ),
         ("render_view", json!({"scene_id": nobody, "view": "photograph"}), "must name an instance"),
     ] {
-        let reply = call(client, tool, arguments.clone()).await;
+        let reply = call_tool(client, tool, arguments.clone()).await;
         let text = reply["content"][0]["text"].as_str().unwrap();
         assert!(reply["isError"] == true && text.contains(told), "{tool} {arguments}: {reply:#}");
     }
-    let (status, text) = send(
+    let (status, text) = send_message(
         client,
         &json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "sing"}}),
     )
     .await;
     assert!(status == 200 && text.contains("there is no tool"), "{status} {text}");
-    let (_, text) = send(
+    let (_, text) = send_message(
         client,
         &json!({"jsonrpc": "2.0", "id": 1, "method": "resources/read", "params": {"uri": "file:///etc/passwd"}}),
     )
     .await;
     assert!(text.contains("use uniground://scenes/"), "{text}");
     let (status, _) =
-        send(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"})).await;
+        send_message(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"}))
+            .await;
     assert_eq!(status, StatusCode::ACCEPTED);
 
-    // The transport's own refusals are problems as everywhere.
+    // Errors of the transport are problems, as on other routes.
     let plain = client
         .request(Method::POST, "mcp")
         .json(&json!({"jsonrpc": "2.0", "id": 1, "method": "ping"}))
@@ -222,7 +230,7 @@ async fn what_goes_wrong_is_told_to_the_model() {
         assert_eq!(refused.status(), StatusCode::BAD_REQUEST, "{body}");
         assert_eq!(refused.json::<Value>().await.unwrap()["code"], "malformed_json");
     }
-    let cursor = call(client, "list_scenes", json!({"cursor": "x"})).await;
+    let cursor = call_tool(client, "list_scenes", json!({"cursor": "x"})).await;
     assert!(
         cursor["isError"] == true
             && cursor["content"][0]["text"].as_str().unwrap().contains("next_cursor"),
@@ -239,7 +247,7 @@ async fn what_goes_wrong_is_told_to_the_model() {
 }
 
 #[tokio::test]
-async fn agents_show_keys_and_come_from_no_other_page() {
+async fn keys_are_required_and_foreign_origins_are_refused() {
     let server = TestServer::start().await;
     let ping = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/list"});
     let foreign = server
@@ -263,15 +271,15 @@ async fn agents_show_keys_and_come_from_no_other_page() {
         daily_usd: None,
     };
     let key = server.client.create_key(&new).await.unwrap();
-    assert_eq!(send(&server.client, &ping).await.0, StatusCode::UNAUTHORIZED);
+    assert_eq!(send_message(&server.client, &ping).await.0, StatusCode::UNAUTHORIZED);
     let agent = Client::new(&server.url(), Some(key.secret)).unwrap();
-    assert_eq!(send(&agent, &ping).await.0, StatusCode::OK);
+    assert_eq!(send_message(&agent, &ping).await.0, StatusCode::OK);
     server.stop().await;
 }
 
-/// Stdout is the agent's alone, and the program ends with its stdin.
+/// Stdout carries only protocol messages, and the program ends when its stdin closes.
 #[test]
-fn over_stdio_a_folder_is_served() {
+fn the_stdio_transport_serves_a_data_folder() {
     let data = tempfile::tempdir().unwrap();
     let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
     program

@@ -1,41 +1,42 @@
-//! Which models a process works with: what lies in the folder of bundles, what was named, and what
-//! happens where something is broken.
+//! Which models a process uses: bundles in the models folder, named bundles, and errors in them.
 
-use crate::server::{Process, command};
+use crate::test_server::{Process, serve_command};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs::{self, File};
 use uniground::config::{AUTO, BUILTIN, BundlesConfig, ChosenModels, ModelsConfig, RuntimeConfig};
 
-fn root() -> &'static Utf8Path {
+fn repository_root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Tiny bundles with random weights: a dual encoder and two segmenters.
-fn tiny() -> Utf8PathBuf {
-    root().join("crates/uniground-models/tests/data")
+/// Returns tiny bundles with random weights: a dual encoder and two segmenters.
+fn tiny_bundles() -> Utf8PathBuf {
+    repository_root().join("crates/uniground-models/tests/data")
 }
 
-fn config(models: &Utf8Path, masks: &str, encoder: &str) -> ModelsConfig {
-    let library = std::env::var("ORT_DYLIB_PATH")
-        .map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
+fn models_config(models: &Utf8Path, masks: &str, encoder: &str) -> ModelsConfig {
+    let library = std::env::var("ORT_DYLIB_PATH").map_or_else(
+        |_| repository_root().join(".onnxruntime/libonnxruntime.so"),
+        Utf8PathBuf::from,
+    );
     let runtime = RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() };
     let bundles = BundlesConfig { models: models.to_owned(), runtime, ..BundlesConfig::default() };
     ModelsConfig { masks: masks.into(), encoder: encoder.into(), bundles }
 }
 
-fn names(chosen: &ChosenModels) -> Vec<&str> {
+fn model_names(chosen: &ChosenModels) -> Vec<&str> {
     chosen.models.loaded.iter().map(|model| model.name.as_str()).collect()
 }
 
-fn folder() -> (tempfile::TempDir, Utf8PathBuf) {
+fn temp_folder() -> (tempfile::TempDir, Utf8PathBuf) {
     let temporary = tempfile::tempdir().unwrap();
     let path = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
     (temporary, path)
 }
 
-fn copy(bundle: &str, to: &Utf8Path) {
+fn copy_bundle(bundle: &str, to: &Utf8Path) {
     fs::create_dir_all(to).unwrap();
-    for entry in tiny().join(bundle).read_dir_utf8().unwrap() {
+    for entry in tiny_bundles().join(bundle).read_dir_utf8().unwrap() {
         let entry = entry.unwrap();
         if entry.path().is_file() {
             fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
@@ -44,9 +45,9 @@ fn copy(bundle: &str, to: &Utf8Path) {
 }
 
 #[test]
-fn what_lies_there_is_taken_the_first_by_name() {
-    let chosen = config(&tiny(), AUTO, AUTO).load().unwrap();
-    assert_eq!(names(&chosen), ["tiny-segmenter", "tiny-dual-encoder"]);
+fn bundles_in_the_folder_are_used_in_name_order() {
+    let chosen = models_config(&tiny_bundles(), AUTO, AUTO).load().unwrap();
+    assert_eq!(model_names(&chosen), ["tiny-segmenter", "tiny-dual-encoder"]);
     assert!(
         chosen.told.contains("masks: tiny-segmenter (found in")
             && chosen.told.contains("--masks builtin"),
@@ -55,21 +56,18 @@ fn what_lies_there_is_taken_the_first_by_name() {
     );
     assert!(chosen.told.contains("encoder: tiny-dual-encoder (found in"), "{}", chosen.told);
     assert_eq!(chosen.warnings, [""; 0]);
-    // What was asked for is not looked for.
-    let asked = config(&tiny(), "tiny-segmenter-sam", BUILTIN).load().unwrap();
-    assert_eq!(names(&asked), ["tiny-segmenter-sam"]);
-    assert_eq!(
-        asked.told,
-        "masks: tiny-segmenter-sam (as configured); encoder: built in (as configured)"
-    );
+    // A named bundle is not searched for.
+    let asked = models_config(&tiny_bundles(), "tiny-segmenter-sam", BUILTIN).load().unwrap();
+    assert_eq!(model_names(&asked), ["tiny-segmenter-sam"]);
+    assert_eq!(asked.told, "masks: tiny-segmenter-sam (as configured); encoder: built in (as configured)");
 }
 
-/// Most have no models: no library is wanted then, and nothing is wrong.
+/// Without models no library is needed, and nothing is reported as wrong.
 #[test]
-fn where_nothing_lies_everything_is_built_in() {
-    let (_folder, empty) = folder();
+fn without_bundles_built_in_models_are_used() {
+    let (_folder, empty) = temp_folder();
     for models in [&empty, &empty.join("nowhere")] {
-        let mut config = config(models, AUTO, AUTO);
+        let mut config = models_config(models, AUTO, AUTO);
         config.bundles.runtime.onnxruntime_lib = Some("/nowhere/libonnxruntime.so".into());
         let chosen = config.load().unwrap();
         assert!(
@@ -82,10 +80,10 @@ fn where_nothing_lies_everything_is_built_in() {
 }
 
 #[test]
-fn a_broken_bundle_is_a_warning_unless_it_was_named() {
-    let (_folder, models) = folder();
-    copy("tiny-dual-encoder", &models.join("a-broken"));
-    copy("tiny-dual-encoder", &models.join("b-whole"));
+fn a_broken_bundle_is_a_warning_unless_named_in_the_configuration() {
+    let (_folder, models) = temp_folder();
+    copy_bundle("tiny-dual-encoder", &models.join("a-broken"));
+    copy_bundle("tiny-dual-encoder", &models.join("b-whole"));
     for entry in models.join("a-broken").read_dir_utf8().unwrap() {
         let entry = entry.unwrap();
         if entry.path().extension() == Some("onnx") {
@@ -94,36 +92,31 @@ fn a_broken_bundle_is_a_warning_unless_it_was_named() {
     }
     fs::create_dir(models.join("c-unreadable")).unwrap();
     fs::write(models.join("c-unreadable/model.json"), "{").unwrap();
-    let chosen = config(&models, AUTO, AUTO).load().unwrap();
-    assert_eq!(names(&chosen), ["tiny-dual-encoder"]);
-    assert!(
-        chosen.told.starts_with("masks: built in (no segmentation model in"),
-        "{}",
-        chosen.told
-    );
+    let chosen = models_config(&models, AUTO, AUTO).load().unwrap();
+    assert_eq!(model_names(&chosen), ["tiny-dual-encoder"]);
+    assert!(chosen.told.starts_with("masks: built in (no segmentation model in"), "{}", chosen.told);
     let warned = chosen.warnings.join("\n");
     assert!(warned.contains("c-unreadable/model.json") && warned.contains("a-broken/"), "{warned}");
     assert_eq!(chosen.warnings.len(), 2, "{warned}");
-    let named = config(&models, AUTO, "a-broken").load().unwrap_err();
+    let named = models_config(&models, AUTO, "a-broken").load().unwrap_err();
     assert!(format!("{named:#}").contains("a-broken/"), "{named:#}");
 }
 
 #[test]
-fn a_library_that_was_named_must_be_there() {
-    let mut config = config(&tiny(), AUTO, AUTO);
+fn a_configured_library_must_exist() {
+    let mut config = models_config(&tiny_bundles(), AUTO, AUTO);
     config.bundles.runtime.onnxruntime_lib = Some("/nowhere/libonnxruntime.so".into());
     let error = config.load().unwrap_err();
     assert!(format!("{error:#}").contains("/nowhere/libonnxruntime.so"), "{error:#}");
 }
 
-/// Nothing can be fetched and no library is there: the server starts with built-in parts and says
-/// why.
+/// Without a network and a library the server starts with the built-in models and says why.
 #[tokio::test]
-async fn a_server_that_can_not_fetch_its_models_starts_without() {
-    let (_folder, work) = folder();
+async fn a_server_that_cannot_fetch_models_starts_without_them() {
+    let (_folder, work) = temp_folder();
     let log = work.join("log");
     let nobody = "http://127.0.0.1:9/";
-    let mut command = command(&work.join("data"), "127.0.0.1:0");
+    let mut command = serve_command(&work.join("data"), "127.0.0.1:0");
     command
         .args(["--masks", AUTO, "--encoder", AUTO, "--fetch-models"])
         .current_dir(&work)
@@ -131,7 +124,7 @@ async fn a_server_that_can_not_fetch_its_models_starts_without() {
         .env_remove("UNIGROUND_MODELS")
         .envs([("PIP_INDEX_URL", nobody), ("NPM_CONFIG_REGISTRY", nobody)])
         .stderr(File::create(&log).unwrap());
-    let process = Process::started(&mut command);
+    let process = Process::spawn(&mut command);
     assert!(process.client.models().await.unwrap().models.is_empty());
     process.kill();
     let told = fs::read_to_string(&log).unwrap();

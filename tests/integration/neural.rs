@@ -1,7 +1,9 @@
-//! Neural models in the service: tiny bundles with random weights through a real server, and an
-//! inference server that misbehaves.
+//! Neural models in the service: tiny bundles with random weights through a real server, and a
+//! misbehaving inference server.
 
-use crate::server::{TestServer, ask, command, finished, problem};
+use crate::test_server::{
+    TestServer, ask, assert_contains, expect_problem, serve_command, wait_for_job,
+};
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
@@ -23,35 +25,37 @@ use uniground_types::instances::Levels;
 use uniground_types::job::Job;
 use uniground_types::question::ShortlistRequest;
 
-fn root() -> &'static Utf8Path {
+fn repository_root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-fn sample() -> Vec<u8> {
-    fs::read(root().join("examples/living_room.zip")).unwrap()
+fn sample_scan() -> Vec<u8> {
+    fs::read(repository_root().join("examples/living_room.zip")).unwrap()
 }
 
-fn bundles() -> BundlesConfig {
-    let library = std::env::var("ORT_DYLIB_PATH")
-        .map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
+fn bundles_config() -> BundlesConfig {
+    let library = std::env::var("ORT_DYLIB_PATH").map_or_else(
+        |_| repository_root().join(".onnxruntime/libonnxruntime.so"),
+        Utf8PathBuf::from,
+    );
     let runtime = RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() };
     BundlesConfig {
-        models: root().join("crates/uniground-models/tests/data"),
+        models: repository_root().join("crates/uniground-models/tests/data"),
         runtime,
         ..BundlesConfig::default()
     }
 }
 
-/// A segmenter and an encoder with random weights.
-pub fn tiny() -> ModelsConfig {
+/// Returns a segmenter and an encoder with random weights.
+pub fn tiny_models() -> ModelsConfig {
     ModelsConfig {
         masks: "tiny-segmenter".into(),
         encoder: "tiny-dual-encoder".into(),
-        bundles: bundles(),
+        bundles: bundles_config(),
     }
 }
 
-async fn server_with(models: ModelsConfig) -> TestServer {
+async fn start_server(models: ModelsConfig) -> TestServer {
     TestServer::start_on(
         tempfile::tempdir().unwrap(),
         LimitsConfig::default(),
@@ -61,19 +65,19 @@ async fn server_with(models: ModelsConfig) -> TestServer {
     .await
 }
 
-/// Few prompts: these masks mean nothing anyway.
-fn quick() -> Value {
+/// Uses few prompts, because random masks mean nothing.
+fn fast_settings() -> Value {
     json!({"sam_masks": {"points_per_side": 2, "min_predicted_iou": -10.0, "min_stability": 0.0}})
 }
 
-async fn reparsed(server: &TestServer, scene: &str, settings: Value) -> Job {
+async fn reparse(server: &TestServer, scene: &str, settings: Value) -> Job {
     let job = server.client.parse(scene, &json!({ "settings": settings })).await.unwrap();
-    finished(&server.client, &job.id).await
+    wait_for_job(&server.client, &job.id).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn models_take_part_from_the_upload_to_the_answer() {
-    let server = server_with(tiny()).await;
+async fn models_are_used_from_upload_to_answer() {
+    let server = start_server(tiny_models()).await;
     let models = server.client.models().await.unwrap().models;
     let roles: Vec<_> = models
         .iter()
@@ -88,10 +92,10 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     );
     assert!(models.iter().all(|m| m.fingerprint.len() == 64));
 
-    let created = server.client.create_scene(None, "application/zip", sample()).await.unwrap();
+    let created = server.client.create_scene(None, "application/zip", sample_scan()).await.unwrap();
     let scene = created.scene.id;
-    // The upload's own parse may go on meanwhile; the quick one comes after it.
-    let job = reparsed(&server, &scene, json!({ "parsing": quick() })).await;
+    // The upload's own parse may still be running; this faster one comes after it.
+    let job = reparse(&server, &scene, json!({ "parsing": fast_settings() })).await;
     assert_eq!(job.error, None);
     let view = server.client.scene(&scene).await.unwrap();
     let used = view.models.unwrap();
@@ -111,13 +115,20 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     };
     let plain = server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap();
     assert_eq!((plain.candidates.len(), plain.encoder.as_str()), (5, used.encoder.as_str()));
-    assert!(plain.candidates.windows(2).all(|pair| pair[0].score >= pair[1].score));
+    assert!(
+        plain.candidates.windows(2).all(|pair| pair[0].score >= pair[1].score),
+        "{:?}",
+        plain.candidates
+    );
     assert_eq!(
         plain,
         server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap()
     );
     let target = server.client.shortlist(&scene, &request(QueryText::Target, false)).await.unwrap();
-    assert_ne!(target.candidates, plain.candidates, "other words are compared");
+    assert_ne!(
+        target.candidates, plain.candidates,
+        "target and query texts give the same candidates"
+    );
     let calibrated =
         server.client.shortlist(&scene, &request(QueryText::Mean, true)).await.unwrap();
     assert_ne!(calibrated.candidates, plain.candidates);
@@ -127,14 +138,14 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     let answer = server.client.ground(&scene, &ask("the sofa")).await.unwrap();
     assert_eq!((answer.models.encoder, answer.degraded), (used.encoder, false));
 
-    // One row per instance, in a format numpy reads.
+    // One row per instance, in NumPy's format.
     let rows = server.client.bytes(&format!("v1/scenes/{scene}/embeddings.npy")).await.unwrap();
     assert!(rows.starts_with(b"\x93NUMPY"));
     let norms = fs::read(
         server
             .data()
             .join("blobs/parses")
-            .join(server.stored("blobs/parses").into_iter().max().unwrap()) // the latest
+            .join(server.list_folder("blobs/parses").into_iter().max().unwrap()) // the latest
             .join("embedding_norms.npy"),
     )
     .unwrap();
@@ -145,24 +156,25 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     );
 
     // The same settings again: nothing is computed.
-    let again = reparsed(&server, &scene, json!({ "parsing": quick() })).await;
-    assert!(again.message.unwrap_or_default().contains("stored parse"));
+    let again = reparse(&server, &scene, json!({ "parsing": fast_settings() })).await;
+    assert_contains(again.message.unwrap_or_default(), "stored parse");
 
-    // The built-in parts on demand.
+    // Built-in models on request.
     let builtin = json!({"models": {"masks": "builtin", "encoder": "builtin"}});
-    reparsed(&server, &scene, builtin).await;
+    reparse(&server, &scene, builtin).await;
     let used = server.client.scene(&scene).await.unwrap().models.unwrap();
     assert_eq!((used.masks.as_str(), used.encoder.as_str()), ("rgbd-2", "attributes-2"));
-    let error = problem(server.client.bytes(&format!("v1/scenes/{scene}/embeddings.npy")).await);
+    let error =
+        expect_problem(server.client.bytes(&format!("v1/scenes/{scene}/embeddings.npy")).await);
     assert_eq!((error.status, error.code.as_str()), (404, "no_embeddings"));
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_scene_parsed_with_another_encoder_says_so() {
-    let server = server_with(ModelsConfig { masks: "rgbd".into(), ..tiny() }).await;
-    let scene = server.parsed(sample()).await.id;
-    let data = server.give_back().await;
+async fn a_scene_parsed_with_another_encoder_degrades_the_answer() {
+    let server = start_server(ModelsConfig { masks: "rgbd".into(), ..tiny_models() }).await;
+    let scene = server.upload_and_parse(sample_scan()).await.id;
+    let data = server.stop_and_keep_data().await;
     let plain = TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -170,7 +182,7 @@ async fn a_scene_parsed_with_another_encoder_says_so() {
         ModelsConfig::builtin(),
     )
     .await;
-    let error = problem(plain.client.ground(&scene, &ask("the sofa")).await);
+    let error = expect_problem(plain.client.ground(&scene, &ask("the sofa")).await);
     assert_eq!((error.status, error.code.as_str()), (409, "encoder_changed"));
     assert!(
         error.detail.contains("tiny-dual-encoder@") && error.detail.contains("attributes-2"),
@@ -180,7 +192,7 @@ async fn a_scene_parsed_with_another_encoder_says_so() {
     let mut allowed = ask("the sofa");
     allowed.allow_builtin = true;
     let answer = plain.client.ground(&scene, &allowed).await.unwrap();
-    assert!(answer.degraded && answer.models.encoder == "attributes-2");
+    assert!(answer.degraded && answer.models.encoder == "attributes-2", "{answer:?}");
     assert!(answer.trace.unwrap().corrections[0].contains("parse it again"));
     let listed = plain
         .client
@@ -195,10 +207,10 @@ async fn a_scene_parsed_with_another_encoder_says_so() {
 }
 
 #[test]
-fn a_server_whose_models_are_wrong_does_not_start() {
+fn a_server_with_invalid_models_does_not_start() {
     let data = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(data.path()).unwrap();
-    let library = bundles().runtime.onnxruntime_lib.unwrap();
+    let library = bundles_config().runtime.onnxruntime_lib.unwrap();
     let nowhere = ["--onnxruntime-lib", "/nowhere/libonnxruntime.so"];
     let there = ["--onnxruntime-lib", library.as_str()];
     for (flags, expected) in [
@@ -232,10 +244,13 @@ fn a_server_whose_models_are_wrong_does_not_start() {
             "127.0.0.1:9",
         ),
     ] {
-        let mut server = command(data, "127.0.0.1:0");
+        let mut server = serve_command(data, "127.0.0.1:0");
         let output = server
             .args(&flags)
-            .args(["--models", root().join("crates/uniground-models/tests/data").as_str()])
+            .args([
+                "--models",
+                repository_root().join("crates/uniground-models/tests/data").as_str(),
+            ])
             .output()
             .unwrap();
         let told = String::from_utf8_lossy(&output.stderr);
@@ -244,13 +259,11 @@ fn a_server_whose_models_are_wrong_does_not_start() {
     }
 }
 
-/// How an inference server behaves when it is asked to compute.
-/// What lies in the folder, and whether it works, from the command line.
 #[test]
 fn bundles_are_listed_and_verified() {
     let (folder, library) = (
-        root().join("crates/uniground-models/tests/data"),
-        bundles().runtime.onnxruntime_lib.unwrap(),
+        repository_root().join("crates/uniground-models/tests/data"),
+        bundles_config().runtime.onnxruntime_lib.unwrap(),
     );
     let models = |args: &[&str]| {
         let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
@@ -288,32 +301,32 @@ fn bundles_are_listed_and_verified() {
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Mood {
+enum Misbehavior {
     Hangs,
     Garbage,
     Unavailable,
     NotANumber,
     Short,
-    /// Right answers, as plain JSON: refuses raw bytes.
+    /// Correct results as plain JSON; raw bytes are refused.
     PlainOnly,
-    /// Right at first, then gone.
+    /// Correct results at first, then the connection closes.
     FailsAfter(usize),
 }
 
 #[derive(Clone)]
-struct Remote {
-    mood: Mood,
+struct InferenceServer {
+    misbehavior: Misbehavior,
     asked: Arc<std::sync::atomic::AtomicUsize>,
 }
 
-/// Serves the networks of the tiny dual encoder: the same embedding for everything.
-async fn serve(mood: Mood) -> String {
+/// Serves the networks of the tiny dual encoder, with the same embedding for every input.
+async fn serve_inference(misbehavior: Misbehavior) -> String {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let router = axum::Router::new()
         .route("/v2/models/{name}", get(describe))
         .route("/v2/models/{name}/infer", post(infer))
-        .with_state(Remote { mood, asked: Arc::default() });
+        .with_state(InferenceServer { misbehavior, asked: Arc::default() });
     tokio::spawn(async move { axum::serve(listener, router).await });
     format!("http://{address}")
 }
@@ -340,7 +353,7 @@ async fn describe(Path(name): Path<String>) -> Json<Value> {
 }
 
 async fn infer(
-    State(remote): State<Remote>,
+    State(remote): State<InferenceServer>,
     Path(name): Path<String>,
     headers: axum::http::HeaderMap,
     body: axum::body::Bytes,
@@ -356,78 +369,83 @@ async fn infer(
         let data: Vec<f32> = (0..values).map(|i| (i % 64) as f32 + 1.0).collect();
         Json(json!({"outputs": [{"name": output, "datatype": "FP32", "shape": [count, 64], "data": data}]})).into_response()
     };
-    match remote.mood {
-        Mood::Hangs => {
+    match remote.misbehavior {
+        Misbehavior::Hangs => {
             tokio::time::sleep(Duration::from_mins(1)).await;
             right(count * 64)
         }
-        Mood::Garbage => "<html>hello</html>".into_response(),
-        Mood::Unavailable => {
+        Misbehavior::Garbage => "<html>hello</html>".into_response(),
+        Misbehavior::Unavailable => {
             (StatusCode::SERVICE_UNAVAILABLE, [("retry-after", "0")], "busy").into_response()
         }
-        Mood::NotANumber => {
+        Misbehavior::NotANumber => {
             let header = json!({"outputs": [{"name": output, "datatype": "FP32", "shape": [count, 64], "parameters": {"binary_data_size": count * 256}}]}).to_string();
             let mut answer = header.clone().into_bytes();
             answer.extend(std::iter::repeat_n(f32::NAN.to_le_bytes(), count * 64).flatten());
             ([("Inference-Header-Content-Length", header.len().to_string())], answer)
                 .into_response()
         }
-        Mood::Short => right(count * 64 - 1),
-        Mood::PlainOnly if header.is_some() => {
+        Misbehavior::Short => right(count * 64 - 1),
+        Misbehavior::PlainOnly if header.is_some() => {
             (StatusCode::BAD_REQUEST, "what is this?").into_response()
         }
-        Mood::FailsAfter(calls) if asked >= calls => {
+        Misbehavior::FailsAfter(calls) if asked >= calls => {
             (StatusCode::SERVICE_UNAVAILABLE, [("retry-after", "0")], "gone").into_response()
         }
-        Mood::PlainOnly | Mood::FailsAfter(_) => right(count * 64),
+        Misbehavior::PlainOnly | Misbehavior::FailsAfter(_) => right(count * 64),
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_misbehaving_inference_server_is_told_at_load() {
-    for (mood, expected) in [
-        (Mood::Hangs, "timed out"),
-        (Mood::Garbage, "the answer is none"),
-        (Mood::Unavailable, "503 Service Unavailable: busy (4 attempts)"),
-        (Mood::NotANumber, "no numbers"),
-        (Mood::Short, "values for the shape"),
+async fn a_misbehaving_inference_server_is_reported_at_load() {
+    for (misbehavior, expected) in [
+        (Misbehavior::Hangs, "timed out"),
+        (Misbehavior::Garbage, "the answer is none"),
+        (Misbehavior::Unavailable, "503 Service Unavailable: busy (4 attempts)"),
+        (Misbehavior::NotANumber, "no numbers"),
+        (Misbehavior::Short, "values for the shape"),
     ] {
-        let address = serve(mood).await;
+        let address = serve_inference(misbehavior).await;
         let loaded = tokio::task::spawn_blocking(move || {
             let engine = RemoteServer::new(&address, Duration::from_millis(400)).unwrap();
-            verify(&engine, &root().join("crates/uniground-models/tests/data/tiny-dual-encoder"))
+            verify(
+                &engine,
+                &repository_root().join("crates/uniground-models/tests/data/tiny-dual-encoder"),
+            )
         });
         let error = loaded.await.unwrap().unwrap_err();
-        assert!(error.to_string().contains(expected), "{mood:?}: {error}");
+        assert!(error.to_string().contains(expected), "{misbehavior:?}: {error}");
         assert!(
-            matches!(error, ModelError::Remote { .. } | ModelError::NotFinite { .. }),
-            "{mood:?}: {error}"
+            matches!(error, ModelError::InferenceServer { .. } | ModelError::NotFinite { .. }),
+            "{misbehavior:?}: {error}"
         );
     }
-    let address = serve(Mood::PlainOnly).await;
+    let address = serve_inference(Misbehavior::PlainOnly).await;
     let loaded = tokio::task::spawn_blocking(move || {
         let engine = RemoteServer::new(&address, Duration::from_secs(5)).unwrap();
         Models::default().with_encoder(
             &engine,
-            &root().join("crates/uniground-models/tests/data/tiny-dual-encoder"),
+            &repository_root().join("crates/uniground-models/tests/data/tiny-dual-encoder"),
         )
     });
     assert_eq!(loaded.await.unwrap().unwrap().loaded[0].dimensions, Some(64));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_that_fails_fails_the_parse_unless_the_built_in_parts_may_help() {
-    // Loading takes a handful of calls; the server is gone soon after.
-    let bundles =
-        BundlesConfig { inference_url: Some(serve(Mood::FailsAfter(12)).await), ..bundles() };
-    let server = server_with(ModelsConfig {
+async fn a_failing_model_fails_the_parse_unless_fallback_is_allowed() {
+    // Loading takes a few calls; soon after that the server is gone.
+    let bundles = BundlesConfig {
+        inference_url: Some(serve_inference(Misbehavior::FailsAfter(12)).await),
+        ..bundles_config()
+    };
+    let server = start_server(ModelsConfig {
         masks: "rgbd".into(),
         encoder: "tiny-dual-encoder".into(),
         bundles,
     })
     .await;
-    let created = server.client.create_scene(None, "application/zip", sample()).await.unwrap();
-    let job = finished(&server.client, &created.job.unwrap().id).await;
+    let created = server.client.create_scene(None, "application/zip", sample_scan()).await.unwrap();
+    let job = wait_for_job(&server.client, &created.job.unwrap().id).await;
     let error = job.error.unwrap();
     assert_eq!(error.code, "model_failed");
     assert!(
@@ -436,16 +454,14 @@ async fn a_model_that_fails_fails_the_parse_unless_the_built_in_parts_may_help()
         error.detail
     );
 
-    let job =
-        reparsed(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
+    let job = reparse(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
     assert_eq!(job.error, None);
     let scene = server.client.scene(&created.scene.id).await.unwrap();
     assert_eq!(scene.models.unwrap().encoder, "attributes-2");
     let warnings = server.client.report(&scene.id).await.unwrap().parse.unwrap().warnings;
     assert!(warnings.iter().any(|w| w.contains("a model failed")), "{warnings:?}");
-    // What was made without the model is not taken for what was asked.
-    let job =
-        reparsed(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
+    // A parse made without the model is not reused for a request that names it.
+    let job = reparse(&server, &created.scene.id, json!({"models": {"allow_builtin": true}})).await;
     assert!(!job.message.unwrap_or_default().contains("stored parse"));
     server.stop().await;
 }

@@ -1,9 +1,9 @@
-//! The committed description is the served one.
+//! The OpenAPI description, committed and served, and its documentation page.
 
-use crate::server::TestServer;
+use crate::test_server::TestServer;
 
 #[tokio::test]
-async fn openapi_json_equals_what_the_server_serves() {
+async fn the_committed_description_equals_the_served_one() {
     let server = TestServer::start().await;
     let served: serde_json::Value =
         serde_json::from_slice(&server.client.bytes("openapi.json").await.unwrap()).unwrap();
@@ -12,13 +12,13 @@ async fn openapi_json_equals_what_the_server_serves() {
         serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
     assert!(
         committed == served,
-        "openapi/openapi.json is not what the server serves: run `make openapi`"
+        "openapi/openapi.json differs from the served description: run `make openapi`"
     );
     server.stop().await;
 }
 
 #[test]
-fn every_operation_and_field_says_what_it_is() {
+fn every_operation_has_a_summary_and_answers_have_all_fields() {
     let openapi = serde_json::to_value(uniground::http::openapi()).unwrap();
     let mut ids = std::collections::BTreeSet::new();
     for (path, operations) in openapi["paths"].as_object().unwrap() {
@@ -50,4 +50,29 @@ fn every_operation_and_field_says_what_it_is() {
             "SixFields has no {field}"
         );
     }
+}
+
+#[tokio::test]
+async fn the_documentation_page_loads_only_local_files() {
+    let server = TestServer::start().await;
+    let page = String::from_utf8(server.client.bytes("docs/").await.unwrap()).unwrap();
+    assert!(page.contains("swagger-ui"), "{page}");
+    let mut loaded = 0;
+    for reference in page.split(['"', '\'']).filter(|r| {
+        ["js", "css"].contains(&r.rsplit('.').next().unwrap_or_default()) || r.starts_with("http")
+    }) {
+        assert!(!reference.contains("//"), "the page loads {reference}");
+        assert!(
+            !server
+                .client
+                .bytes(&format!("docs/{}", reference.trim_start_matches("./")))
+                .await
+                .unwrap()
+                .is_empty()
+        );
+        loaded += 1;
+    }
+    assert!(loaded >= 2, "{page}");
+    assert!(server.url().starts_with("http://127.0.0.1:"), "{}", server.url());
+    server.stop().await;
 }

@@ -1,6 +1,6 @@
-//! Answers in other coordinates than the scene's: those of a map, and those of the files.
+//! Answers in other coordinates than the scene's: those of a map and those of the source files.
 
-use crate::server::{TestServer, ask, problem};
+use crate::test_server::{TestServer, ask, expect_problem};
 use serde_json::{Value, json};
 use uniground_core::grounding::Status;
 use uniground_types::placement::{FrameChoice, SceneToMap};
@@ -12,22 +12,22 @@ const QUERY: &str = "the red sofa";
 const QUARTER: [f64; 4] =
     [0.0, 0.0, std::f64::consts::FRAC_1_SQRT_2, std::f64::consts::FRAC_1_SQRT_2];
 
-fn sample() -> Vec<u8> {
+fn sample_scan() -> Vec<u8> {
     std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
 }
 
-fn near(a: [f64; 3], b: [f64; 3]) -> bool {
+fn is_near(a: [f64; 3], b: [f64; 3]) -> bool {
     a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
+async fn boxes_use_map_coordinates_once_the_scene_is_placed() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let scene = server.parsed(sample()).await;
+    let scene = server.upload_and_parse(sample_scan()).await;
     assert_eq!((scene.scene_to_map, scene.map_frame_id), (None, None));
     let in_map = GroundRequest { frame: FrameChoice::Map, ..ask(QUERY) };
-    let refused = problem(client.ground(&scene.id, &in_map).await);
+    let refused = expect_problem(client.ground(&scene.id, &in_map).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "no_map"));
 
     let place = SceneToMap { rotation: QUARTER, translation_m: [10.0, 20.0, 0.5] };
@@ -41,7 +41,7 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
         (changed.name.as_str(), changed.scene_to_map, changed.map_frame_id.as_deref()),
         (scene.name.as_str(), Some(place), Some("map"))
     );
-    // What is not named stays.
+    // Omitted fields keep their values.
     let renamed = client.rename_scene(&scene.id, "den").await.unwrap();
     assert_eq!((renamed.scene_to_map, renamed.map_frame_id.as_deref()), (Some(place), Some("map")));
 
@@ -53,15 +53,15 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
         (FrameChoice::Map, Some("map"), answer.targets.len())
     );
     let [x, y, z] = [0, 1, 2].map(|axis| f64::from(target.oriented_box.center[axis]));
-    assert!(near(placed.boxes[0].center, [10.0 - y, 20.0 + x, 0.5 + z]), "{placed:?}");
+    assert!(is_near(placed.boxes[0].center, [10.0 - y, 20.0 + x, 0.5 + z]), "{placed:?}");
     assert_eq!(placed.boxes[0].id, target.id);
-    // Kept as it was given; the scene's own boxes are told as ever.
+    // The placement is stored as given; boxes in the scene's own frame do not change.
     let kept = client.answer(&answer.id).await.unwrap();
     assert_eq!((kept.in_frame, kept.aabb), (answer.in_frame.clone(), answer.aabb));
     let plain = client.ground(&scene.id, &ask(QUERY)).await.unwrap();
     assert_eq!((plain.in_frame, plain.aabb), (None, answer.aabb));
 
-    // Somebody in the map is the same somebody in the scene.
+    // A viewer given in map coordinates equals the same viewer in scene coordinates.
     let nearest = |frame, position, yaw_rad| {
         let observer = Some(Observer { position, yaw_rad });
         GroundRequest { frame, observer, ..ask("the chair closest to me") }
@@ -80,7 +80,7 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
     assert_eq!((there.answer.predicted_id, there.status), (here.answer.predicted_id, here.status));
 
     let bad = SceneToMap { rotation: [1.0, 1.0, 0.0, 0.0], ..place };
-    let refused = problem(
+    let refused = expect_problem(
         client
             .change_scene(
                 &scene.id,
@@ -92,7 +92,7 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
         (refused.status, refused.errors[0].pointer.as_str()),
         (422, "/scene_to_map/rotation")
     );
-    // `null` takes it away.
+    // `null` removes the placement.
     let body: Value = json!({"scene_to_map": null, "map_frame_id": null});
     let change: SceneChange = serde_json::from_value(body).unwrap();
     let without = client.change_scene(&scene.id, &change).await.unwrap();
@@ -104,15 +104,15 @@ async fn boxes_come_in_the_map_once_the_scene_has_a_place_in_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn boxes_come_in_the_coordinates_of_the_files() {
+async fn boxes_can_use_the_coordinates_of_the_source_files() {
     let server = TestServer::start().await;
-    let scene = server.parsed(sample()).await;
+    let scene = server.upload_and_parse(sample_scan()).await;
     let request = GroundRequest { frame: FrameChoice::Source, ..ask(QUERY) };
     let answer = server.client.ground(&scene.id, &request).await.unwrap();
     let placed = answer.in_frame.unwrap();
     let source = scene.import.unwrap().source_to_scene.unwrap();
     let center = [0, 1, 2].map(|axis| f64::from(answer.targets[0].oriented_box.center[axis]));
-    assert!(near(source.apply(placed.boxes[0].center), center), "{placed:?}");
+    assert!(is_near(source.apply(placed.boxes[0].center), center), "{placed:?}");
     assert_eq!((placed.frame, placed.frame_id), (FrameChoice::Source, None));
     server.stop().await;
 }

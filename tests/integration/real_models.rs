@@ -1,5 +1,5 @@
-//! Real weights against golden outputs of the Python runtime, and what they find in annotated
-//! rooms. These need `make models` first and take minutes: `make test-models` runs them.
+//! Real weights against golden outputs of the Python runtime, and their results in annotated rooms.
+//! These tests need `make models` and take minutes: `make test-models` runs them.
 
 use crate::shared_scenes::development_rooms;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -23,19 +23,19 @@ use uniground_evaluation::annotations::Annotations;
 use uniground_evaluation::segmentation::score_instances;
 use uniground_evaluation::systems::{NamedBy, instances_of, see};
 
-fn root() -> &'static Utf8Path {
+fn repository_root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-fn golden(path: &str) -> Utf8PathBuf {
-    let file = root().join("../shared/models/golden").join(path);
+fn golden_file(path: &str) -> Utf8PathBuf {
+    let file = repository_root().join("../shared/models/golden").join(path);
     assert!(file.exists(), "{file} is missing");
     file
 }
 
 fn engine() -> OnnxRuntime {
     OnnxRuntime::load(&RuntimeSettings {
-        library: Some(root().join(".onnxruntime/libonnxruntime.so")),
+        library: Some(repository_root().join(".onnxruntime/libonnxruntime.so")),
         ..RuntimeSettings::default()
     })
     .unwrap()
@@ -43,7 +43,7 @@ fn engine() -> OnnxRuntime {
 
 fn encoder() -> std::sync::Arc<DualEncoder> {
     Models::default()
-        .with_encoder(&engine(), &root().join("models/clip-vitb16-lite"))
+        .with_encoder(&engine(), &repository_root().join("models/clip-vitb16-lite"))
         .unwrap()
         .encoder
         .unwrap()
@@ -51,35 +51,34 @@ fn encoder() -> std::sync::Arc<DualEncoder> {
 
 fn segmenter() -> std::sync::Arc<Segmenter> {
     Models::default()
-        .with_segmenter(&engine(), &root().join("models/sam2-hiera-tiny"))
+        .with_segmenter(&engine(), &repository_root().join("models/sam2-hiera-tiny"))
         .unwrap()
         .segmenters
         .remove(0)
 }
 
-/// The annotated rooms, which lie beside the checkout where this project is built.
-fn room(name: &str, scratch: &tempfile::TempDir) -> AnnotatedRoom {
+/// Loads an annotated room from the folder next to the checkout.
+fn load_room(name: &str, scratch: &tempfile::TempDir) -> AnnotatedRoom {
     AnnotatedRoom::load(
-        &root().join("../shared/scenes"),
+        &repository_root().join("../shared/scenes"),
         name,
         Utf8Path::from_path(scratch.path()).unwrap(),
     )
     .unwrap()
 }
 
-/// Of what is measured in several rooms the first, which takes a quarter of an hour less; with
-/// `FULL=1` all of it.
-fn of_rooms<T>(all: &[T]) -> &[T] {
+/// Returns only the first room, which saves a quarter of an hour; `FULL=1` returns all.
+fn select_rooms<T>(all: &[T]) -> &[T] {
     if std::env::var_os("FULL").is_some() { all } else { &all[..1] }
 }
 
-fn picture(path: &str) -> RgbImage {
-    image::open(golden(path)).unwrap().into_rgb8()
+fn load_image(path: &str) -> RgbImage {
+    image::open(golden_file(path)).unwrap().into_rgb8()
 }
 
-/// The rows of a two-dimensional `.npy` file of 32-bit floats.
-fn rows(path: &str, dim: usize) -> Vec<Vec<f32>> {
-    let bytes = fs::read(golden(path)).unwrap();
+/// Reads the rows of a two-dimensional `.npy` file of 32-bit floats.
+fn read_rows(path: &str, dim: usize) -> Vec<Vec<f32>> {
+    let bytes = fs::read(golden_file(path)).unwrap();
     let start = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
     let values: Vec<f32> =
         bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
@@ -91,22 +90,25 @@ fn cosine(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(x, y)| x * y).sum::<f32>() / (norm(a) * norm(b))
 }
 
-fn strings(value: &Value) -> Vec<String> {
+fn to_strings(value: &Value) -> Vec<String> {
     serde_json::from_value(value.clone()).unwrap()
 }
 
 #[test]
 #[ignore = "needs models: make test-models"]
-fn clip_embeddings_are_those_of_the_python_runtime() {
-    let known: Value =
-        serde_json::from_str(&fs::read_to_string(golden("clip-vitb16-lite/golden.json")).unwrap())
-            .unwrap();
+fn clip_embeddings_equal_the_python_runtime() {
+    let known: Value = serde_json::from_str(
+        &fs::read_to_string(golden_file("clip-vitb16-lite/golden.json")).unwrap(),
+    )
+    .unwrap();
     let encoder = encoder();
-    assert_eq!(encoder.batch(), 1, "its activations are quantised over the batch");
-    let expected = rows("clip-vitb16-lite/image_embeds.npy", encoder.dim());
-    for (files, least) in [(strings(&known["resized"]), 0.999), (strings(&known["images"]), 0.97)] {
+    assert_eq!(encoder.batch(), 1, "its activations are quantized over the batch");
+    let expected = read_rows("clip-vitb16-lite/image_embeds.npy", encoder.dim());
+    for (files, least) in
+        [(to_strings(&known["resized"]), 0.999), (to_strings(&known["images"]), 0.97)]
+    {
         let pictures: Vec<RgbImage> =
-            files.iter().map(|f| picture(&format!("clip-vitb16-lite/{f}"))).collect();
+            files.iter().map(|f| load_image(&format!("clip-vitb16-lite/{f}"))).collect();
         for ((own, expected), file) in
             encoder.embed_pictures(&pictures).unwrap().iter().zip(&expected).zip(&files)
         {
@@ -114,8 +116,9 @@ fn clip_embeddings_are_those_of_the_python_runtime() {
             assert!(cosine(own, expected) >= least, "{file}");
         }
     }
-    for (text, expected) in
-        strings(&known["texts"]).iter().zip(rows("clip-vitb16-lite/text_embeds.npy", encoder.dim()))
+    for (text, expected) in to_strings(&known["texts"])
+        .iter()
+        .zip(read_rows("clip-vitb16-lite/text_embeds.npy", encoder.dim()))
     {
         match encoder.embed_text(text).unwrap().vector {
             Some(own) => {
@@ -129,11 +132,11 @@ fn clip_embeddings_are_those_of_the_python_runtime() {
 #[derive(Deserialize)]
 struct Masks {
     image_size: [u32; 2],
-    prompts: Vec<Asked>,
+    prompts: Vec<MaskPrompt>,
 }
 
 #[derive(Deserialize)]
-struct Asked {
+struct MaskPrompt {
     points: Vec<(f32, f32)>,
     labels: Vec<u8>,
     mask_index: usize,
@@ -148,14 +151,15 @@ struct Rle {
 
 #[test]
 #[ignore = "needs models: make test-models"]
-fn sam2_masks_are_those_of_the_python_reference() {
+fn sam2_masks_equal_the_python_reference() {
     let segmenter = segmenter();
     for name in ["room1_0", "room1_10", "redkitchen_0", "hololens_0"] {
         let known: Masks = serde_json::from_str(
-            &fs::read_to_string(golden(&format!("sam2-hiera-tiny/{name}.json"))).unwrap(),
+            &fs::read_to_string(golden_file(&format!("sam2-hiera-tiny/{name}.json"))).unwrap(),
         )
         .unwrap();
-        let encoded = segmenter.encode(&picture(&format!("sam2-hiera-tiny/{name}.png"))).unwrap();
+        let encoded =
+            segmenter.encode(&load_image(&format!("sam2-hiera-tiny/{name}.png"))).unwrap();
         let scale = segmenter.low_scale(&encoded);
         let [w, h] = known.image_size;
         for asked in &known.prompts {
@@ -196,29 +200,31 @@ fn sam2_masks_are_those_of_the_python_reference() {
     }
 }
 
-/// The same sentences as `open_clip`'s own tokenizer cuts them, for a Perception Encoder.
+/// The tokens of a Perception Encoder equal those of `open_clip`'s tokenizer.
 #[test]
 #[ignore = "needs models: make test-models"]
-fn the_perception_encoders_tokens_are_open_clips() {
+fn perception_encoder_tokens_equal_open_clip() {
     let tokenizer =
-        tokenizers::Tokenizer::from_file(root().join("models/pe-tokenizer.json")).unwrap();
+        tokenizers::Tokenizer::from_file(repository_root().join("models/pe-tokenizer.json"))
+            .unwrap();
     let known: Value =
-        serde_json::from_str(&fs::read_to_string(golden("pe-tokenizer.json")).unwrap()).unwrap();
+        serde_json::from_str(&fs::read_to_string(golden_file("pe-tokenizer.json")).unwrap())
+            .unwrap();
     let expected: Vec<Vec<u32>> = serde_json::from_value(known["input_ids"].clone()).unwrap();
-    let texts = strings(&known["texts"]);
+    let texts = to_strings(&known["texts"]);
     for (text, expected) in texts.iter().zip(&expected) {
         assert_eq!(tokenizer.encode(text.as_str(), true).unwrap().get_ids(), expected, "{text:?}");
     }
     println!("{} of {} sentences equal", texts.len(), texts.len());
 }
 
-/// What masks of SAM 2 tiny make of a room, against the prototype's figures.
+/// Instances from masks of SAM 2 tiny, compared with the prototype's figures.
 #[test]
 #[ignore = "needs models: make test-models"]
-fn sam2_masks_cut_rooms_into_their_things() {
-    for &(name, least) in of_rooms(&[("room1", [0.93, 0.84]), ("room2", [0.83, 0.66])]) {
+fn sam2_masks_segment_annotated_rooms() {
+    for &(name, least) in select_rooms(&[("room1", [0.93, 0.84]), ("room2", [0.83, 0.66])]) {
         let scratch = tempfile::tempdir().unwrap();
-        let room = room(name, &scratch);
+        let room = load_room(name, &scratch);
         let frames = EncodedFrames::new(segmenter(), None, 0).unwrap();
         let settings = ParsingSettings::default();
         let masks = SamMasks {
@@ -252,18 +258,18 @@ fn sam2_masks_cut_rooms_into_their_things() {
     }
 }
 
-/// Names of objects as queries over annotated instances, by appearance alone: is the right one
-/// among the first five?
+/// Object names as queries over annotated instances, by appearance alone: recall among the first
+/// five.
 #[test]
 #[ignore = "needs models: make test-models"]
-fn clip_finds_annotated_things_by_their_names() {
+fn clip_retrieves_annotated_objects_by_name() {
     let encoder = encoder();
     for &(name, least, least_calibrated) in
-        of_rooms(&[("room1", 0.95, 0.95), ("room2", 0.72, 0.84)])
+        select_rooms(&[("room1", 0.95, 0.95), ("room2", 0.72, 0.84)])
     {
         let scratch = tempfile::tempdir().unwrap();
-        let room = room(name, &scratch);
-        let folder = root().join("../shared/scenes");
+        let room = load_room(name, &scratch);
+        let folder = repository_root().join("../shared/scenes");
         let (annotations, _) = Annotations::read(&Annotations::file_of(&folder, name).unwrap());
         let cloud = &room.bundle.cloud;
         let mut instances = instances_of(&annotations, cloud, NamedBy::Encoder);
@@ -271,7 +277,7 @@ fn clip_finds_annotated_things_by_their_names() {
         let seen =
             see(&annotations, &mut instances, cloud, &room.bundle.frames, &encoder, &settings)
                 .unwrap();
-        // Structure is no object; names come from the annotations.
+        // Structure is not an object; names come from the annotations.
         let things: Vec<usize> = (0..instances.len())
             .filter(|&i| instances[i].structure.is_none() && seen.is_seen(i))
             .collect();
@@ -309,13 +315,13 @@ fn clip_finds_annotated_things_by_their_names() {
     }
 }
 
-/// The whole system with the built-in masks and CLIP: half of the expressions and more are answered
-/// with the right box.
+/// The whole system with built-in masks and CLIP answers at least half of the expressions with the
+/// right box.
 #[test]
 #[ignore = "needs models: make test-models"]
-fn parsed_rooms_are_answered_with_clip() {
-    let rooms = development_rooms(of_rooms(&["room1", "room2"]))
-        .expect("make test-models has looked for the rooms");
+fn questions_about_parsed_rooms_are_answered_with_clip() {
+    let rooms = development_rooms(select_rooms(&["room1", "room2"]))
+        .expect("make test-models checks that the rooms exist");
     let out = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["eval", rooms.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()])
@@ -323,9 +329,12 @@ fn parsed_rooms_are_answered_with_clip() {
             "--matrix",
             "source=parsed;encoder=clip-vitb16-lite",
             "--models",
-            root().join("models").as_str(),
+            repository_root().join("models").as_str(),
         ])
-        .args(["--onnxruntime-lib", root().join(".onnxruntime/libonnxruntime.so").as_str()])
+        .args([
+            "--onnxruntime-lib",
+            repository_root().join(".onnxruntime/libonnxruntime.so").as_str(),
+        ])
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -336,15 +345,15 @@ fn parsed_rooms_are_answered_with_clip() {
     assert!(right >= 0.5, "{right}");
 }
 
-/// The same networks behind a real server of the protocol (`tests/kserve/server.py`) give the same
-/// answers.
+/// The same networks behind a real inference server (`tests/kserve/server.py`) give the same
+/// results.
 #[test]
 #[ignore = "needs an inference server: make test-models"]
-fn networks_answer_alike_here_and_behind_a_server() {
+fn local_and_remote_inference_give_the_same_results() {
     let address =
         std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
     let remote = RemoteServer::new(&address, Duration::from_mins(1)).unwrap();
-    let data = root().join("crates/uniground-models/tests/data");
+    let data = repository_root().join("crates/uniground-models/tests/data");
     let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
         Models::default()
             .with_encoder(engine, &data.join("tiny-dual-encoder"))
@@ -363,7 +372,7 @@ fn networks_answer_alike_here_and_behind_a_server() {
         .iter()
         .zip(&there.embed_pictures(&pictures).unwrap())
     {
-        assert!(cosine(a, b) > 0.999_99);
+        assert!(cosine(a, b) > 0.999_99, "cosine {}", cosine(a, b));
     }
     let text = "the small blue mug";
     assert!(
@@ -384,7 +393,12 @@ fn networks_answer_alike_here_and_behind_a_server() {
         segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap()
     };
     for (a, b) in masks(&here).iter().flatten().zip(masks(&there).iter().flatten()) {
-        assert!((a.predicted_iou - b.predicted_iou).abs() < 1e-4);
+        assert!(
+            (a.predicted_iou - b.predicted_iou).abs() < 1e-4,
+            "{} {}",
+            a.predicted_iou,
+            b.predicted_iou
+        );
         assert!(a.logits.iter().zip(&b.logits).all(|(x, y)| (x - y).abs() < 1e-3));
     }
 }

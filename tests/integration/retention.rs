@@ -1,7 +1,7 @@
-//! What is kept for a time only, and what `uniground gc` does about it.
+//! Retention periods, and `uniground gc`.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, finished, in_places, loose_rows};
+use crate::test_scans::Scan;
+use crate::test_server::{TestServer, ask, open_database_unchecked, storage_env, wait_for_job};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::Value;
 use sqlx::{AnyConnection, AssertSqlSafe, Connection};
@@ -12,11 +12,11 @@ use std::time::{Duration, SystemTime};
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_types::batch::{BatchRequest, BatchState};
 
-/// Ids of January 2020 begin so.
+/// The prefix of ids from January 2020.
 const OLD: &str = "016f5e66-e800-7000-8000-00000000000";
 const LONG_AGO: &str = "2020-01-01T00:00:00Z";
 
-async fn run(rows: &mut AnyConnection, sql: impl Into<String>) {
+async fn execute_sql(rows: &mut AnyConnection, sql: impl Into<String>) {
     let sql = sql.into();
     sqlx::raw_sql(AssertSqlSafe(sql.clone()))
         .execute(rows)
@@ -24,22 +24,22 @@ async fn run(rows: &mut AnyConnection, sql: impl Into<String>) {
         .unwrap_or_else(|error| panic!("{sql}: {error}"));
 }
 
-async fn ids(rows: &mut AnyConnection, sql: &'static str) -> Vec<String> {
+async fn query_ids(rows: &mut AnyConnection, sql: &'static str) -> Vec<String> {
     sqlx::query_scalar(sql).fetch_all(rows).await.unwrap()
 }
 
-fn gc(data: &Utf8Path, more: &[&str]) -> Output {
+fn run_gc(data: &Utf8Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command
         .args(["gc", "--data-dir", data.as_str()])
-        .envs(in_places(data))
+        .envs(storage_env(data))
         .args(more)
         .output()
         .unwrap()
 }
 
-/// What went, by kind: entries and bytes.
-fn told(output: &Output) -> BTreeMap<String, (u64, u64)> {
+/// Returns what was removed, by kind: entries and bytes.
+fn removed_by_kind(output: &Output) -> BTreeMap<String, (u64, u64)> {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let told: Value = serde_json::from_slice(&output.stdout).unwrap();
     let of = |one: &Value| {
@@ -51,8 +51,9 @@ fn told(output: &Output) -> BTreeMap<String, (u64, u64)> {
     told["removed"].as_array().unwrap().iter().map(of).collect()
 }
 
-/// Every file below a folder with what it holds, and when it and its folders changed.
-fn everything(folder: &Utf8Path) -> BTreeMap<Utf8PathBuf, (SystemTime, Vec<u8>)> {
+/// Returns every file below a folder with its content, and the modification times of files and
+/// folders.
+fn read_all_files(folder: &Utf8Path) -> BTreeMap<Utf8PathBuf, (SystemTime, Vec<u8>)> {
     let (mut found, mut left) = (BTreeMap::new(), vec![folder.to_owned()]);
     while let Some(path) = left.pop() {
         let entry = fs::metadata(&path).unwrap();
@@ -67,27 +68,27 @@ fn everything(folder: &Utf8Path) -> BTreeMap<Utf8PathBuf, (SystemTime, Vec<u8>)>
     found
 }
 
-fn make_old(folder: &Utf8Path, days: u64) {
+fn set_age(folder: &Utf8Path, days: u64) {
     let then = SystemTime::now() - Duration::from_hours(24 * days);
-    for path in everything(folder).into_keys() {
+    for path in read_all_files(folder).into_keys() {
         File::open(path).unwrap().set_modified(then).unwrap();
     }
 }
 
-/// A folder with something old and something new of every kind: the scene, its answer, and the
-/// batch that is paused.
-async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
+/// Returns a folder with an old and a new object of every kind, and the ids of the scene, its
+/// answer, and the paused batch.
+async fn populated_folder() -> (tempfile::TempDir, String, String, String) {
     let server = TestServer::start().await;
     let client = &server.client;
     let created = client
         .create_scene_once(&[("name", "room")], "application/zip", Scan::neutral().zip(), "new key")
         .await
         .unwrap();
-    assert_eq!(finished(client, &created.job.unwrap().id).await.error, None);
+    assert_eq!(wait_for_job(client, &created.job.unwrap().id).await.error, None);
     let scene = created.scene.id;
     for preset in ["paper", "default", "paper"] {
         let again = client.parse(&scene, &serde_json::json!({"preset": preset})).await.unwrap();
-        assert_eq!(finished(client, &again.id).await.error, None);
+        assert_eq!(wait_for_job(client, &again.id).await.error, None);
     }
     let answer = client.ground(&scene, &ask("the red sofa")).await.unwrap().id;
     let request =
@@ -101,10 +102,10 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
         }
         batches.push(batch.id);
     }
-    let data = server.give_back().await;
+    let data = server.stop_and_keep_data().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let mut rows = loose_rows(folder).await;
-    run(
+    let mut rows = open_database_unchecked(folder).await;
+    execute_sql(
         &mut rows,
         format!(
             "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
@@ -140,18 +141,18 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
     )
     .await;
     rows.close().await.unwrap();
-    // What a model was shown: for a new answer and for an old one, and once too long ago.
+    // Evidence of a new answer, of an old answer, and evidence past its retention period.
     for (id, days) in [(answer.as_str(), 1), (&format!("{OLD}1"), 1), (&format!("{OLD}4"), 40)] {
         fs::create_dir(folder.join("blobs/answers").join(id)).unwrap();
         fs::write(folder.join("blobs/answers").join(id).join("prompt.json"), "{}").unwrap();
-        make_old(&folder.join("blobs/answers").join(id), days);
+        set_age(&folder.join("blobs/answers").join(id), days);
     }
     for id in [format!("{OLD}1"), format!("{OLD}2")] {
         fs::write(folder.join("uploads").join(id), "PK..").unwrap();
     }
     fs::create_dir(folder.join("blobs/contents/outgrown")).unwrap();
     fs::write(folder.join("blobs/contents/outgrown/grown.json"), "{}").unwrap();
-    make_old(&folder.join("blobs/checkpoints"), 20);
+    set_age(&folder.join("blobs/checkpoints"), 20);
     for day in ["2020-01-01", "2999-01-01"] {
         fs::create_dir_all(folder.join("quarantine").join(day).join("parses/x")).unwrap();
         fs::write(folder.join("quarantine").join(day).join("parses/x/cloud.ply"), "points")
@@ -161,12 +162,12 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_kept_long_enough_goes_and_nothing_else() {
-    let (data, scene, answer, paused) = Box::pin(folder_of_every_kind()).await;
+async fn only_expired_data_is_removed() {
+    let (data, scene, answer, paused) = Box::pin(populated_folder()).await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let before = everything(folder);
-    let announced = told(&gc(folder, &["--dry-run", "--json"]));
-    assert_eq!(everything(folder), before, "a dry run writes nothing");
+    let before = read_all_files(folder);
+    let announced = removed_by_kind(&run_gc(folder, &["--dry-run", "--json"]));
+    assert_eq!(read_all_files(folder), before, "a dry run writes nothing");
     let kept_for_ever = [
         "answers",
         "jobs",
@@ -182,14 +183,14 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
         .into_iter()
         .chain(kept_for_ever.iter().map(String::as_str))
         .collect();
-    let little: Vec<String> = told(&gc(folder, &kept_for_ever))
+    let little: Vec<String> = removed_by_kind(&run_gc(folder, &kept_for_ever))
         .into_iter()
         .filter(|(_, gone)| gone.0 > 0)
         .map(|(kind, _)| kind)
         .collect();
     assert_eq!(little, ["evidence", "quarantine"]);
 
-    let gone = told(&gc(folder, &["--json"]));
+    let gone = removed_by_kind(&run_gc(folder, &["--json"]));
     assert_eq!(gone, announced);
     let entries: Vec<(&str, u64)> =
         gone.iter().map(|(kind, (entries, _))| (kind.as_str(), *entries)).collect();
@@ -201,7 +202,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
         ("evidence", 1),
         ("idempotency keys", 1),
         ("idempotency keys of questions", 1),
-        // The old one, and that of the batch.
+        // The old one and the batch's.
         ("jobs", 2),
         ("outgrown scans", 1),
         ("quarantine", 1),
@@ -211,27 +212,27 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     assert_eq!(entries, expected);
     assert!(gone.values().all(|(_, bytes)| *bytes > 0), "{gone:?}");
 
-    let mut rows = loose_rows(folder).await;
-    let jobs = ids(&mut rows, "SELECT id FROM jobs WHERE id < '018' ORDER BY id").await;
+    let mut rows = open_database_unchecked(folder).await;
+    let jobs = query_ids(&mut rows, "SELECT id FROM jobs WHERE id < '018' ORDER BY id").await;
     assert_eq!(jobs, ["6", "7", "9"].map(|end| format!("{OLD}{end}")));
-    assert!(ids(&mut rows, "SELECT id FROM answers").await.contains(&answer));
+    assert!(query_ids(&mut rows, "SELECT id FROM answers").await.contains(&answer));
     assert_eq!(
-        ids(&mut rows, "SELECT id FROM answers WHERE id < '018'").await,
+        query_ids(&mut rows, "SELECT id FROM answers WHERE id < '018'").await,
         [format!("{OLD}4")]
     );
-    assert_eq!(ids(&mut rows, "SELECT id FROM batches ORDER BY id").await.len(), 2);
-    assert_eq!(ids(&mut rows, "SELECT key FROM idempotency_keys").await, ["new key"]);
-    assert_eq!(ids(&mut rows, "SELECT key FROM question_keys").await, ["new key"]);
+    assert_eq!(query_ids(&mut rows, "SELECT id FROM batches ORDER BY id").await.len(), 2);
+    assert_eq!(query_ids(&mut rows, "SELECT key FROM idempotency_keys").await, ["new key"]);
+    assert_eq!(query_ids(&mut rows, "SELECT key FROM question_keys").await, ["new key"]);
     assert_eq!(
-        ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(),
+        query_ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(),
         1,
-        "that of the scene"
+        "the parse in use"
     );
     assert_eq!(
-        ids(&mut rows, "SELECT DISTINCT batch_id FROM batch_items ORDER BY 1").await.len(),
+        query_ids(&mut rows, "SELECT DISTINCT batch_id FROM batch_items ORDER BY 1").await.len(),
         2
     );
-    run(&mut rows, format!("DELETE FROM jobs WHERE id = '{OLD}6'")).await;
+    execute_sql(&mut rows, format!("DELETE FROM jobs WHERE id = '{OLD}6'")).await;
     rows.close().await.unwrap();
     let names = |below: &str| {
         folder
@@ -248,8 +249,8 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
         (0, vec!["2999-01-01".to_owned()])
     );
     assert!(
-        told(&gc(folder, &["--json"])).values().all(|gone| gone.0 == 0),
-        "nothing is left to do"
+        removed_by_kind(&run_gc(folder, &["--json"])).values().all(|gone| gone.0 == 0),
+        "a second run must remove nothing"
     );
 
     let server = TestServer::start_on(
@@ -262,79 +263,84 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     assert_eq!(server.client.answer(&answer).await.unwrap().scene_id, scene);
     assert_eq!(server.client.scene(&scene).await.unwrap().job_id, Some(format!("{OLD}7")));
     assert_eq!(server.client.batch(&paused).await.unwrap().state, BatchState::Paused);
-    // What has gone is made again when it is wanted.
+    // Removed data is computed again on request.
     let again =
         server.client.parse(&scene, &serde_json::json!({"preset": "default"})).await.unwrap();
-    assert_eq!(finished(&server.client, &again.id).await.error, None);
-    assert_eq!(server.stored("blobs/parses").len(), 2);
-    assert_eq!(server.stored("blobs/checkpoints").len(), 1);
+    assert_eq!(wait_for_job(&server.client, &again.id).await.error, None);
+    assert_eq!(server.list_folder("blobs/parses").len(), 2);
+    assert_eq!(server.list_folder("blobs/checkpoints").len(), 1);
     server.stop().await;
 }
 
-/// A parse that an answer was given for stays; so does one that has not been superseded for long,
-/// and one a scene takes up again.
+/// A parse stays while an answer refers to it, while it was superseded only recently, or after a
+/// scene uses it again.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_parse_somebody_refers_to_stays() {
+async fn a_referenced_parse_is_not_removed() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let answer = server.client.ground(&scene, &ask("the red sofa")).await.unwrap().id;
     let again = server.client.parse(&scene, &serde_json::json!({"preset": "paper"})).await.unwrap();
-    assert_eq!(finished(&server.client, &again.id).await.error, None);
-    let data = server.give_back().await;
+    assert_eq!(wait_for_job(&server.client, &again.id).await.error, None);
+    let data = server.stop_and_keep_data().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let parses = || folder.join("blobs/parses").read_dir_utf8().unwrap().count();
-    let mut rows = loose_rows(folder).await;
-    run(
+    let mut rows = open_database_unchecked(folder).await;
+    execute_sql(
         &mut rows,
         format!("UPDATE parses SET created_at = '{LONG_AGO}', superseded_at = '{LONG_AGO}'"),
     )
     .await;
     assert_eq!(
-        told(&gc(folder, &["--json"]))["superseded parses"].0,
+        removed_by_kind(&run_gc(folder, &["--json"]))["superseded parses"].0,
         0,
-        "the answer was given for it"
+        "an answer refers to the parse"
     );
-    run(&mut rows, format!("DELETE FROM answers WHERE id = '{answer}'")).await;
+    execute_sql(&mut rows, format!("DELETE FROM answers WHERE id = '{answer}'")).await;
     assert_eq!(
-        told(&gc(folder, &["--json"]))["superseded parses"].0,
+        removed_by_kind(&run_gc(folder, &["--json"]))["superseded parses"].0,
         0,
-        "only now it is superseded"
+        "the parse was superseded only now"
     );
     assert_eq!(
         (
             parses(),
-            ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NOT NULL").await.len()
+            query_ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NOT NULL")
+                .await
+                .len()
         ),
         (2, 1)
     );
-    run(
+    execute_sql(
         &mut rows,
         format!("UPDATE parses SET superseded_at = '{LONG_AGO}' WHERE superseded_at IS NOT NULL"),
     )
     .await;
-    assert_eq!((told(&gc(folder, &["--json"]))["superseded parses"].0, parses()), (1, 1));
+    assert_eq!(
+        (removed_by_kind(&run_gc(folder, &["--json"]))["superseded parses"].0, parses()),
+        (1, 1)
+    );
     rows.close().await.unwrap();
 }
 
-/// Nobody can let go of what a server uses, and there is nothing to let go of where nothing is.
+/// `gc` refuses the folder of a running server and a folder that does not exist.
 #[tokio::test(flavor = "multi_thread")]
-async fn gc_wants_a_stopped_servers_folder() {
+async fn gc_requires_the_folder_of_a_stopped_server() {
     let server = TestServer::start().await;
     for more in [&["--dry-run"][..], &[]] {
-        let refused = gc(server.data(), more);
+        let refused = run_gc(server.data(), more);
         assert!(
             !refused.status.success()
                 && String::from_utf8_lossy(&refused.stderr).contains("another server"),
             "{refused:?}"
         );
         let nothing = server.data().join("nothing");
-        let refused = gc(&nothing, more);
+        let refused = run_gc(&nothing, more);
         assert!(
             !refused.status.success()
                 && String::from_utf8_lossy(&refused.stderr).contains("not a data folder"),
             "{refused:?}"
         );
-        assert!(!nothing.exists());
+        assert!(!nothing.exists(), "gc created {nothing}");
     }
     server.stop().await;
 }

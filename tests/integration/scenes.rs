@@ -1,7 +1,9 @@
-//! What a user does on a good day.
+//! Scenes: upload, parse, ask, list, rename and delete.
 
-use crate::archives::Scan;
-use crate::server::{TestServer, ask, finished, parsed, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{
+    TestServer, ask, assert_contains, expect_problem, upload_and_parse, wait_for_job,
+};
 use reqwest::Method;
 use serde_json::json;
 use std::fs;
@@ -13,9 +15,9 @@ use uniground_types::question::ShortlistRequest;
 use uniground_types::scenes::{SceneReport, SceneStatus};
 
 #[tokio::test]
-async fn upload_parse_ask_and_look() {
+async fn a_scan_is_uploaded_parsed_and_queried() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     assert_eq!(
         (scene.name.as_str(), scene.status, scene.parse_version),
         ("test room", SceneStatus::Ready, 1)
@@ -82,9 +84,9 @@ async fn upload_parse_ask_and_look() {
 }
 
 #[tokio::test]
-async fn the_six_fields_tell_what_was_decided() {
+async fn the_six_fields_describe_the_decision() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let grounded = server
         .client
         .ground(&scene.id, &ask("the trash can farthest from the sofa"))
@@ -112,7 +114,7 @@ async fn the_six_fields_tell_what_was_decided() {
             .unwrap();
     let short = server.client.ground(&scene.id, &request).await.unwrap();
     assert_eq!((short.candidates, short.evidence, short.trace.is_some()), (None, None, true));
-    // What is left out of a reply is kept all the same.
+    // Fields that are left out of a response are stored all the same.
     assert!(server.client.answer(&short.id).await.unwrap().candidates.unwrap().len() <= 2);
 
     let shortlist = server
@@ -125,9 +127,9 @@ async fn the_six_fields_tell_what_was_decided() {
 }
 
 #[tokio::test]
-async fn every_container_and_layout_gives_the_same_scene() {
+async fn every_archive_format_and_layout_gives_the_same_scene() {
     let server = TestServer::start().await;
-    let zip = server.parsed(Scan::neutral().zip()).await;
+    let zip = server.upload_and_parse(Scan::neutral().zip()).await;
     let reference = server.client.instances(&zip.id, 1000).await.unwrap();
     let plain = Scan::frames_only();
     let nested = Scan(
@@ -143,7 +145,7 @@ async fn every_container_and_layout_gives_the_same_scene() {
         ("application/zip", plain.zip()),
         ("application/zip", nested.zip()),
     ] {
-        let scene = parsed(&server.client, media_type, archive).await;
+        let scene = upload_and_parse(&server.client, media_type, archive).await;
         assert_eq!(
             server.client.instances(&scene.id, 1000).await.unwrap(),
             reference,
@@ -157,11 +159,11 @@ async fn every_container_and_layout_gives_the_same_scene() {
 #[tokio::test]
 async fn a_cloud_alone_is_a_scene_without_pictures() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::cloud_only().zip()).await;
+    let scene = server.upload_and_parse(Scan::cloud_only().zip()).await;
     assert!(scene.report.unwrap().warnings.iter().any(|w| w.contains("no frames")));
     let instances = server.client.instances(&scene.id, 1000).await.unwrap().instances;
-    // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m. Nothing holds it up there,
-    // so its box reaches down to the floor.
+    // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m. Nothing supports it, so
+    // its box extends to the floor.
     let top = instances
         .iter()
         .find(|i| i.mean_rgb[0] > 150 && (i.raw_box.center.z - 0.8).abs() < 0.05)
@@ -175,14 +177,14 @@ async fn a_cloud_alone_is_a_scene_without_pictures() {
         .client
         .bytes(&format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, top.id))
         .await;
-    assert_eq!(problem(missing).code, "view_not_found");
+    assert_eq!(expect_problem(missing).code, "view_not_found");
     server.stop().await;
 }
 
 #[tokio::test]
 async fn the_same_content_and_settings_are_parsed_once() {
     let server = TestServer::start().await;
-    let first = server.parsed(Scan::neutral().zip()).await;
+    let first = server.upload_and_parse(Scan::neutral().zip()).await;
     let again = server
         .client
         .create_scene(Some("again"), "application/zip", Scan::neutral().zip())
@@ -203,7 +205,7 @@ async fn the_same_content_and_settings_are_parsed_once() {
     assert_eq!(unnamed.name, "test room");
     server.client.delete_scene(&unnamed.id).await.unwrap();
     assert_eq!(
-        (server.stored("blobs/contents").len(), server.stored("blobs/parses").len()),
+        (server.list_folder("blobs/contents").len(), server.list_folder("blobs/parses").len()),
         (1, 1)
     );
 
@@ -212,41 +214,41 @@ async fn the_same_content_and_settings_are_parsed_once() {
         .parse(&first.id, &json!({"settings": {"parsing": {"superpoints": {"seed_m": 0.3}}}}))
         .await
         .unwrap();
-    assert_eq!(finished(&server.client, &other.id).await.state, JobState::Succeeded);
+    assert_eq!(wait_for_job(&server.client, &other.id).await.state, JobState::Succeeded);
     let reparsed = server.client.scene(&first.id).await.unwrap();
     assert_eq!(
         (reparsed.parse_version, reparsed.settings.unwrap().parsing.superpoints.seed_m),
         (2, 0.3)
     );
-    assert_eq!(server.stored("blobs/parses").len(), 2);
+    assert_eq!(server.list_folder("blobs/parses").len(), 2);
 
-    // Both scenes share the content: it stays until the last one goes.
+    // Both scenes share the content, which stays until the last one is deleted.
     server.client.delete_scene(&first.id).await.unwrap();
     assert!(
         server.client.ground(&again.scene.id, &ask("the red sofa")).await.unwrap().aabb.is_some()
     );
     server.client.delete_scene(&again.scene.id).await.unwrap();
     assert_eq!(
-        (server.stored("blobs/contents").len(), server.stored("blobs/parses").len()),
+        (server.list_folder("blobs/contents").len(), server.list_folder("blobs/parses").len()),
         (0, 0)
     );
     assert_eq!(
-        server.stored("blobs/checkpoints").len(),
+        server.list_folder("blobs/checkpoints").len(),
         0,
-        "what was kept for the next parse goes with the content"
+        "checkpoints are deleted with the content"
     );
     server.stop().await;
 }
 
-fn reused(report: &SceneReport) -> Vec<&str> {
+fn reused_stages(report: &SceneReport) -> Vec<&str> {
     let stages = &report.parse.as_ref().unwrap().stages;
     stages.iter().filter(|s| s.reused).map(|s| s.stage.as_str()).collect()
 }
 
 #[tokio::test]
-async fn the_report_tells_and_shows_what_every_stage_did() {
+async fn the_report_covers_every_stage_with_pictures() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let report = server.client.report(&scene.id).await.unwrap();
     let stages: Vec<&str> =
         report.parse.as_ref().unwrap().stages.iter().map(|s| s.stage.as_str()).collect();
@@ -275,7 +277,7 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
             .all(|s| s.produced > 0 || may_be_nothing(&s.stage)),
         "{report:?}"
     );
-    assert_eq!((report.parse_version, reused(&report)), (1, vec![]));
+    assert_eq!((report.parse_version, reused_stages(&report)), (1, vec![]));
     let names: Vec<&str> = report.pictures.iter().map(|p| p.name.as_str()).collect();
     assert_eq!(names, ["superpoints", "instances", "frame-1", "frame-2", "frame-3"]);
     for picture in &report.pictures {
@@ -285,43 +287,43 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
         assert!(image.pixels().any(|p| *p != first), "{} is blank", picture.name);
     }
     let wrong = server.client.bytes(&format!("v1/scenes/{}/report/..%2Findex.jpg", scene.id)).await;
-    assert_eq!(problem(wrong).code, "report_picture_not_found");
+    assert_eq!(expect_problem(wrong).code, "report_picture_not_found");
 
-    // Settings of a late stage: what came before is taken as it was.
+    // Settings of a late stage: earlier stages are reused.
     let job = server
         .client
         .parse(&scene.id, &json!({"settings": {"parsing": {"merging": {"min_points": 60}}}}))
         .await
         .unwrap();
-    assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
+    assert_eq!(wait_for_job(&server.client, &job.id).await.state, JobState::Succeeded);
     let again = server.client.report(&scene.id).await.unwrap();
     assert_eq!(
-        (again.parse_version, reused(&again)),
+        (again.parse_version, reused_stages(&again)),
         (2, vec!["import", "superpoints", "masks_and_lifting"])
     );
 
-    // Another import makes another cloud: nothing of the first fits it.
+    // Another import makes another cloud, so no stage is reused.
     let job = server
         .client
         .parse(&scene.id, &json!({"settings": {"import": {"fusion": {"voxel_m": 0.03}}}}))
         .await
         .unwrap();
-    let job = finished(&server.client, &job.id).await;
+    let job = wait_for_job(&server.client, &job.id).await;
     assert_eq!((job.state, job.error), (JobState::Succeeded, None));
     let coarser = server.client.report(&scene.id).await.unwrap();
-    assert_eq!((coarser.parse_version, reused(&coarser)), (3, vec![]));
+    assert_eq!((coarser.parse_version, reused_stages(&coarser)), (3, vec![]));
     assert!(coarser.parse.unwrap().points < again.parse.unwrap().points);
     server.stop().await;
 }
 
 #[tokio::test]
-async fn a_cancelled_job_started_again_goes_on_where_it_stopped() {
+async fn a_restarted_job_resumes_where_it_was_cancelled() {
     let server = TestServer::start().await;
     let sample =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
     let created = server.client.create_scene(None, "application/zip", sample).await.unwrap();
     let id = created.job.unwrap().id;
-    // Wait until frames are looked at: what comes before is done by then.
+    // Wait until frames are processed; the stages before are then done.
     loop {
         let job = server.client.job(&id).await.unwrap();
         assert!(!job.state.is_final(), "the parse was over before it could be cancelled: {job:?}");
@@ -330,16 +332,16 @@ async fn a_cancelled_job_started_again_goes_on_where_it_stopped() {
         }
     }
     server.client.cancel_job(&id).await.unwrap();
-    assert_eq!(finished(&server.client, &id).await.state, JobState::Cancelled);
+    assert_eq!(wait_for_job(&server.client, &id).await.state, JobState::Cancelled);
     let job = server.client.parse(&created.scene.id, &json!({})).await.unwrap();
-    assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
+    assert_eq!(wait_for_job(&server.client, &job.id).await.state, JobState::Succeeded);
     let report = server.client.report(&created.scene.id).await.unwrap();
-    assert_eq!(reused(&report)[..2], ["import", "superpoints"]);
+    assert_eq!(reused_stages(&report)[..2], ["import", "superpoints"]);
     server.stop().await;
 }
 
 #[tokio::test]
-async fn an_idempotency_key_makes_one_scene() {
+async fn an_idempotency_key_creates_one_scene() {
     let server = TestServer::start().await;
     let post = || async {
         let request = server
@@ -389,15 +391,15 @@ async fn scenes_are_listed_renamed_and_deleted() {
     assert_eq!(seen, ids);
 
     assert_eq!(server.client.rename_scene(&ids[0], "kitchen").await.unwrap().name, "kitchen");
-    let not_ready = problem(server.client.ground(&ids[0], &ask("the sofa")).await);
+    let not_ready = expect_problem(server.client.ground(&ids[0], &ask("the sofa")).await);
     assert_eq!((not_ready.status, not_ready.code.as_str()), (409, "scene_not_ready"));
     server.client.delete_scene(&ids[0]).await.unwrap();
-    assert_eq!(problem(server.client.scene(&ids[0]).await).code, "scene_not_found");
+    assert_eq!(expect_problem(server.client.scene(&ids[0]).await).code, "scene_not_found");
     server.stop().await;
 }
 
 #[tokio::test]
-async fn job_events_tell_progress_and_resume() {
+async fn job_events_report_progress_and_can_be_resumed() {
     let server = TestServer::start().await;
     let created =
         server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
@@ -417,18 +419,18 @@ async fn job_events_tell_progress_and_resume() {
     let text = events(None).await;
     let last = text.lines().find_map(|l| l.strip_prefix("id: ")).unwrap().to_owned();
     assert!(text.contains("event: done"), "{text}");
-    // Even who has seen the end is told once more that it is the end.
-    assert!(events(Some(last)).await.contains("event: done"));
+    // A client that has already seen the end gets the final event again.
+    assert_contains(events(Some(last)).await, "event: done");
     server.stop().await;
 }
 
-/// The sample scan: a real room's clutter in small.
+/// The sample scan resembles the clutter of a real room.
 #[tokio::test]
-async fn parts_and_wholes_are_listed_beside_the_things() {
+async fn parts_and_wholes_are_listed_next_to_things() {
     let server = TestServer::start().await;
     let sample =
         fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
-    let scene = server.parsed(sample).await.id;
+    let scene = server.upload_and_parse(sample).await.id;
     let listed = async |levels| server.client.all_instances(&scene, levels).await.unwrap();
     let things = listed(Levels::Things).await;
     let (parts, wholes) = (listed(Levels::Parts).await, listed(Levels::Wholes).await);
@@ -457,7 +459,7 @@ async fn parts_and_wholes_are_listed_beside_the_things() {
         );
     }
     for part in &parts {
-        assert!(part.point_count < thing(part.things[0]).point_count);
+        assert!(part.point_count < thing(part.things[0]).point_count, "{part:?}");
         let picture = server
             .client
             .bytes(&format!("v1/scenes/{scene}/instances/{}/views/0.jpg", part.id))
@@ -465,14 +467,14 @@ async fn parts_and_wholes_are_listed_beside_the_things() {
         assert!(part.views.is_empty() || image::load_from_memory(&picture.unwrap()).is_ok());
     }
     let wrong = server.client.bytes(&format!("v1/scenes/{scene}/instances?level=bits")).await;
-    assert_eq!(problem(wrong).status, 422);
+    assert_eq!(expect_problem(wrong).status, 422);
     server.stop().await;
 }
 
 #[tokio::test]
-async fn an_instance_can_be_read_by_itself_and_in_pages() {
+async fn instances_can_be_read_singly_and_in_pages() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let all = server.client.instances(&scene.id, 1000).await.unwrap();
     let page = server.client.instances(&scene.id, 1).await.unwrap();
     assert_eq!((page.instances.len(), page.next_cursor), (1, Some(1)));

@@ -1,4 +1,4 @@
-//! A scripted OpenAI-compatible server on loopback plays the model.
+//! A scripted OpenAI-compatible server on loopback that plays the model.
 
 use axum::Json;
 use axum::body::Body;
@@ -15,39 +15,39 @@ use std::time::Duration;
 use tokio::time::sleep;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-/// The authorisation and the body of a request.
+/// The authorization and the body of a request.
 pub type Asked = (Option<String>, Value);
 
-/// One answer of the script.
+/// A scripted response.
 #[derive(Debug, Clone)]
 pub enum Scripted {
     Json(u16, Value),
     /// With a header `Retry-After`.
     After(u16, &'static str),
     Text(String),
-    /// To another address, method and body kept.
+    /// A redirect that keeps method and body.
     Redirect(String),
-    /// A body that goes on for ever, and fast.
+    /// A body that never ends and arrives fast.
     Flood,
-    /// A body of which the next byte never comes.
+    /// A body whose next byte never arrives.
     Stall,
-    /// No answer at all, not even a status.
+    /// No response at all, not even a status.
     Silent,
-    /// Another answer, after a while.
+    /// Another response after a delay.
     Slowly(Duration, Box<Self>),
 }
 
-/// What the model is told to answer next, and what it was asked.
+/// The next responses of the model and the requests it received.
 #[derive(Clone, Default)]
 pub struct Script {
     answers: Arc<Mutex<Vec<Scripted>>>,
     pub asked: Arc<Mutex<Vec<Asked>>>,
-    /// Cancelled when a caller leaves an answer that never ends or never begins.
+    /// Cancelled when a caller disconnects from a response that never ends or never begins.
     pub left: CancellationToken,
 }
 
 impl Script {
-    /// Serves these answers in order, the last one for ever. Returns the base address.
+    /// Serves these responses in order and then repeats the last one. Returns the base URL.
     pub async fn serve(&self, answers: Vec<Scripted>) -> String {
         self.next(answers);
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -60,7 +60,7 @@ impl Script {
         format!("http://{address}/v1")
     }
 
-    /// What is answered from now on.
+    /// Replaces the responses from now on.
     pub fn next(&self, answers: Vec<Scripted>) {
         *self.answers.lock().unwrap() = answers;
     }
@@ -69,7 +69,7 @@ impl Script {
         self.asked.lock().unwrap().len()
     }
 
-    /// The bodies of all requests since the last look.
+    /// Returns the bodies of all requests since the last call.
     pub fn take(&self) -> Vec<Value> {
         self.asked.lock().unwrap().drain(..).map(|(_, body)| body).collect()
     }
@@ -101,7 +101,7 @@ async fn complete(
             (StatusCode::from_u16(status).unwrap(), [("retry-after", wait)], "later")
                 .into_response()
         }
-        Scripted::Slowly(..) => unreachable!("an answer waits once"),
+        Scripted::Slowly(..) => unreachable!("delayed responses must not be nested"),
         Scripted::Text(text) => text.into_response(),
         Scripted::Redirect(address) => {
             (StatusCode::PERMANENT_REDIRECT, [("location", address)]).into_response()
@@ -127,7 +127,7 @@ async fn complete(
     }
 }
 
-/// A completion with this text.
+/// Returns a completion with this text.
 pub fn says(text: &str) -> Scripted {
     let usage = json!({"prompt_tokens": 700, "completion_tokens": 40});
     Scripted::Json(

@@ -1,12 +1,8 @@
-//! Scenes with ground truth that lie beside the checkout where this project is built. They are for
-//! measuring and never enter the repository; where they are missing, one line says so.
-//! `UNIGROUND_REQUIRE_SHARED=1` makes missing ones a failure.
+//! Scenes with ground truth from the folder next to the checkout. They are for measuring and never
+//! enter the repository. If they are missing, a line says so; `UNIGROUND_REQUIRE_SHARED=1` makes
+//! that a failure.
 
-use crate::server::{TestServer, ask, parsed};
 use camino::{Utf8Path, Utf8PathBuf};
-use std::fs;
-use uniground_core::geometry::up_axis::UpAxis;
-use uniground_core::grounding::Status;
 
 pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
     let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes");
@@ -14,12 +10,12 @@ pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
         return Some(folder);
     }
     assert!(std::env::var_os("UNIGROUND_REQUIRE_SHARED").is_none(), "{folder}/{name} is missing");
-    println!("left out: {name} is not beside this checkout");
+    println!("skipped: {name} is not in ../shared/scenes");
     None
 }
 
-/// The annotated rooms this project was developed with, and none of the others: what is held by a
-/// test is held on these; what other rooms come to is printed by `make quality`.
+/// Returns the annotated rooms that this project was developed with. Tests check only these; `make
+/// quality` prints the figures of the others.
 pub fn development_rooms(names: &[&str]) -> Option<tempfile::TempDir> {
     let folder = shared_scene("room1.zip")?.canonicalize_utf8().unwrap();
     let rooms = tempfile::tempdir().unwrap();
@@ -30,29 +26,4 @@ pub fn development_rooms(names: &[&str]) -> Option<tempfile::TempDir> {
         }
     }
     Some(rooms)
-}
-
-/// Real scans that do not say which way is up: the cameras do.
-#[tokio::test]
-async fn real_scans_are_turned_upright() {
-    for (name, up) in [("redkitchen.zip", UpAxis::NegY), ("hololens.zip", UpAxis::Y)] {
-        let Some(folder) = shared_scene(name) else { return };
-        let server = TestServer::start().await;
-        let scene =
-            parsed(&server.client, "application/zip", fs::read(folder.join(name)).unwrap()).await;
-        let import = scene.import.unwrap();
-        println!(
-            "{name}: up {}, agreement {:?}, {:?}",
-            import.up.name(),
-            import.reprojection_agreement,
-            scene.counts.unwrap()
-        );
-        assert_eq!(import.up, up, "{name}");
-        assert!(import.reprojection_agreement.unwrap() > 0.4, "{name}: {import:?}");
-        // A room is a few metres high, whatever its length.
-        assert!((1.0..6.0).contains(&scene.extent.unwrap().size.z), "{name}: {:?}", scene.extent);
-        let answer = server.client.ground(&scene.id, &ask("the theremin")).await.unwrap();
-        assert_eq!(answer.status, Status::NoMatch);
-        server.stop().await;
-    }
 }

@@ -1,8 +1,8 @@
-//! Clients that send slowly do not keep others out.
+//! Clients that send slowly do not block others.
 
-use crate::archives::Scan;
 use crate::scripted_model::{Script, Scripted};
-use crate::server::TestServer;
+use crate::test_scans::Scan;
+use crate::test_server::TestServer;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -11,7 +11,7 @@ use uniground::config::{LimitsConfig, VlmConfig};
 use uniground_client::Client;
 use uniground_types::problem::Problem;
 
-/// The fewest connections that a server has.
+/// The lowest connection limit that a server accepts.
 const CONNECTIONS: u32 = 8;
 
 fn few_connections() -> LimitsConfig {
@@ -24,15 +24,15 @@ async fn connect(server: &TestServer, text: &str) -> TcpStream {
     stream
 }
 
-/// The head of a request with a body of 60 kB, and its first byte.
-fn beginning(path: &str, media_type: &str) -> String {
+/// Returns the head of a request with a body of 60 kB, and its first byte.
+fn slow_request_start(path: &str, media_type: &str) -> String {
     format!(
         "POST {path} HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: {media_type}\r\n\
          accept: application/json, text/event-stream\r\ncontent-length: 60000\r\n\r\n "
     )
 }
 
-/// Whether a new client is answered.
+/// Returns whether a new client gets a response.
 async fn is_answered(server: &TestServer) -> bool {
     let client = Client::new(&server.url(), None).unwrap();
     timeout(Duration::from_secs(20), client.bytes("healthz"))
@@ -41,7 +41,7 @@ async fn is_answered(server: &TestServer) -> bool {
 }
 
 #[tokio::test]
-async fn bodies_that_drip_do_not_keep_others_out() {
+async fn slow_request_bodies_do_not_block_other_clients() {
     let server = TestServer::start_with(few_connections()).await;
     for (path, media_type) in [
         ("/mcp", "application/json"),
@@ -52,14 +52,14 @@ async fn bodies_that_drip_do_not_keep_others_out() {
     ] {
         let mut dripping = Vec::new();
         for _ in 0..3 * CONNECTIONS {
-            dripping.push(connect(&server, &beginning(path, media_type)).await);
+            dripping.push(connect(&server, &slow_request_start(path, media_type)).await);
         }
         for round in 0..3 {
-            // Until those that have a place are being read.
+            // Wait until the accepted requests are being read.
             sleep(Duration::from_millis(100)).await;
             assert!(is_answered(&server).await, "{path} as {media_type}, round {round}");
             for stream in &mut dripping {
-                // Those that have lost their place are closed.
+                // Requests that lost their connection are closed.
                 let _ = stream.write_all(b" ").await;
             }
         }
@@ -67,9 +67,9 @@ async fn bodies_that_drip_do_not_keep_others_out() {
     server.stop().await;
 }
 
-/// A large upload is not the client that keeps the server waiting.
+/// A large upload that makes progress is not disconnected.
 #[tokio::test]
-async fn an_upload_that_gets_on_keeps_its_place() {
+async fn an_upload_with_progress_is_not_disconnected() {
     const PIECE: usize = 64 << 10;
     let server = TestServer::start_with(few_connections()).await;
     let archive = Scan::neutral()
@@ -88,20 +88,19 @@ async fn an_upload_that_gets_on_keeps_its_place() {
     let mut dripping = Vec::new();
     for piece in archive.chunks(PIECE) {
         upload.write_all(piece).await.unwrap();
-        dripping.push(connect(&server, &beginning("/mcp", "application/json")).await);
+        dripping.push(connect(&server, &slow_request_start("/mcp", "application/json")).await);
         sleep(Duration::from_millis(5)).await;
     }
     let mut answer = String::new();
     upload.read_to_string(&mut answer).await.unwrap();
     assert!(answer.starts_with("HTTP/1.1 202"), "{answer}");
-    assert!(is_answered(&server).await);
+    assert!(is_answered(&server).await, "a new client got no response");
     server.stop().await;
 }
 
-/// Who finds all places taken by requests that are being answered is told so, as a problem like any
-/// other.
+/// If every connection is busy with a request, a new one gets a regular problem response.
 #[tokio::test]
-async fn past_the_last_connection_there_is_a_polite_word() {
+async fn a_client_over_the_connection_limit_gets_a_problem() {
     let script = Script::default();
     let url = script.serve(vec![Scripted::Stall]).await;
     let vlm = VlmConfig {
@@ -110,7 +109,7 @@ async fn past_the_last_connection_there_is_a_polite_word() {
         ..VlmConfig::default()
     };
     let server = TestServer::start_configured(few_connections(), vlm).await;
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let body = r#"{"query": "the red sofa", "reasoner": "vlm"}"#;
     let question = format!(
         "POST /v1/scenes/{scene}/ground HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\ncontent-length: {}\r\n\r\n{body}",
@@ -133,7 +132,7 @@ async fn past_the_last_connection_there_is_a_polite_word() {
     let mut tries = 0;
     while server.client.bytes("readyz").await.is_err() {
         tries += 1;
-        assert!(tries < 100, "places that were left are given again");
+        assert!(tries < 100, "closed connections must be available again");
         sleep(Duration::from_millis(100)).await;
     }
     server.stop().await;

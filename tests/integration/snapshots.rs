@@ -1,7 +1,7 @@
-//! What people read, kept word by word: an answer, problems, a report. `INSTA_UPDATE=always cargo
-//! test --release` writes them anew.
+//! Snapshots of texts that people read: an answer, problems, a report. `INSTA_UPDATE=always cargo
+//! test --release` rewrites them.
 
-use crate::server::TestServer;
+use crate::test_server::TestServer;
 use reqwest::Method;
 use serde_json::{Value, json};
 use std::fs;
@@ -11,9 +11,9 @@ use uniground_types::question::GroundRequest;
 const SAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip");
 
 #[tokio::test]
-async fn an_answer_is_what_it_was() {
+async fn answers_match_their_snapshots() {
     let server = TestServer::start().await;
-    let scene = server.parsed(fs::read(SAMPLE).unwrap()).await;
+    let scene = server.upload_and_parse(fs::read(SAMPLE).unwrap()).await;
     for (name, query) in [
         ("answer_grounded", "the mug on the coffee table"),
         ("answer_no_match", "the green fridge"),
@@ -31,42 +31,48 @@ async fn an_answer_is_what_it_was() {
 }
 
 #[tokio::test]
-async fn problems_say_what_is_wrong_and_where() {
+async fn problems_match_their_snapshot() {
     let server = TestServer::start().await;
     let scene = "01a1f829-2f28-76eb-afa7-c7b611e3e457";
     let ground = format!("v1/scenes/{scene}/ground");
     let json_type = "application/json";
     let mut problems = Vec::new();
     for (what, method, path, media_type, body) in [
-        ("a scene nobody has", Method::GET, format!("v1/scenes/{scene}"), json_type, ""),
-        ("a route nobody has", Method::GET, "v1/rooms".to_owned(), json_type, ""),
-        ("a method a route does not know", Method::PUT, "v1/scenes".to_owned(), json_type, ""),
-        ("no JSON", Method::POST, ground.clone(), json_type, "{\"query\": "),
+        ("an unknown scene", Method::GET, format!("v1/scenes/{scene}"), json_type, ""),
+        ("an unknown route", Method::GET, "v1/rooms".to_owned(), json_type, ""),
         (
-            "a field nobody knows",
+            "a method that the route does not support",
+            Method::PUT,
+            "v1/scenes".to_owned(),
+            json_type,
+            "",
+        ),
+        ("invalid JSON", Method::POST, ground.clone(), json_type, "{\"query\": "),
+        (
+            "an unknown field",
             Method::POST,
             ground.clone(),
             json_type,
             r#"{"query": "the mug", "top": 3}"#,
         ),
         (
-            "a value out of its range",
+            "a value out of range",
             Method::POST,
             ground.clone(),
             json_type,
             r#"{"query": "the mug", "top_k": 0}"#,
         ),
-        ("a question that is none", Method::POST, ground.clone(), json_type, r#"{"query": " "}"#),
-        ("another media type", Method::POST, ground, "text/plain", "the mug"),
+        ("an empty question", Method::POST, ground.clone(), json_type, r#"{"query": " "}"#),
+        ("an unsupported media type", Method::POST, ground, "text/plain", "the mug"),
         (
-            "an upload of a strange kind",
+            "an upload of an unsupported type",
             Method::POST,
             "v1/scenes".to_owned(),
             "video/mp4",
             "\0\0\0\x18ftypmp42",
         ),
         (
-            "an upload that is no archive",
+            "an upload that is not an archive",
             Method::POST,
             "v1/scenes".to_owned(),
             "application/zip",
@@ -89,7 +95,7 @@ async fn problems_say_what_is_wrong_and_where() {
 }
 
 #[test]
-fn a_report_reads_as_it_did() {
+fn the_evaluation_report_matches_its_snapshot() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let run = Command::new(env!("CARGO_BIN_EXE_uniground"))
@@ -108,11 +114,11 @@ fn a_report_reads_as_it_did() {
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let report = fs::read_to_string(out.join("report.md")).unwrap();
     insta::with_settings!({filters => vec![
-        // Times, and what the machine is.
+        // Times and the machine.
         (r"\d{4}-\d{2}-\d{2}T[0-9:]+Z", "[time]"),
         (r"(?m)^.*(?:machine|cores).*$", "[machine]"),
         (r"\d+(?:\.\d+)? ms", "[ms]"),
-        // The columns of latency in the summary, before calls, tokens and dollars.
+        // The latency columns in the summary, before calls, tokens and dollars.
         (r"\| \d+\.\d+ \| \d+\.\d+ (\| \d+\.\d+ \| \d+ \| \d+\.\d+ \|)", "| [ms] | [ms] $1"),
     ]}, {
         insta::assert_snapshot!("report", report);

@@ -1,9 +1,8 @@
-//! What a server tells of itself: metrics, numbers and readiness, held against what was done, and
-//! against the files that use them.
+//! Metrics, statistics and readiness, compared with what was done and with the files that use them.
 
-use crate::archives::Scan;
 use crate::scripted_model::{Script, fails, says};
-use crate::server::{Process, TestServer, ask, command, finished, parsed};
+use crate::test_scans::Scan;
+use crate::test_server::{Process, TestServer, ask, serve_command, upload_and_parse, wait_for_job};
 use axum::Json;
 use axum::extract::{DefaultBodyLimit, State};
 use camino::Utf8Path;
@@ -23,14 +22,14 @@ use uniground_types::service::Readiness;
 /// A sample: its labels and its value.
 type Sample = (BTreeMap<String, String>, f64);
 
-/// What a scrape says: samples by name, the types and the help of families.
+/// A scrape: samples by name, and the types and help texts of families.
 struct Scrape {
     samples: BTreeMap<String, Vec<Sample>>,
     types: BTreeMap<String, String>,
 }
 
 impl Scrape {
-    /// Reads every line, and fails on one that is none.
+    /// Parses every line and fails on an invalid one.
     fn read(text: &str) -> Self {
         let (mut samples, mut types, mut helped) =
             (BTreeMap::<_, Vec<Sample>>::new(), BTreeMap::new(), BTreeSet::new());
@@ -42,7 +41,7 @@ impl Scrape {
                 match what {
                     "TYPE" => assert!(
                         types.insert(name.to_owned(), said.to_owned()).is_none(),
-                        "{name} stands there twice"
+                        "{name} appears twice"
                     ),
                     "HELP" => assert!(said.len() > 10 && helped.insert(name.to_owned()), "{line}"),
                     "UNIT" => assert!(name.ends_with(said), "{line}"),
@@ -65,7 +64,7 @@ impl Scrape {
         Self { samples, types }
     }
 
-    /// The value of a series; 0 where there is none yet.
+    /// Returns the value of a series; 0 if there is none.
     fn value(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
         let fits = |(of, _): &&Sample| {
             labels.iter().all(|(label, value)| of.get(*label).is_some_and(|found| found == value))
@@ -73,7 +72,7 @@ impl Scrape {
         self.samples.get(name).into_iter().flatten().filter(fits).map(|(_, value)| value).sum()
     }
 
-    /// Every name a query may use.
+    /// Returns every name that a query may use.
     fn names(&self) -> BTreeSet<String> {
         let of = |(family, kind): (&String, &String)| match kind.as_str() {
             "counter" => vec![format!("{family}_total")],
@@ -85,7 +84,7 @@ impl Scrape {
     }
 }
 
-async fn scraped(server: &TestServer) -> Scrape {
+async fn fetch_metrics(server: &TestServer) -> Scrape {
     let response = server.client.request(Method::GET, "metrics").send().await.unwrap();
     assert_eq!(
         response.headers()["content-type"],
@@ -94,21 +93,21 @@ async fn scraped(server: &TestServer) -> Scrape {
     Scrape::read(&response.text().await.unwrap())
 }
 
-async fn readiness(server: &TestServer) -> (u16, Readiness) {
+async fn fetch_readiness(server: &TestServer) -> (u16, Readiness) {
     let response = server.client.request(Method::GET, "readyz").send().await.unwrap();
     (response.status().as_u16(), response.json().await.unwrap())
 }
 
-fn sample() -> Vec<u8> {
+fn sample_scan() -> Vec<u8> {
     fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
 }
 
-fn file(path: &str) -> String {
+fn read_file(path: &str) -> String {
     fs::read_to_string(Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
 }
 
-/// Names of metrics of ours within a text.
-fn named(text: &str) -> BTreeSet<String> {
+/// Returns the names of this service's metrics in a text.
+fn metric_names(text: &str) -> BTreeSet<String> {
     let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
     words
         .filter(|word| word.starts_with("uniground_") || word.starts_with("process_"))
@@ -116,23 +115,29 @@ fn named(text: &str) -> BTreeSet<String> {
         .collect()
 }
 
-/// Names of metrics in the expressions of the dashboard; each panel has a place of its own and one
-/// title.
-fn named_in_dashboard() -> BTreeSet<String> {
-    let dashboard: Value = serde_json::from_str(&file("deploy/grafana-dashboard.json")).unwrap();
+/// Returns the metric names in the dashboard's expressions. Every panel has a place of its own and
+/// a unique title.
+fn dashboard_metric_names() -> BTreeSet<String> {
+    let dashboard: Value =
+        serde_json::from_str(&read_file("deploy/grafana-dashboard.json")).unwrap();
     let panels = dashboard["panels"].as_array().unwrap();
     let ids: BTreeSet<u64> = panels.iter().map(|panel| panel["id"].as_u64().unwrap()).collect();
-    assert!(ids.len() == panels.len() && panels.len() > 20);
+    assert!(
+        ids.len() == panels.len() && panels.len() > 20,
+        "{} ids of {} panels",
+        ids.len(),
+        panels.len()
+    );
     let targets = panels.iter().filter_map(|panel| panel["targets"].as_array()).flatten();
-    targets.flat_map(|target| named(target["expr"].as_str().unwrap())).collect()
+    targets.flat_map(|target| metric_names(target["expr"].as_str().unwrap())).collect()
 }
 
-fn bytes_below(folder: &Utf8Path) -> u64 {
+fn folder_bytes(folder: &Utf8Path) -> u64 {
     let entries = folder.read_dir_utf8().unwrap().map(Result::unwrap);
     entries
         .map(|entry| {
             if entry.file_type().unwrap().is_dir() {
-                bytes_below(entry.path())
+                folder_bytes(entry.path())
             } else {
                 entry.metadata().unwrap().len()
             }
@@ -140,21 +145,21 @@ fn bytes_below(folder: &Utf8Path) -> u64 {
         .sum()
 }
 
-/// The sample scan is uploaded twice, asked about alone and in a batch, and one question is about a
-/// scene that is none.
+/// Uploads the sample scan twice, asks single questions and a batch, and asks about a scene that
+/// does not exist.
 #[tokio::test(flavor = "multi_thread")]
-async fn metrics_and_stats_tell_what_was_done() {
+async fn metrics_and_stats_match_the_requests() {
     let server = TestServer::start().await;
-    let before = scraped(&server).await;
+    let before = fetch_metrics(&server).await;
     assert_eq!(
         (before.value("uniground_scenes", &[]), before.value("uniground_ready", &[])),
         (0.0, 1.0)
     );
     assert_eq!(before.value("uniground_jobs_finished_total", &[]), 0.0);
-    let scene = server.parsed(sample()).await.id;
+    let scene = server.upload_and_parse(sample_scan()).await.id;
     let again =
-        server.client.create_scene(Some("again"), "application/zip", sample()).await.unwrap();
-    finished(&server.client, &again.job.unwrap().id).await;
+        server.client.create_scene(Some("again"), "application/zip", sample_scan()).await.unwrap();
+    wait_for_job(&server.client, &again.job.unwrap().id).await;
     for query in ["the mug on the coffee table", "the green fridge"] {
         server.client.ground(&scene, &ask(query)).await.unwrap();
     }
@@ -166,12 +171,12 @@ async fn metrics_and_stats_tell_what_was_done() {
     let items = serde_json::json!({"defaults": {"scene_id": scene}, "items": [{"query": "the sofa"}, {"query": "the lamp"}]});
     let batch =
         server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
-    finished(&server.client, batch.job_id.as_deref().unwrap()).await;
+    wait_for_job(&server.client, batch.job_id.as_deref().unwrap()).await;
     assert_eq!(server.client.batch(&batch.id).await.unwrap().state, BatchState::Succeeded);
     server.client.bytes("no/such/path").await.unwrap_err();
     tokio::time::sleep(Duration::from_millis(1100)).await;
 
-    let first = scraped(&server).await;
+    let first = fetch_metrics(&server).await;
     let route = "/v1/scenes/{scene_id}/ground";
     let asked = |scrape: &Scrape, status| {
         scrape.value(
@@ -213,12 +218,12 @@ async fn metrics_and_stats_tell_what_was_done() {
     assert_eq!(
         first.samples["uniground_jobs_finished_total"].len(),
         9,
-        "what has not happened yet is told as 0"
+        "a counter without events is missing"
     );
     assert_eq!(
         first.value("uniground_parse_duration_seconds_count", &[]),
         1.0,
-        "the second scene took the first one's parse"
+        "the second scene reuses the parse of the first"
     );
     let stages = first.value("uniground_parse_stage_duration_seconds_sum", &[]);
     assert!(
@@ -240,9 +245,13 @@ async fn metrics_and_stats_tell_what_was_done() {
     );
     assert_eq!(first.value("uniground_component_up", &[("component", "workers")]), 1.0);
     assert_eq!(first.samples["uniground_lane_up"].len(), 3);
-    assert!(first.value("process_resident_memory_bytes", &[]) > 1e6);
+    assert!(
+        first.value("process_resident_memory_bytes", &[]) > 1e6,
+        "{}",
+        first.value("process_resident_memory_bytes", &[])
+    );
 
-    // The numbers for people say the same.
+    // The statistics endpoint reports the same numbers.
     let stats = server.client.stats().await.unwrap();
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap().len() as u32;
     let stored = &stats.stored;
@@ -281,11 +290,10 @@ async fn metrics_and_stats_tell_what_was_done() {
     );
     assert!(stats.disk.database_bytes > 4096 && stats.disk.free_bytes > 0);
 
-    // Sizes are measured behind everybody's back, and those of the start are of a folder that was
-    // empty.
+    // Sizes are measured in the background; those from the start are of an empty folder.
     let data = server.data().to_owned();
     let restarted = TestServer::start_on(
-        server.give_back().await,
+        server.stop_and_keep_data().await,
         LimitsConfig::default(),
         VlmConfig::default(),
         ModelsConfig::builtin(),
@@ -298,10 +306,10 @@ async fn metrics_and_stats_tell_what_was_done() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     };
     for kind in ["contents", "parses", "checkpoints", "answers"] {
-        assert_eq!(sizes[kind], bytes_below(&data.join("blobs").join(kind)), "{kind}");
+        assert_eq!(sizes[kind], folder_bytes(&data.join("blobs").join(kind)), "{kind}");
     }
     assert!(sizes["contents"] > 100_000 && sizes["parses"] > 100_000, "{sizes:?}");
-    let scrape = scraped(&restarted).await;
+    let scrape = fetch_metrics(&restarted).await;
     assert_eq!(
         scrape.value("uniground_blobs_size_bytes", &[("kind", "parses")]),
         sizes["parses"] as f64
@@ -313,30 +321,30 @@ async fn metrics_and_stats_tell_what_was_done() {
     let mut fastest = Duration::MAX;
     for _ in 0..20 {
         let start = Instant::now();
-        scraped(&restarted).await;
+        fetch_metrics(&restarted).await;
         fastest = fastest.min(start.elapsed());
     }
     assert!(fastest < Duration::from_millis(20), "a scrape takes {fastest:?}");
     restarted.stop().await;
 }
 
-/// Alerts, dashboard and manual speak of metrics that there are, the manual of all of them.
-fn files_name_what_there_is(scrape: &Scrape) {
+/// Alerts, dashboard and manual name only existing metrics, and the manual names all of them.
+fn assert_files_match_metrics(scrape: &Scrape) {
     let known = scrape.names();
     for used in ["deploy/prometheus-alerts.yml", "docs/guides/operations.md"] {
-        // The table of the manual has histograms by their family's name.
-        let unknown: Vec<_> = named(&file(used))
+        // The manual's table lists histograms by family name.
+        let unknown: Vec<_> = metric_names(&read_file(used))
             .into_iter()
             .filter(|name| !known.contains(name) && !scrape.types.contains_key(name))
             .collect();
         assert_eq!(unknown, [""; 0], "{used}");
     }
     let unknown: Vec<_> =
-        named_in_dashboard().into_iter().filter(|name| !known.contains(name)).collect();
+        dashboard_metric_names().into_iter().filter(|name| !known.contains(name)).collect();
     assert_eq!(unknown, [""; 0], "the dashboard");
 
     // The table: | `name` | type | labels | ...
-    let manual = file("docs/guides/operations.md");
+    let manual = read_file("docs/guides/operations.md");
     let rows = manual
         .lines()
         .filter(|line| line.starts_with("| `uniground_") || line.starts_with("| `process_"));
@@ -358,24 +366,22 @@ fn files_name_what_there_is(scrape: &Scrape) {
     for (family, kind) in &scrape.types {
         assert_eq!(told[exposed((family, kind)).as_str()][2], kind, "{family}");
     }
-    let alerts = file("deploy/prometheus-alerts.yml");
+    let alerts = read_file("deploy/prometheus-alerts.yml");
     let alerts: Vec<&str> =
         alerts.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
-    assert!(alerts.len() > 10);
+    assert!(alerts.len() > 10, "{} alerts", alerts.len());
     for alert in alerts {
-        assert!(
-            manual.contains(&format!("| `{alert}` |")),
-            "the manual does not tell about {alert}"
-        );
+        assert!(manual.contains(&format!("| `{alert}` |")), "the manual does not describe {alert}");
     }
 }
 
-/// No label has a value that nobody foresaw.
-fn labels_are_bounded(scrape: &Scrape) {
+/// Every label has a bounded set of values.
+fn assert_labels_are_bounded(scrape: &Scrape) {
     for (name, samples) in &scrape.samples {
         for (labels, _) in samples {
             for (label, value) in labels {
-                // Templates have braces; what has digits like an id was somebody's.
+                // Route templates contain braces; a value with digits like an id would come from a
+                // request.
                 let bounded = label == "le"
                     || label == "version"
                     || label == "status"
@@ -387,7 +393,7 @@ fn labels_are_bounded(scrape: &Scrape) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn odd_requests_make_no_labels_of_their_own() {
+async fn unusual_requests_create_no_new_labels() {
     let server = TestServer::start().await;
     let path = "v1/scenes/0190a0a0-0000-7000-8000-000000000000";
     for method in ["GET", "PATCH", "BREW"] {
@@ -395,8 +401,8 @@ async fn odd_requests_make_no_labels_of_their_own() {
         server.client.request(method, path).send().await.unwrap();
     }
     server.client.bytes("0190a0a0-0000-7000-8000-000000000000/of/mine").await.unwrap_err();
-    let scrape = scraped(&server).await;
-    labels_are_bounded(&scrape);
+    let scrape = fetch_metrics(&server).await;
+    assert_labels_are_bounded(&scrape);
     assert_eq!(scrape.value("uniground_http_requests_total", &[("method", "other")]), 1.0);
     assert_eq!(
         scrape.value("uniground_http_requests_total", &[("route", "/v1/scenes/{scene_id}")]),
@@ -406,10 +412,10 @@ async fn odd_requests_make_no_labels_of_their_own() {
     server.stop().await;
 }
 
-/// A model that does not answer is told, and the server is ready all the same: built-in parts
+/// A model that does not answer is reported, and the server stays ready because the built-in models
 /// answer.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
+async fn a_model_that_is_down_is_reported_and_the_server_stays_ready() {
     let script = Script::default();
     let url = script.serve(vec![fails(500, "out of order")]).await;
     let vlm = VlmConfig {
@@ -423,13 +429,13 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
         ..VlmConfig::default()
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
-    assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
-    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    assert_eq!(fetch_readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let query = "the red sofa";
     let answer = server.client.ground(&scene, &ask(query)).await.unwrap();
-    assert!(answer.degraded);
+    assert!(answer.degraded, "{answer:?}");
     tokio::time::sleep(Duration::from_millis(1100)).await;
-    let (status, told) = readiness(&server).await;
+    let (status, told) = fetch_readiness(&server).await;
     let trouble = told.vlm.unwrap();
     assert!(
         status == 200
@@ -438,7 +444,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
             && trouble.ends_with(" (1 calls)"),
         "{trouble}"
     );
-    let scrape = scraped(&server).await;
+    let scrape = fetch_metrics(&server).await;
     assert_eq!(
         (
             scrape.value("uniground_component_up", &[("component", "vlm")]),
@@ -454,7 +460,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
         (2.0, 1.0)
     );
 
-    // It comes back: first with words that make no sense, then with a choice.
+    // The model is back: first with an invalid reply, then with a choice.
     let chosen = answer.candidates.as_ref().unwrap()[0].id;
     let choice = format!(
         "Predicted ID: {chosen}\nExplanation: red\nCandidate Names: {chosen} -> sofa\nTarget name matches?: True\nAnchor ID: -1\nRelation used: on"
@@ -464,17 +470,17 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     let answer = server.client.ground(&scene, &request).await.unwrap();
     assert_eq!(answer.usage.vlm_calls, 2);
     tokio::time::sleep(Duration::from_millis(1100)).await;
-    assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    assert_eq!(fetch_readiness(&server).await.1.vlm.as_deref(), Some("ok"));
     server.client.ground("none", &ask(query)).await.unwrap_err();
     let items =
         serde_json::json!({"items": [{"scene_id": scene, "query": query, "reasoner": "builtin"}]});
     let batch =
         server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
-    finished(&server.client, batch.job_id.as_deref().unwrap()).await;
-    let scrape = scraped(&server).await;
-    // Everything has happened once.
-    files_name_what_there_is(&scrape);
-    labels_are_bounded(&scrape);
+    wait_for_job(&server.client, batch.job_id.as_deref().unwrap()).await;
+    let scrape = fetch_metrics(&server).await;
+    // Each outcome has occurred once.
+    assert_files_match_metrics(&scrape);
+    assert_labels_are_bounded(&scrape);
     let calls = |outcome| scrape.value("uniground_vlm_calls_total", &[("outcome", outcome)]);
     assert_eq!((calls("answered"), calls("refused"), calls("unreachable")), (2.0, 1.0, 0.0));
     assert_eq!(
@@ -493,7 +499,11 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
         spent > answer.usage.cost_usd - 1e-9 && (spent - spending.today_usd).abs() < 1e-9,
         "{spent} {spending:?}"
     );
-    assert!((scrape.value("uniground_vlm_spent_today_usd", &[]) - spent).abs() < 1e-9);
+    assert!(
+        (scrape.value("uniground_vlm_spent_today_usd", &[]) - spent).abs() < 1e-9,
+        "{} {spent}",
+        scrape.value("uniground_vlm_spent_today_usd", &[])
+    );
     assert_eq!(
         (spending.daily_limit_usd, scrape.value("uniground_vlm_daily_limit_usd", &[])),
         (Some(3.0), 3.0)
@@ -501,10 +511,10 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     server.stop().await;
 }
 
-/// What a collector and a model were sent: the path, `traceparent`, the body.
+/// What the collector and the model received: path, `traceparent`, body.
 type Sent = Arc<Mutex<Vec<(String, Option<String>, Vec<u8>)>>>;
 
-async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
+async fn record_request(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
     let (path, traceparent) = (
         request.uri().path().to_owned(),
         request.headers().get("traceparent").map(|v| v.to_str().unwrap().to_owned()),
@@ -516,21 +526,21 @@ async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json
     )
 }
 
-/// A caller's trace goes on through the server to the model, and its spans go to the collector:
+/// A caller's trace continues through the server to the model, and its spans go to the collector:
 /// requests, jobs, calls.
 #[tokio::test(flavor = "multi_thread")]
-async fn traces_are_taken_up_handed_on_and_sent() {
+async fn traces_are_continued_propagated_and_exported() {
     const TRACE: &str = "0af7651916cd43dd8448eb211c80319c";
     let sent = Sent::default();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let there = format!("http://{}", listener.local_addr().unwrap());
     let router = axum::Router::new()
-        .fallback(note)
+        .fallback(record_request)
         .layer(DefaultBodyLimit::disable())
         .with_state(sent.clone());
     tokio::spawn(async move { axum::serve(listener, router).await });
     let folder = tempfile::tempdir().unwrap();
-    let mut command = command(Utf8Path::from_path(folder.path()).unwrap(), "127.0.0.1:0");
+    let mut command = serve_command(Utf8Path::from_path(folder.path()).unwrap(), "127.0.0.1:0");
     command.args([
         "--otlp-endpoint",
         &there,
@@ -539,8 +549,8 @@ async fn traces_are_taken_up_handed_on_and_sent() {
         "--vlm-model",
         "scripted",
     ]);
-    let process = Process::started(command.env("RUST_LOG", "error").stderr(Stdio::null()));
-    let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
+    let process = Process::spawn(command.env("RUST_LOG", "error").stderr(Stdio::null()));
+    let scene = upload_and_parse(&process.client, "application/zip", Scan::neutral().zip()).await;
     let request = process.client.request(Method::POST, &format!("v1/scenes/{}/ground", scene.id));
     let request = request
         .header("traceparent", format!("00-{TRACE}-b7ad6b7169203331-01"))
@@ -557,7 +567,7 @@ async fn traces_are_taken_up_handed_on_and_sent() {
                 .as_ref()
                 .is_some_and(|parent| parent.starts_with(&format!("00-{TRACE}-"))))
     );
-    // The endpoint was looked for when the server started, for nobody's question.
+    // The startup probe of the endpoint belongs to no request.
     let (traces, looks): (Vec<_>, Vec<_>) =
         traces.into_iter().partition(|(path, ..)| path == "/v1/traces");
     assert!(
@@ -572,5 +582,5 @@ async fn traces_are_taken_up_handed_on_and_sent() {
     for span in ["request", "job", "model_call", "/v1/scenes/{scene_id}/ground"] {
         assert!(has(span.as_bytes()), "{span}");
     }
-    assert!(!has(b"the red sofa"), "questions stay here");
+    assert!(!has(b"the red sofa"), "a trace contains the text of a question");
 }

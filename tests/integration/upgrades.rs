@@ -1,7 +1,6 @@
-//! Data folders that earlier versions have left, opened by this one. `scripts/data-fixture.sh`
-//! makes them.
+//! Data folders of earlier versions, opened by this one. `scripts/data-fixture.sh` makes them.
 
-use crate::server::{TestServer, ask};
+use crate::test_server::{TestServer, ask};
 use camino::Utf8Path;
 use serde_json::Value;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
@@ -18,14 +17,14 @@ use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::job::JobState;
 use uniground_types::scenes::{Scene, SceneStatus};
 
-/// A data folder as it was left, and what its server had told: `scene.json`, `instances.json`,
-/// `answers.jsonl`, `scan.zip`.
-struct Left {
+/// A data folder of an earlier version, and what its server returned: `scene.json`,
+/// `instances.json`, `answers.jsonl`, `scan.zip`.
+struct OldFolder {
     data: tempfile::TempDir,
     told: tempfile::TempDir,
 }
 
-impl Left {
+impl OldFolder {
     fn unpack(name: &str) -> Self {
         let file = fs::File::open(
             Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures").join(name),
@@ -45,22 +44,22 @@ impl Left {
 }
 
 #[tokio::test]
-async fn a_folder_from_before_records_had_versions_is_found_whole() {
-    let left = Left::unpack("data-2026-11-20.tar.zst");
+async fn a_folder_without_record_versions_is_served_completely() {
+    let left = OldFolder::unpack("data-2026-11-20.tar.zst");
     let (scene_told, scan): (Value, Vec<u8>) =
         (serde_json::from_slice(&left.told("scene.json")).unwrap(), left.told("scan.zip"));
     let mut instances_told: Value = serde_json::from_slice(&left.told("instances.json")).unwrap();
     for instance in instances_told["instances"].as_array_mut().unwrap() {
         instance["level"] = "thing".into();
         instance["things"] = Value::Array(Vec::new());
-        // Nobody could correct anything then.
+        // That version had no corrections.
         (instance["given_name"], instance["dismissed"], instance["merged_from"]) =
             (Value::Null, false.into(), Value::Array(Vec::new()));
-        // No scene grew.
+        // That version had no added frames.
         instance["gone"] = false.into();
     }
     let answers_told = String::from_utf8(left.told("answers.jsonl")).unwrap();
-    let Left { data, told: _told } = left;
+    let OldFolder { data, told: _told } = left;
     let server = TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -76,10 +75,10 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         (scene.name.as_str(), scene.status, scene.parse_version),
         ("A block", SceneStatus::Ready, 1)
     );
-    // Everything it was told to be, under the names settings have today.
+    // Every setting of that time, under today's names.
     let mut expected = scene_told.clone();
     uniground_types::settings::with_names_of_today(&mut expected["settings"]);
-    // Steps of today were not taken then.
+    // That version did not have these stages.
     expected["settings"]["parsing"]["merging"]["keep_planes_apart"] = false.into();
     expected["settings"]["parsing"]["merging"]["split_at_depth_edges"] = false.into();
     expected["settings"]["parsing"]["refine_borders"] = false.into();
@@ -108,15 +107,11 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     for answer in answers_told.lines() {
         let told: Answer = serde_json::from_str(answer).unwrap();
         let stored = get(&format!("v1/answers/{}", told.id)).await;
-        assert_eq!(
-            String::from_utf8(stored).unwrap(),
-            answer,
-            "an answer is given out again byte for byte"
-        );
+        assert_eq!(String::from_utf8(stored).unwrap(), answer, "a stored answer has changed");
         let picture = get(&format!("v1/answers/{}/evidence/global.jpg", told.id)).await;
-        assert!(image::load_from_memory(&picture).is_ok());
-        // The same question comes to the same, but for ids and times, the version of the parts, and
-        // what was not told then.
+        image::load_from_memory(&picture).unwrap();
+        // The same question gets the same answer, except for ids, times, versions and fields that
+        // are new.
         let again = server.client.ground(&scene.id, &ask(&told.query)).await.unwrap();
         let (id, timings_ms, evidence, models) =
             (told.id.clone(), told.timings_ms, told.evidence.clone(), told.models.clone());
@@ -126,7 +121,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
             answer.candidates.iter().flatten().map(|c| (c.rank, c.id)).collect::<Vec<_>>()
         };
         assert_eq!(ranks(&again), ranks(&told));
-        // How sure it is, is a matter of version too.
+        // Confidence depends on the version.
         let (confidence, candidates) = (told.confidence, told.candidates.clone());
         let again = Answer {
             id,
@@ -152,7 +147,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     }
     let job = server.client.job(scene.job_id.as_deref().unwrap()).await.unwrap();
     assert_eq!((job.kind.as_str(), job.error), ("parse", None));
-    // A key is remembered, what was up stays up, and a scene can go.
+    // The idempotency key is still known, the scan is stored, and the scene can be deleted.
     let created = server
         .client
         .create_scene_once(&[("name", "x")], "application/zip", scan, "block")
@@ -169,11 +164,11 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         (2, Some("z"))
     );
     server.client.delete_scene(&scene.id).await.unwrap();
-    assert_eq!(server.stored("blobs/contents"), Vec::<String>::new());
+    assert_eq!(server.list_folder("blobs/contents"), Vec::<String>::new());
     server.stop().await;
 }
 
-/// Every schema there was: its version, and the migration that made it of the one before.
+/// Returns every schema: its version and the migration that makes it from the one before.
 fn migrations() -> Vec<(i64, String)> {
     let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations/sqlite");
     let files = folder.read_dir_utf8().unwrap().map(|file| file.unwrap().into_path());
@@ -186,9 +181,8 @@ fn migrations() -> Vec<(i64, String)> {
     migrations
 }
 
-/// What tables of later schemas than the fixture's held, each with the table it is about; ids of
-/// the fixture stand in for `SCENE`, `PARSE` and `ANSWER`. A migration that makes a table adds a
-/// row here.
+/// Rows for tables that are newer than the fixture, each with its table. Ids of the fixture replace
+/// `SCENE`, `PARSE` and `ANSWER`. A migration that adds a table adds a row here.
 const LATER_ROWS: &[(&str, &str)] = &[
     (
         "instance_names",
@@ -242,7 +236,7 @@ const LATER_ROWS: &[(&str, &str)] = &[
     ),
     ("announcements", "INSERT INTO announcements (job_id) SELECT id FROM jobs LIMIT 1"),
 ];
-/// Of the key in there.
+/// The secret of the key in these rows.
 const SECRET: &str = "ug_00000000_upgrade";
 
 async fn open(database: &Utf8Path) -> SqliteConnection {
@@ -253,20 +247,20 @@ async fn open(database: &Utf8Path) -> SqliteConnection {
     .unwrap()
 }
 
-async fn texts(rows: &mut SqliteConnection, sql: String) -> Vec<String> {
+async fn query_texts(rows: &mut SqliteConnection, sql: String) -> Vec<String> {
     sqlx::query_scalar(AssertSqlSafe(sql)).fetch_all(rows).await.unwrap()
 }
 
-async fn tables(rows: &mut SqliteConnection, of: &str) -> Vec<String> {
+async fn list_tables(rows: &mut SqliteConnection, of: &str) -> Vec<String> {
     let sql = format!(
         "SELECT name FROM {of}.sqlite_schema WHERE type = 'table' AND name NOT LIKE '!_%' ESCAPE '!' AND name NOT LIKE 'sqlite%'"
     );
-    texts(rows, sql).await
+    query_texts(rows, sql).await
 }
 
-/// Makes the fixture's database one of another schema, with the fixture's rows and some in every
-/// table it did not have.
-async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
+/// Turns the fixture's database into one of another schema, with the fixture's rows and rows in
+/// every newer table.
+async fn rebuild_with_schema(data: &Utf8Path, schema: &[(i64, String)]) {
     let (old, new) = (data.join("uniground.sqlite"), data.join("new.sqlite"));
     let mut rows = open(&new).await;
     let made = schema.iter().map(|(version, sql)| {
@@ -282,11 +276,11 @@ async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
     for sql in ["PRAGMA foreign_keys = OFF".to_owned(), format!("ATTACH '{old}' AS old")] {
         sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
     }
-    for table in tables(&mut rows, "old").await {
+    for table in list_tables(&mut rows, "old").await {
         let shared = format!(
             "SELECT name FROM pragma_table_info('{table}', 'old') INTERSECT SELECT name FROM pragma_table_info('{table}', 'main')"
         );
-        let columns = texts(&mut rows, shared).await.join(", ");
+        let columns = query_texts(&mut rows, shared).await.join(", ");
         if !columns.is_empty() {
             let copy =
                 format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM old.{table}");
@@ -297,16 +291,16 @@ async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
         ["SELECT id FROM scenes", "SELECT id FROM parses", "SELECT min(id) FROM answers"];
     let mut ids = Vec::new();
     for sql in [scene, parse, answer] {
-        ids.push(texts(&mut rows, sql.to_owned()).await.remove(0));
+        ids.push(query_texts(&mut rows, sql.to_owned()).await.remove(0));
     }
-    for table in tables(&mut rows, "main").await {
+    for table in list_tables(&mut rows, "main").await {
         if let Some((_, sql)) = LATER_ROWS.iter().find(|(about, _)| *about == table) {
             let sql =
                 sql.replace("SCENE", &ids[0]).replace("PARSE", &ids[1]).replace("ANSWER", &ids[2]);
             sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
         }
-        let filled = texts(&mut rows, format!("SELECT 'x' FROM {table} LIMIT 1")).await;
-        assert!(!filled.is_empty(), "{table} is a table without rows: LATER_ROWS wants one for it");
+        let filled = query_texts(&mut rows, format!("SELECT 'x' FROM {table} LIMIT 1")).await;
+        assert!(!filled.is_empty(), "{table} has no rows: add one to LATER_ROWS");
     }
     rows.close().await.unwrap();
     for beside in ["-wal", "-shm"] {
@@ -315,19 +309,19 @@ async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
     fs::rename(&new, &old).unwrap();
 }
 
-/// Whatever version somebody comes from: what was there is served as it was.
+/// Data of every earlier schema is served unchanged.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
+async fn databases_of_every_schema_are_migrated_without_loss() {
     let migrations = migrations();
     for to in 1..=migrations.len() {
         let (schema, version) = (&migrations[..to], migrations[to - 1].0);
-        let left = Left::unpack("data-2026-11-20.tar.zst");
+        let left = OldFolder::unpack("data-2026-11-20.tar.zst");
         let (answers, scan) =
             (String::from_utf8(left.told("answers.jsonl")).unwrap(), left.told("scan.zip"));
         let instances: Value = serde_json::from_slice(&left.told("instances.json")).unwrap();
-        let Left { data, told: _told } = left;
+        let OldFolder { data, told: _told } = left;
         let folder = Utf8Path::from_path(data.path()).unwrap();
-        rebuild(folder, schema).await;
+        rebuild_with_schema(folder, schema).await;
         let server = TestServer::start_on(
             data,
             LimitsConfig::default(),
@@ -353,13 +347,13 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
             client.job(scene.job_id.as_deref().unwrap()).await.unwrap().state,
             JobState::Succeeded
         );
-        // Where there are keys, each has idempotency keys of its own.
+        // Where API keys exist, each has its own idempotency keys.
         if version < 6 {
             let same = client
                 .create_scene_once(&[("name", "x")], "application/zip", scan, "block")
                 .await
                 .unwrap();
-            assert_eq!(same.scene.id, scene.id, "schema {version}: its key is remembered");
+            assert_eq!(same.scene.id, scene.id, "schema {version}: the idempotency key is unknown");
         }
         let batches = client.batches(10, None).await.unwrap().batches;
         assert_eq!(batches.len(), usize::from(version >= 5));
@@ -376,10 +370,10 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
             client.batch_results(&batch.id, 0, false, take).await.unwrap();
             assert!(answered[0].answer.is_some(), "schema {version}");
         }
-        let data = server.give_back().await;
+        let data = server.stop_and_keep_data().await;
         let folder = Utf8Path::from_path(data.path()).unwrap();
         let store = Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap();
-        // What was put aside for calls that a server did not live to see is spent.
+        // Money reserved for calls that a killed server left open counts as spent.
         let spent = [(2, 0.5), (4, 0.25)]
             .into_iter()
             .filter(|(since, _)| version >= *since)

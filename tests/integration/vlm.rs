@@ -1,8 +1,8 @@
-//! A vision-language model decides: a scripted OpenAI-compatible server on loopback plays it, well
-//! and badly.
+//! A vision-language model decides. A scripted OpenAI-compatible server on loopback plays it, with
+//! correct and incorrect replies.
 
 use crate::scripted_model::{Script, Scripted, fails, says};
-use crate::server::{TestServer, ask, finished, problem};
+use crate::test_server::{TestServer, ask, expect_problem, wait_for_job};
 use serde_json::{Value, json};
 use std::fs;
 use std::time::Duration;
@@ -14,20 +14,20 @@ use uniground_types::question::{Ablation, GroundRequest, PromptVersion, Reasoner
 use uniground_types::transcript::PromptPart;
 
 mod budgets;
-mod leaving;
+mod disconnects;
+mod failures;
 mod naming;
 mod retries;
-mod trouble;
 mod unlisted;
 
 const QUERY: &str = "the mug on the coffee table";
 
-fn sample() -> Vec<u8> {
+fn sample_scan() -> Vec<u8> {
     fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
 }
 
-/// A model that is given up on quickly.
-pub fn config(url: &str) -> VlmConfig {
+/// Returns the configuration of a model with short timeouts.
+pub fn vlm_config(url: &str) -> VlmConfig {
     VlmConfig {
         vlm_url: Some(url.to_owned()),
         vlm_model: Some("scripted".into()),
@@ -39,35 +39,40 @@ pub fn config(url: &str) -> VlmConfig {
     }
 }
 
-async fn start(vlm: VlmConfig) -> (TestServer, String) {
+async fn start_server(vlm: VlmConfig) -> (TestServer, String) {
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
-    let scene = server.parsed(sample()).await.id;
+    let scene = server.upload_and_parse(sample_scan()).await.id;
     (server, scene)
 }
 
-fn by(reasoner: ReasonerChoice) -> GroundRequest {
+fn request_by(reasoner: ReasonerChoice) -> GroundRequest {
     GroundRequest { reasoner, ..ask(QUERY) }
 }
 
-/// What the geometry alone says.
-async fn builtin(server: &TestServer, scene: &str) -> Answer {
-    server.client.ground(scene, &by(ReasonerChoice::Builtin)).await.unwrap()
+/// Returns the answer of the built-in reasoner.
+async fn builtin_answer(server: &TestServer, scene: &str) -> Answer {
+    server.client.ground(scene, &request_by(ReasonerChoice::Builtin)).await.unwrap()
 }
 
-pub fn six_lines(id: impl std::fmt::Display, names: &str, matches: bool, anchor: u32) -> Scripted {
+pub fn six_field_reply(
+    id: impl std::fmt::Display,
+    names: &str,
+    matches: bool,
+    anchor: u32,
+) -> Scripted {
     says(&format!(
         "Predicted ID: {id}\nExplanation: it is red and on the table\nCandidate Names: {names}\nTarget name matches?: {matches}\n\
          Anchor ID: {anchor}\nRelation used: on the coffee table"
     ))
 }
 
-/// All texts of a request's user message.
-fn text_of(body: &Value) -> String {
+/// Returns all texts of a request's user message.
+fn user_text(body: &Value) -> String {
     let parts = body["messages"][1]["content"].as_array().unwrap();
     parts.iter().filter_map(|part| part["text"].as_str()).collect()
 }
 
-fn pictures_of(body: &Value) -> usize {
+fn count_images(body: &Value) -> usize {
     let parts = body["messages"][1]["content"].as_array().unwrap();
     let pictures: Vec<&str> =
         parts.iter().filter_map(|part| part["image_url"]["url"].as_str()).collect();
@@ -75,7 +80,7 @@ fn pictures_of(body: &Value) -> usize {
     pictures.len()
 }
 
-fn purposes(answer: &Answer) -> Vec<String> {
+fn call_purposes(answer: &Answer) -> Vec<String> {
     answer.trace.as_ref().unwrap().calls.iter().map(|call| call.purpose.clone()).collect()
 }
 
@@ -84,15 +89,15 @@ fn corrections(answer: &Answer) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_model_decides_and_everything_can_be_looked_up() {
+async fn the_model_decides_and_its_evidence_is_stored() {
     let script = Script::default();
-    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
-    let plain = builtin(&server, &scene).await;
+    let (server, scene) = start_server(vlm_config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin_answer(&server, &scene).await;
     assert_eq!((plain.models.reasoner.as_str(), script.calls()), ("builtin-3", 0));
     let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
-    // Another than the geometry's choice.
+    // Not the built-in reasoner's choice.
     let (chosen, anchor) = (ids[1], plain.answer.anchor_id.unwrap().0);
-    script.next(vec![six_lines(
+    script.next(vec![six_field_reply(
         chosen,
         &format!("{chosen} -> small red mug, 4711 -> ghost"),
         true,
@@ -105,7 +110,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
         (Status::Grounded, Some(chosen))
     );
     assert_eq!(answer.aabb, Some(answer.candidates.as_ref().unwrap()[1].aabb));
-    assert!(answer.oriented_box.is_some() && answer.confidence > 0.6);
+    assert!(answer.oriented_box.is_some() && answer.confidence > 0.6, "{answer:?}");
     assert_eq!(answer.answer.candidate_names[&chosen], "small red mug");
     assert!(!answer.answer.candidate_names.contains_key(&4711));
     assert_eq!(answer.answer.relation_used.as_deref(), Some("on the coffee table"));
@@ -116,27 +121,27 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 6)", false));
     assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens), (1, 700));
     assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12);
-    assert_eq!(purposes(&answer), ["spatial"]);
+    assert_eq!(call_purposes(&answer), ["spatial"]);
     assert!(
         answer.timings_ms.evidence > 0.0
             && answer.timings_ms.total
                 >= answer.timings_ms.evidence + answer.timings_ms.reason - 1.0
     );
 
-    // What was sent: a render, one collage for every candidate and the anchor's, then the words;
-    // nothing that sets temperature or length.
+    // The request contains a render, a collage for each candidate and the anchor, then the text. It
+    // sets neither temperature nor length.
     let sent = script.take().remove(0);
     let candidates = answer.candidates.as_ref().unwrap();
     let beside = usize::from(candidates.iter().all(|c| c.id.0 != anchor));
-    assert_eq!(pictures_of(&sent), 1 + candidates.len() + beside);
+    assert_eq!(count_images(&sent), 1 + candidates.len() + beside);
     assert!(
         sent.get("temperature").is_none()
             && sent.get("max_tokens").is_none()
             && sent.get("stream").is_none()
     );
-    assert!(text_of(&sent).ends_with(&format!("Query: \"{QUERY}\"")));
+    assert!(user_text(&sent).ends_with(&format!("Query: \"{QUERY}\"")));
 
-    // What is kept is what was sent.
+    // The stored evidence equals what was sent.
     let prompt = server.client.answer_prompt(&answer.id).await.unwrap();
     assert_eq!((prompt.model.as_str(), prompt.calls.len()), ("scripted", 1));
     let texts: String = prompt.calls[0]
@@ -144,7 +149,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
         .iter()
         .filter_map(|p| if let PromptPart::Text { text } = p { Some(text.as_str()) } else { None })
         .collect();
-    assert_eq!(texts, text_of(&sent));
+    assert_eq!(texts, user_text(&sent));
     let shown: Vec<&str> = prompt.calls[0]
         .user
         .iter()
@@ -152,7 +157,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
             |p| if let PromptPart::Picture { href } = p { Some(href.as_str()) } else { None },
         )
         .collect();
-    assert_eq!(shown.len(), pictures_of(&sent));
+    assert_eq!(shown.len(), count_images(&sent));
     for (href, part) in shown.iter().zip(sent["messages"][1]["content"].as_array().unwrap()) {
         use base64::Engine;
         let bytes = server.client.bytes(href).await.unwrap();
@@ -161,21 +166,19 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
             base64::engine::general_purpose::STANDARD.encode(&bytes)
         );
         assert_eq!(part["image_url"]["url"].as_str(), Some(url.as_str()), "{href}");
-        assert!(image::load_from_memory(&bytes).is_ok());
+        image::load_from_memory(&bytes).unwrap();
     }
     assert_eq!(answer.evidence.as_ref().unwrap().len(), shown.len());
     let reply = server.client.answer_reply(&answer.id).await.unwrap();
     assert!(reply.calls[0].text.as_ref().unwrap().starts_with(&format!("Predicted ID: {chosen}")));
     assert_eq!(server.client.answer(&answer.id).await.unwrap().answer, answer.answer);
 
-    // An answer of the geometry has a picture and no prompt.
-    assert!(
-        server.client.bytes(&format!("v1/answers/{}/evidence/global.jpg", plain.id)).await.is_ok()
-    );
-    let error = problem(server.client.answer_prompt(&plain.id).await);
+    // An answer of the built-in reasoner has an image and no prompt.
+    server.client.bytes(&format!("v1/answers/{}/evidence/global.jpg", plain.id)).await.unwrap();
+    let error = expect_problem(server.client.answer_prompt(&plain.id).await);
     assert_eq!((error.status, error.code.as_str()), (404, "no_transcript"));
     for name in ["candidate-4711.jpg", "prompt.json", "..%2Fprompt.jpg", "global.png"] {
-        let error = problem(
+        let error = expect_problem(
             server.client.bytes(&format!("v1/answers/{}/evidence/{name}", answer.id)).await,
         );
         assert_eq!(
@@ -184,38 +187,43 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
             "{name}"
         );
     }
-    // With the scene everything goes.
-    assert_eq!(server.stored("blobs/answers"), std::slice::from_ref(&answer.id));
+    // Deleting the scene deletes the evidence.
+    assert_eq!(server.list_folder("blobs/answers"), std::slice::from_ref(&answer.id));
     server.client.delete_scene(&scene).await.unwrap();
-    assert!(server.stored("blobs/answers").is_empty());
+    assert!(
+        server.list_folder("blobs/answers").is_empty(),
+        "{:?}",
+        server.list_folder("blobs/answers")
+    );
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_does_not_hold_together_is_asked_again() {
+async fn inconsistent_replies_are_asked_again() {
     let script = Script::default();
-    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
-    let plain = builtin(&server, &scene).await;
+    let (server, scene) = start_server(vlm_config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin_answer(&server, &scene).await;
     let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
     let (first, second) = (ids[0], ids[1]);
     let named = format!("{first} -> red mug, {second} -> white wall panel");
-    let good = || six_lines(first, &named, true, 1);
+    let good = || six_field_reply(first, &named, true, 1);
     let grounded = async |answers: Vec<Scripted>| {
         script.take();
         script.next(answers);
         server.client.ground(&scene, &ask(QUERY)).await.unwrap()
     };
 
-    // An id that is no candidate: asked again with the same pictures, told what was wrong.
-    let answer = grounded(vec![six_lines(4711, &named, true, 1), good()]).await;
+    // An id that is not a candidate: the model is asked again with the same images and told what
+    // was wrong.
+    let answer = grounded(vec![six_field_reply(4711, &named, true, 1), good()]).await;
     assert_eq!(
-        (purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
+        (call_purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
         (vec!["spatial".into(), "out_of_set".into()], Some(first))
     );
     let sent = script.take();
     assert!(
-        text_of(&sent[1]).contains("ID 4711, which is no candidate")
-            && pictures_of(&sent[1]) == pictures_of(&sent[0])
+        user_text(&sent[1]).contains("ID 4711, which is no candidate")
+            && count_images(&sent[1]) == count_images(&sent[0])
     );
     assert!(
         corrections(&answer).contains("4711")
@@ -223,52 +231,56 @@ async fn what_does_not_hold_together_is_asked_again() {
             && answer.usage.prompt_tokens == 1400
     );
 
-    // Something that can not be read; two ids; nothing at all.
+    // An unreadable reply; two ids; an empty reply.
     for (text, why) in [
         ("I would say the mug.", "no \"Predicted ID\""),
         ("Predicted ID: 3 or 5", "both 3 and 5"),
         ("", "no \"Predicted ID\""),
     ] {
         let answer = grounded(vec![says(text), good()]).await;
-        assert_eq!(purposes(&answer), ["spatial", "unreadable"], "{text}");
+        assert_eq!(call_purposes(&answer), ["spatial", "unreadable"], "{text}");
         assert!(corrections(&answer).contains(why), "{}", corrections(&answer));
     }
 
-    // A name that speaks against the choice: asked again with the render and the images of what was
-    // chosen.
-    let answer = grounded(vec![six_lines(second, &named, true, 1), good()]).await;
+    // A name that contradicts the choice: the model is asked again with the render and the images
+    // of the chosen candidate.
+    let answer = grounded(vec![six_field_reply(second, &named, true, 1), good()]).await;
     assert_eq!(
-        (purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
+        (call_purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
         (vec!["spatial".into(), "inconsistent".into()], Some(first))
     );
     let sent = script.take();
     assert!(
-        text_of(&sent[1]).contains("it is named \"white wall panel\"")
-            && pictures_of(&sent[1]) == 2,
+        user_text(&sent[1]).contains("it is named \"white wall panel\"")
+            && count_images(&sent[1]) == 2,
         "{}",
-        text_of(&sent[1])
+        user_text(&sent[1])
     );
-    // It stays with its choice: that is its answer.
-    let answer = grounded(vec![six_lines(second, &named, true, 1)]).await;
+    // The model repeats its choice: that is its answer.
+    let answer = grounded(vec![six_field_reply(second, &named, true, 1)]).await;
     assert_eq!(
-        (purposes(&answer).len(), answer.answer.predicted_id.map(|id| id.0)),
+        (call_purposes(&answer).len(), answer.answer.predicted_id.map(|id| id.0)),
         (2, Some(second))
     );
-    assert!(answer.confidence < 0.7 && !answer.degraded);
+    assert!(answer.confidence < 0.7 && !answer.degraded, "{answer:?}");
 
-    // Three times outside of the set: the geometry's answer, told and degraded; or the only
-    // candidate with a fitting name.
-    let answer = grounded(vec![six_lines(4711, "", true, 1)]).await;
-    assert_eq!((purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
+    // Three replies with ids outside of the candidates: the built-in answer, marked as degraded; or
+    // the only candidate with a matching name.
+    let answer = grounded(vec![six_field_reply(4711, "", true, 1)]).await;
+    assert_eq!((call_purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
     assert_eq!((&answer.answer, answer.models.reasoner.as_str()), (&plain.answer, "builtin-3"));
     assert!(
         corrections(&answer).contains("the model never chose a candidate"),
         "{}",
         corrections(&answer)
     );
-    let answer =
-        grounded(vec![six_lines(4711, &format!("{second} -> red mug, {first} -> wall"), true, 1)])
-            .await;
+    let answer = grounded(vec![six_field_reply(
+        4711,
+        &format!("{second} -> red mug, {first} -> wall"),
+        true,
+        1,
+    )])
+    .await;
     assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), true));
     assert!(
         answer.answer.explanation.contains("is the only candidate with a fitting name"),
@@ -276,13 +288,17 @@ async fn what_does_not_hold_together_is_asked_again() {
         answer.answer.explanation
     );
 
-    // Nothing fits: no box.
-    let answer = grounded(vec![six_lines("none", &named, false, 1)]).await;
-    assert_eq!((answer.status, answer.aabb, purposes(&answer).len()), (Status::NoMatch, None, 1));
+    // Nothing matches: no box.
+    let answer = grounded(vec![six_field_reply("none", &named, false, 1)]).await;
+    assert_eq!(
+        (answer.status, answer.aabb, call_purposes(&answer).len()),
+        (Status::NoMatch, None, 1)
+    );
 
-    // The second call fails: the first answer is what there is.
+    // The second call fails: the first answer is used.
     let answer =
-        grounded(vec![six_lines(second, &named, true, 1), fails(401, "the key has expired")]).await;
+        grounded(vec![six_field_reply(second, &named, true, 1), fails(401, "the key has expired")])
+            .await;
     assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), false));
     assert!(
         corrections(&answer).contains("asking again failed")
@@ -305,12 +321,12 @@ async fn what_does_not_hold_together_is_asked_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn ablations_leave_out_what_they_say() {
+async fn ablations_omit_what_they_name() {
     let script = Script::default();
-    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
-    let plain = builtin(&server, &scene).await;
+    let (server, scene) = start_server(vlm_config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin_answer(&server, &scene).await;
     let count = plain.candidates.as_ref().unwrap().len().max(5);
-    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    script.next(vec![six_field_reply(plain.answer.predicted_id.unwrap(), "", true, 1)]);
     for (ablation, pictures, says_first) in [
         (Ablation::Full, 1 + count, "Image 1 is a global render"),
         (Ablation::NoGlobal, count, "Images 1 to"),
@@ -327,87 +343,91 @@ async fn ablations_leave_out_what_they_say() {
             .await
             .unwrap();
         let sent = script.take().remove(0);
-        assert_eq!(pictures_of(&sent), pictures, "{ablation:?}");
-        assert!(text_of(&sent).starts_with(says_first), "{ablation:?}: {}", text_of(&sent));
+        assert_eq!(count_images(&sent), pictures, "{ablation:?}");
+        assert!(user_text(&sent).starts_with(says_first), "{ablation:?}: {}", user_text(&sent));
     }
-    // Without a format, prose will do.
+    // Without a response format, prose is accepted.
     let id = plain.answer.predicted_id.unwrap();
     script.next(vec![says(&format!(
         "The object ID that best matches the query is **ID {id}**. It is on the table."
     ))]);
     let request = GroundRequest { ablation: Ablation::SimplePrompt, ..ask(QUERY) };
     let answer = server.client.ground(&scene, &request).await.unwrap();
-    assert_eq!((answer.answer.predicted_id, purposes(&answer).len()), (Some(id), 1));
+    assert_eq!((answer.answer.predicted_id, call_purposes(&answer).len()), (Some(id), 1));
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_caller_who_leaves_stops_the_call() {
+async fn a_disconnected_caller_or_cancelled_job_stops_the_call() {
     let script = Script::default();
     let url = script.serve(vec![Scripted::Stall]).await;
-    let (server, scene) = start(VlmConfig { vlm_timeout_s: 300, ..config(&url) }).await;
+    let (server, scene) = start_server(VlmConfig { vlm_timeout_s: 300, ..vlm_config(&url) }).await;
     let client = reqwest::Client::new();
     let request = client
         .post(format!("{}/v1/scenes/{scene}/ground", server.url()))
-        .json(&by(ReasonerChoice::Vlm));
+        .json(&request_by(ReasonerChoice::Vlm));
     let called = async {
         while script.calls() == 0 {
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     };
     tokio::select! {
-        _ = request.send() => panic!("the model stalls: there is no answer"),
+        _ = request.send() => panic!("the model stalls, so there must be no answer"),
         called = tokio::time::timeout(Duration::from_mins(1), called) => called.unwrap(),
     }
-    // Dropping the request has closed its connection, and the service the model's.
+    // The dropped request closed its connection, and the service closed the model's.
     tokio::time::timeout(Duration::from_secs(5), script.left.cancelled()).await.unwrap();
-    // So does cancelling a job that has the model name things.
+    // Cancelling a naming job does the same.
     let job = server.client.name_instances(&scene).await.unwrap();
     while script.calls() < 2 {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     server.client.cancel_job(&job.id).await.unwrap();
-    assert_eq!(finished(&server.client, &job.id).await.state, JobState::Cancelled);
-    // A limit of the question's own.
+    assert_eq!(wait_for_job(&server.client, &job.id).await.state, JobState::Cancelled);
+    // A timeout of the question itself.
     leaving::time_out_during_a_call(&server, &scene, &script).await;
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_not_to_be_kept_is_not() {
+async fn evidence_is_not_stored_when_disabled() {
     let script = Script::default();
-    let vlm = config(&script.serve(vec![says("Predicted ID: none\nExplanation: x")]).await);
+    let vlm = vlm_config(&script.serve(vec![says("Predicted ID: none\nExplanation: x")]).await);
     let limits = LimitsConfig {
         retention: RetentionConfig { keep_evidence_days: 0, ..RetentionConfig::default() },
         ..LimitsConfig::default()
     };
     let server = TestServer::start_configured(limits, vlm).await;
-    let scene = server.parsed(sample()).await.id;
+    let scene = server.upload_and_parse(sample_scan()).await.id;
     let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
-    assert!(server.stored("blobs/answers").is_empty());
-    assert_eq!(problem(server.client.answer_reply(&answer.id).await).code, "no_transcript");
+    assert!(
+        server.list_folder("blobs/answers").is_empty(),
+        "{:?}",
+        server.list_folder("blobs/answers")
+    );
+    assert_eq!(expect_problem(server.client.answer_reply(&answer.id).await).code, "no_transcript");
     assert!(
         server.client.bytes(&answer.evidence.unwrap()[0]).await.is_ok(),
-        "the room can always be drawn"
+        "a render is always available"
     );
     server.stop().await;
 }
 
-/// Nobody's key is in anything that is stored.
+/// No stored file contains an API key.
 #[tokio::test(flavor = "multi_thread")]
-async fn keys_are_never_stored() {
+async fn model_api_keys_are_never_stored() {
     let script = Script::default();
     let folder = tempfile::tempdir().unwrap();
     let file = camino::Utf8PathBuf::from_path_buf(folder.path().join("key")).unwrap();
     fs::write(&file, "sk-very-secret\n").unwrap();
     let vlm = VlmConfig {
         vlm_api_key_file: Some(file),
-        ..config(&script.serve(vec![fails(500, "no"), says("22")]).await)
+        ..vlm_config(&script.serve(vec![fails(500, "no"), says("22")]).await)
     };
-    let (server, scene) = start(vlm).await;
+    let (server, scene) = start_server(vlm).await;
     server.client.ground(&scene, &ask(QUERY)).await.unwrap();
     assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-very-secret"));
-    let data = server.give_back().await;
+    let data = server.stop_and_keep_data().await;
     let mut folders = vec![camino::Utf8PathBuf::from_path_buf(data.path().to_owned()).unwrap()];
     let mut looked_at = 0;
     while let Some(folder) = folders.pop() {
@@ -421,10 +441,10 @@ async fn keys_are_never_stored() {
             }
         }
     }
-    assert!(looked_at > 20);
+    assert!(looked_at > 20, "only {looked_at} files were checked");
 }
 
-fn eval(out: &camino::Utf8Path, args: &[&str]) -> (std::process::Output, Value) {
+fn run_eval(out: &camino::Utf8Path, args: &[&str]) -> (std::process::Output, Value) {
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_uniground"));
     let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
     let output =
@@ -435,13 +455,13 @@ fn eval(out: &camino::Utf8Path, args: &[&str]) -> (std::process::Output, Value) 
     (output, report.unwrap_or_default())
 }
 
-/// A table of what a model decides, once with photographs and once with names, within a budget and
-/// again from what was recorded.
+/// Evaluates a model, with photographs and with names, within a budget and then from the recorded
+/// replies.
 #[test]
-fn a_model_is_evaluated_and_its_answers_are_kept() {
+fn a_model_is_evaluated_and_its_replies_are_recorded() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let script = Script::default();
-    let url = runtime.block_on(script.serve(vec![six_lines(7, "7 -> thing", true, 1)]));
+    let url = runtime.block_on(script.serve(vec![six_field_reply(7, "7 -> thing", true, 1)]));
     let temporary = tempfile::tempdir().unwrap();
     let root = camino::Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
     let record = root.join("answers.jsonl");
@@ -456,7 +476,7 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
         "--vlm-completion-usd",
         "8",
     ];
-    let (output, recorded) = eval(
+    let (output, recorded) = run_eval(
         &root.join("a"),
         &[&model[..], &["--matrix", matrix, "--record", record.as_str()]].concat(),
     );
@@ -471,11 +491,11 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
     );
     assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 6)");
     assert!(
-        script.take().iter().any(|body| pictures_of(body) >= 6),
-        "annotated instances have photographs"
+        script.take().iter().any(|body| count_images(body) >= 6),
+        "annotated instances must have photographs"
     );
 
-    let (output, replayed) = eval(
+    let (output, replayed) = run_eval(
         &root.join("b"),
         &[
             "--matrix",
@@ -495,8 +515,8 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
             assert_eq!(before["figures"][figure], after["figures"][figure], "{figure}");
         }
     }
-    // A run has a budget of its own: what it does not pay for fails, and is told.
-    let (output, _) = eval(
+    // Each run has its own budget: questions beyond it fail with an error.
+    let (output, _) = run_eval(
         &root.join("c"),
         &[&model[..], &["--matrix", "source=oracle;reasoner=vlm", "--max-usd", "0.03"]].concat(),
     );

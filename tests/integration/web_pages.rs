@@ -1,8 +1,11 @@
-//! What web pages need of the service: other origins, links without a key, marks, parts, and
-//! something to look at.
+//! What web pages need of the service: other origins, signed links, conditional requests, ranges,
+//! and images.
 
-use crate::archives::Scan;
-use crate::server::{Process, TestServer, command, finished, parsed, problem};
+use crate::test_scans::Scan;
+use crate::test_server::{
+    Process, TestServer, assert_contains, expect_problem, serve_command, upload_and_parse,
+    wait_for_job,
+};
 use camino::Utf8Path;
 use reqwest::{Method, StatusCode, header};
 use std::process::Stdio;
@@ -14,19 +17,19 @@ use uniground_types::scenes::Created;
 const KEY: &str = "ug_0123456789abcdef";
 const PAGE: &str = "https://robots.example";
 
-fn pages_of(page: &str, data: &Utf8Path, key: bool) -> Process {
-    let mut command = command(data, "127.0.0.1:0");
+fn start_with_origin(page: &str, data: &Utf8Path, key: bool) -> Process {
+    let mut command = serve_command(data, "127.0.0.1:0");
     command.args(["--cors-origin", page]).stderr(Stdio::null());
     if key {
         command.env("UNIGROUND_API_KEY", KEY);
     }
-    Process::started(&mut command)
+    Process::spawn(&mut command)
 }
 
 #[tokio::test]
-async fn pages_of_named_origins_may_ask_and_others_may_not() {
+async fn only_allowed_origins_can_send_requests() {
     let data = tempfile::tempdir().unwrap();
-    let process = pages_of(PAGE, Utf8Path::from_path(data.path()).unwrap(), false);
+    let process = start_with_origin(PAGE, Utf8Path::from_path(data.path()).unwrap(), false);
     let client = &process.client;
     let preflight = async |origin: &str| {
         let request = client.request(Method::OPTIONS, "v1/scenes").header("origin", origin);
@@ -57,10 +60,11 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
     let listed =
         client.request(Method::GET, "v1/scenes").header("origin", PAGE).send().await.unwrap();
     assert_eq!(listed.headers()["access-control-allow-origin"], PAGE);
-    assert!(
-        listed.headers()["access-control-expose-headers"].to_str().unwrap().contains("retry-after")
+    assert_contains(
+        listed.headers()["access-control-expose-headers"].to_str().unwrap(),
+        "retry-after",
     );
-    // A page of its own; what is no browser; a page that was named.
+    // A page of the server itself; a client that is not a browser; an allowed origin.
     let made = async |origin: Option<&str>, site: Option<&str>| {
         let request = client
             .request(Method::POST, "v1/links")
@@ -96,7 +100,7 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
     }
     assert_eq!(process.terminate(), Some(0));
 
-    let refused = command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0")
+    let refused = serve_command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0")
         .args(["--cors-origin", "*"])
         .output()
         .unwrap();
@@ -108,12 +112,12 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
 }
 
 #[tokio::test]
-async fn a_page_with_a_key_shows_pictures_by_links() {
+async fn signed_links_show_images_without_a_key() {
     let data = tempfile::tempdir().unwrap();
-    let process = pages_of(PAGE, Utf8Path::from_path(data.path()).unwrap(), true);
+    let process = start_with_origin(PAGE, Utf8Path::from_path(data.path()).unwrap(), true);
     let address = process.client.request(Method::GET, "").build().unwrap().url().clone();
     let known = Client::new(address.as_str(), Some(KEY.into())).unwrap();
-    let scene = parsed(&known, "application/zip", Scan::neutral().zip()).await;
+    let scene = upload_and_parse(&known, "application/zip", Scan::neutral().zip()).await;
     let below = format!("/v1/scenes/{}", scene.id);
     let paths = vec![
         format!("{below}/thumbnail.jpg"),
@@ -147,7 +151,7 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
             "{path}"
         );
     }
-    // Events are as a browser's `EventSource` asks for them.
+    // Events are requested like a browser's `EventSource` does.
     let events = process
         .client
         .request(Method::GET, links[2].url.as_ref().unwrap().trim_start_matches('/'))
@@ -155,8 +159,8 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
         .await
         .unwrap();
     assert_eq!(events.headers()[header::CONTENT_TYPE], "text/event-stream");
-    assert!(events.text().await.unwrap().contains("succeeded"));
-    // Reading is all a link is for.
+    assert_contains(events.text().await.unwrap(), "succeeded");
+    // Links allow reading only.
     let wrong = process.client.request(
         Method::DELETE,
         &format!("{}?link={}", below.trim_start_matches('/'), links[1].token),
@@ -167,15 +171,15 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
         &format!("{}/ground?link={}", below.trim_start_matches('/'), links[1].token),
     );
     let asked = asking.json(&serde_json::json!({"query": "the sofa"})).send().await.unwrap();
-    assert_eq!(asked.status(), StatusCode::UNAUTHORIZED, "asking may cost money");
+    assert_eq!(asked.status(), StatusCode::UNAUTHORIZED, "a link must not allow questions");
     assert_eq!(known.scene(&scene.id).await.unwrap().id, scene.id);
     assert_eq!(process.terminate(), Some(0));
 }
 
 #[tokio::test]
-async fn what_has_not_changed_is_not_sent_again() {
+async fn conditional_and_range_requests_are_supported() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let get = async |path: &str, headers: &[(&str, &str)]| {
         let request = server.client.request(Method::GET, &format!("v1/scenes/{}{path}", scene.id));
         headers
@@ -216,12 +220,12 @@ async fn what_has_not_changed_is_not_sent_again() {
             "{path}"
         );
     }
-    // A name given anew is another scene to look at.
+    // A renamed scene has a new entity tag.
     let mark = get("", &[]).await.headers()["etag"].clone();
     server.client.rename_scene(&scene.id, "other").await.unwrap();
     assert_ne!(get("", &[]).await.headers()["etag"], mark);
 
-    // Parts, for who reads a cloud piece by piece; and heads.
+    // Ranges, for clients that read a cloud piece by piece, and HEAD requests.
     let whole = get("/points.bin", &[]).await.bytes().await.unwrap();
     let part = get("/points.bin", &[("range", "bytes=0-43")]).await;
     assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
@@ -255,7 +259,7 @@ async fn what_has_not_changed_is_not_sent_again() {
         (StatusCode::OK, &*whole.len().to_string())
     );
 
-    // Compressed for who takes it: not pictures, not parts.
+    // Compression for clients that accept it, except for images and ranges.
     let taken = [("accept-encoding", "zstd, br;q=0.9, gzip;q=0.8")];
     for (path, is_compressed) in
         [("/instances", true), ("/cloud.ply", true), ("/thumbnail.jpg", false)]
@@ -277,16 +281,16 @@ async fn what_has_not_changed_is_not_sent_again() {
 }
 
 #[tokio::test]
-async fn there_is_something_to_look_at() {
+async fn thumbnails_photographs_and_points_are_served() {
     let server = TestServer::start().await;
     let sample = server.client.request(Method::POST, "v1/scenes/sample").send().await.unwrap();
     assert_eq!(sample.status(), StatusCode::ACCEPTED);
     let Created { scene, job } = sample.json().await.unwrap();
     assert_eq!(scene.name, uniground_service::sample::NAME);
     let early =
-        problem(server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await);
+        expect_problem(server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await);
     assert_eq!(early.code, "scene_not_ready");
-    assert_eq!(finished(&server.client, &job.unwrap().id).await.error, None);
+    assert_eq!(wait_for_job(&server.client, &job.unwrap().id).await.error, None);
     let small =
         server.client.bytes(&format!("v1/scenes/{}/thumbnail.jpg", scene.id)).await.unwrap();
     let small = image::load_from_memory(&small).unwrap().into_rgb8();
@@ -310,28 +314,31 @@ async fn there_is_something_to_look_at() {
         .zip(drawn.pixels())
         .filter(|(a, b)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 40))
         .count();
-    assert!(changed > plain.pixels().len() / 10, "instances are drawn over it ({changed} pixels)");
-    let missing = problem(
+    assert!(
+        changed > plain.pixels().len() / 10,
+        "instances must be drawn over the photograph ({changed} pixels)"
+    );
+    let missing = expect_problem(
         server.client.bytes(&format!("v1/scenes/{}/frames/9999/photograph.jpg", scene.id)).await,
     );
     assert_eq!((missing.status, missing.code.as_str()), (404, "frame_not_found"));
-    // Lists are short.
+    // Lists omit large fields.
     let listed = server.client.scenes(10, None).await.unwrap().scenes.remove(0);
     assert!(listed.settings.is_none() && listed.report.is_none() && listed.counts.is_some());
     assert!(server.client.scene(&scene.id).await.unwrap().settings.is_some());
     server.stop().await;
 }
 
-/// A parse from before points and small pictures were kept shows them all the same.
+/// A parse of a version that stored no points and thumbnails still shows them.
 #[tokio::test]
-async fn parses_from_before_can_be_looked_at() {
+async fn parses_of_earlier_versions_have_points_and_thumbnails() {
     let server = TestServer::start().await;
-    let scene = server.parsed(Scan::neutral().zip()).await;
+    let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let bytes = async |file: &str| {
         server.client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap()
     };
     let kept = (bytes("points.bin").await, bytes("thumbnail.jpg").await);
-    let parse = server.data().join("blobs/parses").join(&server.stored("blobs/parses")[0]);
+    let parse = server.data().join("blobs/parses").join(&server.list_folder("blobs/parses")[0]);
     let sums = std::fs::read_to_string(parse.join(".sha256sums")).unwrap();
     let before: String = sums
         .lines()

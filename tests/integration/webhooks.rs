@@ -1,7 +1,7 @@
-//! Being told when jobs end.
+//! Webhooks at the end of jobs.
 
-use crate::archives::Scan;
-use crate::server::{Process, command, finished, parsed};
+use crate::test_scans::Scan;
+use crate::test_server::{Process, serve_command, upload_and_parse, wait_for_job};
 use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
@@ -13,11 +13,15 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::sleep;
 
-/// What was told: the webhook's id, and its body.
-type Heard = Arc<Mutex<Vec<(String, Value)>>>;
+/// A received message: the webhook's id and its body.
+type ReceivedMessages = Arc<Mutex<Vec<(String, Value)>>>;
 
-/// Takes every message but the first.
-async fn hear(State(heard): State<Heard>, headers: HeaderMap, body: Bytes) -> StatusCode {
+/// Accepts every message except the first.
+async fn receive_webhook(
+    State(heard): State<ReceivedMessages>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> StatusCode {
     assert!(
         headers["webhook-signature"].to_str().unwrap().starts_with("v1,")
             && headers.contains_key("webhook-timestamp")
@@ -30,7 +34,7 @@ async fn hear(State(heard): State<Heard>, headers: HeaderMap, body: Bytes) -> St
     if heard.len() == 1 { StatusCode::SERVICE_UNAVAILABLE } else { StatusCode::NO_CONTENT }
 }
 
-async fn until(heard: &Heard, number: usize) -> Vec<(String, Value)> {
+async fn wait_for_messages(heard: &ReceivedMessages, number: usize) -> Vec<(String, Value)> {
     for _ in 0..600 {
         if heard.lock().unwrap().len() >= number {
             break;
@@ -41,17 +45,18 @@ async fn until(heard: &Heard, number: usize) -> Vec<(String, Value)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_end_of_a_job_is_told_until_somebody_listens() {
-    let heard = Heard::default();
+async fn a_webhook_is_retried_until_it_is_accepted() {
+    let heard = ReceivedMessages::default();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let url = format!("http://{}/hook", listener.local_addr().unwrap());
-    let router = axum::Router::new().route("/hook", post(hear)).with_state(heard.clone());
+    let router =
+        axum::Router::new().route("/hook", post(receive_webhook)).with_state(heard.clone());
     tokio::spawn(async move { axum::serve(listener, router).await });
 
     let data = tempfile::tempdir().unwrap();
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let start = |more: &[&str]| {
-        let mut command = command(folder, "127.0.0.1:0");
+        let mut command = serve_command(folder, "127.0.0.1:0");
         command.args(["--webhook-url", &url]).args(more);
         command
             .env("UNIGROUND_WEBHOOK_SECRET", "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw")
@@ -59,14 +64,14 @@ async fn the_end_of_a_job_is_told_until_somebody_listens() {
         command
     };
     let refused = start(&[]).output().unwrap();
-    assert_eq!(refused.status.code(), Some(1), "this machine's own addresses are not for webhooks");
-    let process = Process::started(&mut start(&["--webhook-allow-private"]));
-    let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
-    until(&heard, 1).await;
-    // Not taken, and the server is killed: the next one tells it again.
+    assert_eq!(refused.status.code(), Some(1), "loopback addresses must be refused for webhooks");
+    let process = Process::spawn(&mut start(&["--webhook-allow-private"]));
+    let scene = upload_and_parse(&process.client, "application/zip", Scan::neutral().zip()).await;
+    wait_for_messages(&heard, 1).await;
+    // The message was not accepted and the server is killed: the next server sends it again.
     process.kill();
-    let process = Process::started(&mut start(&["--webhook-allow-private"]));
-    let told = until(&heard, 2).await;
+    let process = Process::spawn(&mut start(&["--webhook-allow-private"]));
+    let told = wait_for_messages(&heard, 2).await;
     let [(first, event), (second, _)] = told.as_slice() else { panic!("{told:?}") };
     assert_eq!((first, &event["type"]), (second, &json!("job.succeeded")));
     let job = &event["data"]["job"];
@@ -78,8 +83,8 @@ async fn the_end_of_a_job_is_told_until_somebody_listens() {
     let batch = json!({"items": [{"query": "the red sofa", "scene_id": scene.id}]});
     let batch =
         process.client.create_batch(&serde_json::from_value(batch).unwrap(), None).await.unwrap();
-    finished(&process.client, batch.job_id.as_deref().unwrap()).await;
-    let told = until(&heard, 3).await;
+    wait_for_job(&process.client, batch.job_id.as_deref().unwrap()).await;
+    let told = wait_for_messages(&heard, 3).await;
     assert_eq!(
         (&told[2].1["data"]["batch"]["state"], told.len()),
         (&json!("succeeded"), 3),

@@ -1,4 +1,4 @@
-"""The networks of bundles behind a real server of the KServe v2 protocol (the Python package kserve), for tests of remote inference.
+"""Serves the networks of bundles with a real server of the KServe v2 protocol (the Python package kserve), for tests of remote inference.
 
     server.py PORT BUNDLE...          names are <bundle>-<file without extension>, as uniground asks for them
 """

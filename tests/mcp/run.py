@@ -1,5 +1,5 @@
-"""Two clients that exist against a real server: the Python SDK, over HTTP by the current revision and by the handshake of older ones, and over
-stdio; and the official inspector's command line, where npx is there. The SDK holds every answer against the tool's own output schema.
+"""Two existing MCP clients against a real server: the Python SDK, over HTTP with the current revision and with the handshake of older ones, and
+over stdio; and the official inspector's command line if npx is installed. The SDK checks every answer against the tool's output schema.
 
     python tests/mcp/run.py --program target/release/uniground
 """
@@ -31,7 +31,7 @@ ROBOT = {"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2, "reach_m": 0.8}
 
 @contextmanager
 def serving(program: str, data: Path) -> Iterator[str]:
-    """The address of a server on a folder, until the block ends."""
+    """Serves a folder until the block ends, and yields the address."""
     command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", str(data), *PARTS]
     with (data.parent / "log").open("a") as log, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True) as server:
         assert server.stdout is not None
@@ -50,7 +50,7 @@ def get(url: str, body: bytes | None = None) -> dict[str, Any]:
 
 
 async def parsed(url: str) -> str:
-    """The sample's scene, once it is parsed."""
+    """Returns the sample's scene once it is parsed."""
     scene = get(f"{url}/v1/scenes?name=sample", SAMPLE.read_bytes())["scene"]["id"]
     for _ in range(600):
         if get(f"{url}/v1/scenes/{scene}")["status"] == "ready":
@@ -60,7 +60,7 @@ async def parsed(url: str) -> str:
 
 
 async def asks(client: Client, scene: str) -> None:
-    """Every tool once, as an agent would use them."""
+    """Calls every tool once, as an agent would."""
     tools = {tool.name: tool for tool in (await client.list_tools()).tools}
     here = {"ground", "list_objects", "get_object", "relations", "approach", "render_view"}
     assert set(tools) == {"list_scenes", "find_in_scenes", *here}, tools
@@ -115,7 +115,7 @@ async def sdk(program: str, data: Path) -> None:
 def inspect(url: str, scene: str) -> None:
     npx = shutil.which("npx")
     if npx is None:
-        print("left out: the inspector, there is no npx")
+        print("skipped: the inspector, there is no npx")
         return
 
     def ask(*method: str) -> dict[str, Any]:

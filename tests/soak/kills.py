@@ -1,11 +1,12 @@
-"""Kills at seeded moments while a server receives, parses, asks a model on behalf of a batch and keeps house. What was acknowledged must be
-there, what was begun must be finished, and nothing may be paid for twice that was kept."""
+"""Kills at seeded moments while a server receives uploads, parses, runs a batch with a model and does maintenance. Acknowledged data must be
+there, started work must finish, and no stored answer may be paid for twice.
+"""
 import random
 import threading
 import time
 from dataclasses import dataclass, field
 
-import verdict
+import kill_checks
 from model import Model
 from questions import questions
 from records import Records
@@ -13,19 +14,19 @@ from scans import Scans
 from server import Server, doctor, log_lines
 from table import Table
 from wire import expect
-from work import OTHER_SETTINGS, Asker, Batch, Uploader, follow_job, instances, upload
+from workload import OTHER_SETTINGS, Asker, Batch, Uploader, follow_job, instances, upload
 
 SEED = 20261122
-# Questions a batch asks at once, where it does not say: no more can be under way when a kill comes.
+# Default concurrency of a batch: the maximum number of calls in progress at a kill.
 WIDTH = 4
-# What a server lives on the average between two kills, seconds; for the model's pace.
+# Average life of a server between two kills in seconds; used for the model's pace.
 USUAL_LIFE_S = 1.5
-# A server keeps house a minute after its start.
+# A server starts maintenance a minute after its start.
 HOUSEKEEPING_S = 60
-# Lives in a row that lasted so long together, and brought so many answers, have brought a batch further, whatever the last half second of
-# each held: progress is written down twice a second.
+# Consecutive lives that together lasted this long and produced this many answers have advanced a batch, even without the last half second of each,
+# because progress is saved twice a second.
 LONG_S, MANY_ANSWERS = 3.0, 20
-# What is left to finish has to be finished by then.
+# Remaining work must finish within this time.
 END_S = {False: 180, True: 1200}
 
 
@@ -35,26 +36,26 @@ class Life:
     moment: str
     killed: float = 0.0
     lasted_s: float = 0.0
-    # Items of the batch with a kept answer after the kill.
+    # Items of the batch with a stored answer after the kill.
     kept: set = field(default_factory=set)
     open_items: int = 0
-    # How often in a row the batch's job had been interrupted, as far as the server counts; None where it was not running.
+    # How many consecutive interruptions of the batch's job the server counts; None if it was not running.
     interruptions: int = None
 
 
 @dataclass
-class Storm:
-    """Everything that is known in the end."""
+class KillRun:
+    """Everything recorded during the kills."""
     items: list
     model: Model
     lives: list = field(default_factory=list)
     complaints: list = field(default_factory=list)
-    # Reservations that a kill left behind, by id: US dollars.
+    # Reservations that a kill left open, by id, in US dollars.
     reserved: dict = field(default_factory=dict)
 
 
 def moments(kills, full):
-    """When each server dies: how that is found, and how long it takes."""
+    """Returns the moment at which each server is killed: how it is found, and how long it takes."""
     dice = random.Random(SEED)
     plan = []
     for kill in range(kills):
@@ -64,36 +65,37 @@ def moments(kills, full):
         elif full and kill % 33 == 30:
             plan.append(("housekeeping", HOUSEKEEPING_S + dice.uniform(0.0, 4.0)))
         else:
-            # While it starts; soon after a reply of the model, when its answer is being kept; at any moment.
+            # During startup; shortly after a reply of the model, while its answer is being stored; at any moment.
             kind = dice.choices(["starting", "reply", "any"], [15, 35, 50])[0]
             wait = {"starting": dice.uniform(0.0, 0.15), "reply": dice.uniform(0.0, 0.02), "any": dice.uniform(0.3, 3.5)}[kind]
-            # In the short form long enough for a parse to get further: one that does not is put off for 30 s, and nobody waits for that there.
+            # In the short form long enough for a parse to make progress. A parse without progress is delayed for 30 s, which the short form cannot
+            # wait for.
             plan.append((kind, wait if full or kind != "any" else 1.2 + wait / 4))
     return plan
 
 
 def items_of(scenes, number):
-    """Questions for the model, no two alike. Photographs take time to draw: every fourth has them."""
+    """Returns different questions for the model. Every fourth uses photographs, which take time to render."""
     wanted = [{} if i % 4 == 0 else {"ablation": "no_candidate"} for i in range(number)]
     asked = questions(number, SEED)
     return [{"scene_id": scenes[i % len(scenes)], "query": asked[i], "reasoner": "vlm", **wanted[i]} for i in range(number)]
 
 
 def prepare(server, scans):
-    """The scenes that the batch asks about."""
+    """Uploads the scenes that the batch asks about."""
     connection = server.connection()
     scenes = []
     for name in ("base-0", "base-1"):
         created = upload(connection, scans, name)
         job = follow_job(connection, created["job"]["id"])
         if job["state"] != "succeeded":
-            raise AssertionError(f"the sample scan can not be parsed: {job}")
+            raise AssertionError(f"the sample scan could not be parsed: {job}")
         scenes.append(created["scene"]["id"])
     return scenes
 
 
 def undisturbed(program, folder, number, scans):
-    """What a server answers that nobody kills: results of the batch, and the instances of both parses of a variant."""
+    """Returns the results of an undisturbed server: those of the batch, and the instances of both parses of a variant."""
     model = Model()
     with Server(program, folder / "calm", folder / "calm.log", *model.flags) as server:
         scenes = prepare(server.ready(), scans)
@@ -111,12 +113,12 @@ def undisturbed(program, folder, number, scans):
         server.terminate()
     model.shutdown()
     stumbled = log_lines(folder / "calm.log", ("WARN", "ERROR"))[0]["job failed"]
-    return verdict.answers(batch.followed), (first, second), len(model.calls), stumbled
+    return kill_checks.answers(batch.followed), (first, second), len(model.calls), stumbled
 
 
 def no_reason_to_wait(lives):
-    """Why a batch should not have been put off: in the lives that the server counts as without progress it was answered. None where that
-    can not be said."""
+    """Returns why the batch's retry delay was wrong: items were answered in the lives that the server counts as without progress. None if that is
+    unknown."""
     if not lives or (lives[-1].interruptions or 0) < 2:
         return None
     # Those counted before the last kill, and the one that this kill ended.
@@ -129,7 +131,7 @@ def no_reason_to_wait(lives):
 
 
 def watch(server, batch, lives, stop):
-    """Looks whether the batch's job waits for another try, and has it put on at once, so that kills find it at work."""
+    """Restarts the batch's job whenever it waits for a retry, so that kills happen during its work."""
     why = no_reason_to_wait(lives)
     connection = server.connection()
     while not stop.wait(0.6):
@@ -146,12 +148,12 @@ def watch(server, batch, lives, stop):
 
 
 def at_work(storm, server, workers, stop):
-    """Threads of everybody who works with this server. Who is cut off by its death stops; what is wrong is told."""
+    """Starts the threads of all clients. They stop when the server is killed; errors are reported."""
     def live(work, *arguments):
         try:
             work(*arguments)
         except (OSError, ValueError) as error:
-            # A reply that was cut off; before the kill there is no reason for one.
+            # A truncated reply; before the kill there is no reason for one.
             if not stop.is_set():
                 storm.complaints.append(f"{work.__qualname__}: {type(error).__name__}: {error}")
         except Exception as error:  # pylint: disable=broad-except
@@ -165,14 +167,14 @@ def at_work(storm, server, workers, stop):
 
 
 def pace(life, left, storm, number):
-    """How long the model thinks, so that the batch lasts as long as the kills do."""
+    """Returns the model's pace for which the batch lasts as long as the kills."""
     open_items = storm.lives[-1].open_items if storm.lives and storm.lives[-1].kept else number
     expected_s = life[1] if life[0] == "housekeeping" else USUAL_LIFE_S
     return min(1.0, max(0.005, WIDTH * expected_s * (left + 3) / max(open_items, 1) - 0.1))
 
 
 def one_life(program, folder, storm, workers, moment):
-    """A server from its start to its kill."""
+    """Runs a server from its start to its kill."""
     kind, wait = moment
     life, stop, threads = Life(kind), threading.Event(), []
     data, model = folder / "storm", storm.model
@@ -205,13 +207,13 @@ def one_life(program, folder, storm, workers, moment):
 
 
 def finish(program, folder, storm, workers, full):
-    """The last server, that nobody kills: until everything is over. What it answers in the end, and how it stopped."""
+    """Runs the last server without a kill until all work is done. Returns its final state and how it stopped."""
     batch, stop, began = next(worker for worker in workers if isinstance(worker, Batch)), threading.Event(), time.time()
     storm.model.pace_s = 0.005
     with Server(program, folder / "storm", folder / "storm.log", *storm.model.flags) as server:
         server.ready()
         uploader, asker = workers[0], workers[2]
-        # What was begun is finished, nothing new is begun; it has its place in what was asked for.
+        # Started work finishes, and nothing new starts; the final server keeps its place in the call records.
         uploader.most = uploader.begun
         threads = at_work(storm, server, [uploader, batch], stop)
         for thread in threads[:2]:
@@ -219,24 +221,24 @@ def finish(program, folder, storm, workers, full):
         stop.set()
         if any(thread.is_alive() for thread in threads[:2]):
             storm.complaints.append(f"not everything was over after {END_S[full]} s")
-        told = verdict.Told(server, batch, uploader, asker)
+        told = kill_checks.FinalState(server, batch, uploader, asker)
         told.exit_code = server.terminate()
     return told
 
 
 def run(program, folder, full, kills=None):
-    """The table of it all."""
+    """Runs everything and returns the table."""
     kills, number = kills or (100 if full else 5), 2000 if full else 200
     table, scans = Table(f"kills: {kills} SIGKILLs, a batch of {number}, seed {SEED}"), Scans(6)
     start = time.time()
     expected, parses, calls, stumbled = undisturbed(program, folder, number, scans)
-    table.row("undisturbed run", f"{time.time() - start:.0f} s, {calls} calls of the model, tries of jobs that failed {stumbled}",
+    table.row("undisturbed run", f"{time.time() - start:.0f} s, {calls} model calls, failed job attempts {stumbled}",
               "failed 0", stumbled == 0)
     model = Model()
     with Server(program, folder / "storm", folder / "storm.log", *model.flags) as server:
         scenes = prepare(server.ready(), scans)
         server.terminate()
-    storm = Storm(items_of(scenes, number), model)
+    storm = KillRun(items_of(scenes, number), model)
     batch = Batch(storm.items)
     workers = [Uploader(scans, kills // 4 + 1, SEED), batch, Asker(scenes, questions(number + 100, SEED)[number:])]
     start = time.time()
@@ -248,12 +250,12 @@ def run(program, folder, full, kills=None):
     told = finish(program, folder, storm, workers, full)
     table.row("kills", f"{storm_s:.0f} s; the end {time.time() - start:.0f} s")
     model.shutdown()
-    verdict.judge_batch_job(table, batch)
-    verdict.judge(table, storm, told, expected, parses, folder / "storm")
+    kill_checks.judge_batch_job(table, batch)
+    kill_checks.judge(table, storm, told, expected, parses, folder / "storm")
     numbers, examples = log_lines(folder / "storm.log", ("WARN", "ERROR"))
-    # The model always answers and the disk has room: no job has a reason to stumble.
+    # The model always answers and the disk has space, so no job has a reason to fail.
     table.equal("tries of jobs that failed, by the log", numbers["job failed"], 0)
-    verdict.judge_folder(table, *doctor(program, folder / "storm"))
+    kill_checks.judge_folder(table, *doctor(program, folder / "storm"))
     for message, count in numbers.most_common(8):
         table.note(f"log, {count} times: {examples[message][:300]}")
     return table

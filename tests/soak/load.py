@@ -1,7 +1,8 @@
-"""Clients that ask for this and that, each over a connection of its own that is kept alive, in a process beside the driver's.
+"""Clients that send mixed requests, each over its own persistent connection, in a process separate from the driver.
 
-Each client waits a while between two requests, as people and robots do: what is measured is how long a request takes under this traffic,
-not how many a machine can do. One process asks for 32 clients; what it adds itself is measured against /healthz."""
+Each client pauses between two requests, as people and robots do: the measurement is the latency under this traffic, not the throughput of a machine.
+One process drives 32 clients; its own overhead is measured against /healthz.
+"""
 import asyncio
 import json
 import multiprocessing
@@ -15,24 +16,24 @@ MIX = {"ground": 50, "shortlist": 10, "scenes": 5, "batches": 3, "scene": 4, "in
        "events": 3, "healthz": 2}
 THINK_S = 0.2
 CLIENTS_PER_PROCESS = 32
-# How long somebody looks at the events of a job.
+# How long a client follows a job's events.
 EVENTS_S = 2.0
 PATIENCE_S = 60
 
 
 class Client:
-    """One client: what it asks for depends on its seed alone."""
+    """One client, whose requests depend only on its seed."""
 
     def __init__(self, address, scenes, questions, mix, think_s, seed):
         self.address, self.scenes, self.questions = address, scenes, questions
         self.kinds, self.weights, self.think_s = list(mix), list(mix.values()), think_s
         self.dice, self.answers, self.job = random.Random(seed), [], None
         self.reader = self.writer = None
-        # Kind, when it was asked, how long it took in seconds, status; 0 where the connection broke.
+        # Kind, start time, latency in seconds, status; 0 for a broken connection.
         self.told, self.closed_idle = [], 0
 
     def request(self, kind):
-        """Path and body of a request of this kind."""
+        """Returns path and body of a request of this kind."""
         scene = self.dice.choice(self.scenes)
         answer = self.answers[-1] if self.answers else None
         if kind == "ground" or answer is None and kind in ("answer", "evidence"):
@@ -48,7 +49,7 @@ class Client:
         return await asyncio.open_connection(*self.address, limit=1 << 22)
 
     async def ask(self, data):
-        """Status and body; over a new connection where the old one was closed meanwhile."""
+        """Returns status and body; uses a new connection if the old one was closed meanwhile."""
         for fresh in (False, True):
             if self.writer is None:
                 self.reader, self.writer = await self.connect()
@@ -72,7 +73,7 @@ class Client:
         raise ConnectionError("closed twice")
 
     async def events(self):
-        """Follows the newest job a while; the time is that to its first event."""
+        """Follows the newest job for a while and returns the time to its first event."""
         reader, writer = await self.connect()
         try:
             start = time.time()
@@ -121,7 +122,7 @@ def one_process(pipe, clients, until):
 
 
 class Load:
-    """So many clients at work until a time."""
+    """Runs this many clients until a time."""
 
     def __init__(self, address, scenes, questions, clients, until, mix=None, think_s=THINK_S, seed=0):
         self.parts, context = [], multiprocessing.get_context("fork")
@@ -134,7 +135,7 @@ class Load:
             self.parts.append((process, here))
 
     def told(self):
-        """Waits for the end: every request, and how often a connection had been closed while it was idle."""
+        """Waits for the end and returns every request, and how often a connection was closed while idle."""
         told, closed = [], 0
         for process, pipe in self.parts:
             part, idle = pipe.recv()
@@ -144,6 +145,6 @@ class Load:
 
 
 def percentile_ms(seconds, share):
-    """A percentile in milliseconds; NaN of nothing."""
+    """Returns a percentile in milliseconds; NaN without values."""
     ordered = sorted(seconds)
     return ordered[min(len(ordered) - 1, int(len(ordered) * share))] * 1e3 if ordered else float("nan")

@@ -1,4 +1,4 @@
-"""Who used the processor while something was measured: figures of a busy machine are told as such."""
+"""Reports which processes used the CPU during a measurement, so that figures of a busy machine are recognizable."""
 import os
 import time
 from pathlib import Path
@@ -7,23 +7,23 @@ TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class Watch:
-    """From now on, for one server."""
+    """Watches CPU use from now on, for one server."""
 
     def __init__(self, server):
         self.server, self.began = server, time.time()
         self.before = self.look()
 
     def look(self):
-        """Seconds of processor time: of the whole machine, of the server, of this process and its children that have ended."""
+        """Returns CPU seconds: of the whole machine, of the server, and of this process with its finished children."""
         fields = [int(word) for word in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:]]
-        # Everything but idle and waiting for the disk; guests are counted among users.
+        # Everything except idle and waiting for the disk; guests are counted among users.
         busy = sum(fields[:3] + fields[5:8]) / TICKS
         own = Path(f"/proc/{self.server.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
         times = os.times()
         return busy, (int(own[11]) + int(own[12])) / TICKS, sum(times[:4])
 
     def row(self, table):
-        """Cores used on the average since then; the generator's processes must have ended."""
+        """Adds a row with the average cores used since the start; the generator's processes must have ended."""
         span = time.time() - self.began
         busy, server, generator = ((now - before) / span for now, before in zip(self.look(), self.before))
         others = max(0.0, busy - server - generator)

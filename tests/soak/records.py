@@ -1,4 +1,4 @@
-"""What a stopped or killed server left in its database. Only a copy is opened: to look must not tidy up what the next server finds."""
+"""Reads the database of a stopped or killed server. Opens only a copy, so that reading does not clean up what the next server must handle."""
 import json
 import shutil
 import sqlite3
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 class Records:
-    """A copy of the database, as it lay on the disk."""
+    """A copy of the database as it was on the disk."""
 
     def __init__(self, data):
         self.folder = tempfile.TemporaryDirectory()
@@ -34,7 +34,7 @@ class Records:
         return next(iter(self.rows(sql, *values)[0].values()))
 
     def kept_items(self):
-        """Items of batches whose answer is kept, whether they are closed or not: batch and number of the item."""
+        """Returns the batch items with a stored answer, closed or not: batch and item number."""
         return {(row["batch_id"], row["item"]) for row in
                 self.rows("SELECT batch_id, item FROM batch_items JOIN answers ON answers.id = answer_id")}
 
@@ -51,7 +51,7 @@ class Records:
         return self.rows("SELECT id, kind, state, progress, attempts, interruptions, furthest, not_before, error_code, error FROM jobs")
 
     def answers_by_query(self):
-        """How many answers there are to each question."""
+        """Returns the number of answers to each question."""
         numbers = {}
         for row in self.rows("SELECT body FROM answers"):
             query = json.loads(row["body"])["query"]

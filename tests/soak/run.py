@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""What months do to a server, in minutes: kills, crowds, long lists.
+"""Soak tests: months of load in minutes, by kills, connection floods and long lists.
 
 usage: run.py --program target/release/uniground [--full] [--only kills|traffic|batch]
 
-The short form asserts what holds on any machine, however busy; the full form also what was promised of times and memory. Each part prints
-one table; the exit code is 1 where something did not hold. Only Python's standard library is needed, and Linux for sizes of processes.
+The short form asserts what holds on any machine, however busy; the full form also asserts the limits of time and memory. Each part prints one
+table; the exit code is 1 if a check failed. Needs only Python's standard library, and Linux for process sizes.
 """
 import argparse
 import importlib
@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-# The checkout stays as it is.
+# Do not write bytecode into the checkout.
 sys.dont_write_bytecode = True
 
 PARTS = ["kills", "traffic", "batch"]
@@ -25,11 +25,11 @@ PARTS = ["kills", "traffic", "batch"]
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--program", required=True, type=Path, help="the binary under test")
-    parser.add_argument("--full", action="store_true", help="the whole of it, about half an hour")
+    parser.add_argument("--full", action="store_true", help="the full form, about half an hour")
     parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--kills", type=int, help="another number of kills")
     parser.add_argument("--seconds", type=int, help="another duration of the traffic")
-    parser.add_argument("--keep", type=Path, help="leave data folders and logs here")
+    parser.add_argument("--keep", type=Path, help="keep data folders and logs in this folder")
     options = parser.parse_args()
     # Thousands of sockets, here and in the server, which inherits the limit.
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]

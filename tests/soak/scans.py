@@ -1,4 +1,4 @@
-"""Scans to upload: the sample room, with other bytes each time, so that every one is new to the server."""
+"""Scans to upload: the sample room with different bytes each time, so that each is new to the server."""
 import io
 import json
 import zipfile
@@ -8,10 +8,10 @@ SAMPLE = Path(__file__).parent.parent.parent / "examples" / "living_room.zip"
 
 
 class Scans:
-    """Variants of one scan. They hold the same room, so their parses must come out alike."""
+    """Variants of one scan. All contain the same room, so their parses must be equal."""
 
     def __init__(self, frames=None):
-        """`frames`: only so many of the first frames, for parses that are sooner done."""
+        """`frames` limits the number of frames, for faster parses."""
         with zipfile.ZipFile(SAMPLE) as sample:
             self.files = {name: sample.read(name) for name in sample.namelist()}
         if frames:
@@ -22,9 +22,9 @@ class Scans:
             self.files = {name: data for name, data in self.files.items() if name in kept or "/" not in name}
 
     def variant(self, name):
-        """The scan as a zip archive; another name makes other bytes."""
+        """Returns the scan as a zip archive; every name gives different bytes."""
         archive = io.BytesIO()
-        # What is packed already does not get smaller.
+        # Files that are already compressed do not get smaller.
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as target:
             for path, data in self.files.items():
                 target.writestr(zipfile.ZipInfo(path), data)

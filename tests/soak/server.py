@@ -1,4 +1,4 @@
-"""The program under test as a process: started, looked at from outside, killed."""
+"""The program under test as a process: started, observed from outside, killed."""
 import collections
 import json
 import os
@@ -10,11 +10,11 @@ from wire import Connection
 
 
 class Server:
-    """`uniground serve`, or another command that listens, over a data folder, its log beside it. It may not listen yet: `ready` waits for that."""
+    """`uniground serve`, or another listening command, on a data folder, with its log next to it. It may not listen yet: `ready` waits for that."""
 
     def __init__(self, program, data, log, *flags, command="serve", listen="127.0.0.1:0"):
         environment = {name: value for name, value in os.environ.items() if not name.startswith("UNIGROUND_")}
-        # Whatever lies in ./models: what is measured here needs none.
+        # Ignores models in ./models, because these measurements need none.
         environment |= {"UNIGROUND_MASKS": "builtin", "UNIGROUND_ENCODER": "builtin"}
         words = [program, command, "--listen", listen, "--data-dir", data, "--log-format", "json", *flags]
         with open(log, "ab") as log_file:
@@ -22,7 +22,7 @@ class Server:
         self.address = None
 
     def ready(self):
-        """Waits until it listens."""
+        """Waits until the server listens."""
         line = self.process.stdout.readline().decode()
         if "listening on" not in line:
             raise RuntimeError(f"the server did not start: {line!r}, exit code {self.process.wait()}")
@@ -34,13 +34,13 @@ class Server:
         return Connection(self.address, timeout_s)
 
     def kill(self):
-        """SIGKILL: no chance to tidy up."""
+        """Sends SIGKILL: the process cannot clean up."""
         self.process.kill()
         self.process.wait()
         self.process.stdout.close()
 
     def terminate(self, within_s=60):
-        """SIGTERM; the exit code."""
+        """Sends SIGTERM and returns the exit code."""
         self.process.send_signal(signal.SIGTERM)
         try:
             return self.process.wait(within_s)
@@ -48,7 +48,7 @@ class Server:
             self.kill()
 
     def status_mb(self, field):
-        """A size of the process as the kernel tells it, megabytes."""
+        """Returns a memory figure of the process from the kernel, in megabytes."""
         for line in Path(f"/proc/{self.process.pid}/status").read_text().splitlines():
             if line.startswith(field + ":"):
                 return int(line.split()[1]) / 1024
@@ -58,7 +58,7 @@ class Server:
         return self.status_mb("VmRSS")
 
     def peak_mb(self):
-        """Most that was resident since it was last forgotten."""
+        """Returns the peak resident memory since the last reset."""
         return self.status_mb("VmHWM")
 
     def forget_peak(self):
@@ -68,13 +68,13 @@ class Server:
         return self
 
     def __exit__(self, *_):
-        # No run leaves a server behind, however it ends.
+        # No run leaves a server running, however it ends.
         if self.process.poll() is None:
             self.kill()
 
 
 def log_lines(log, levels=("ERROR",)):
-    """How often which line of these levels stands in a log: by message, with one whole line as an example."""
+    """Counts the log lines of these levels by message, with one full line as an example."""
     numbers, examples = collections.Counter(), {}
     for line in Path(log).read_text(errors="replace").splitlines():
         try:
@@ -90,6 +90,6 @@ def log_lines(log, levels=("ERROR",)):
 
 
 def doctor(program, data):
-    """What `uniground doctor` says of a stopped server's folder: exit code and text."""
+    """Returns exit code and output of `uniground doctor` on a stopped server's folder."""
     done = subprocess.run([program, "doctor", "--data-dir", data], capture_output=True, text=True)
     return done.returncode, done.stdout + done.stderr

@@ -1,4 +1,4 @@
-"""One table of figures, and what did not hold."""
+"""A table of figures, and the checks that failed."""
 
 
 class Table:
@@ -6,7 +6,7 @@ class Table:
         self.title, self.rows, self.failed, self.notes = title, [], [], []
 
     def row(self, what, figure, wanted="", held=True):
-        """A figure; `wanted` says what was promised, and `held` whether it is kept. A figure without a promise is only told."""
+        """Adds a figure. `wanted` is the requirement and `held` whether it is met. A figure without a requirement is for information."""
         self.rows.append((what, str(figure), wanted, "" if held else "<-- FAILED"))
         if not held:
             self.failed.append(what)
@@ -15,7 +15,7 @@ class Table:
         self.row(what, figure, str(wanted), figure == wanted)
 
     def note(self, text):
-        """Said under the table."""
+        """Adds a line below the table."""
         self.notes.append(text)
 
     def print(self):

@@ -1,10 +1,10 @@
-"""Mixed traffic of 64 clients beside parses, and the same with a crowd of idle streams and stalled uploads."""
+"""Mixed traffic of 64 clients during parses, without and with a flood of idle streams and stalled uploads."""
 import collections
 import json
 import threading
 import time
 
-from crowd import Crowd
+from flood import Flood
 from load import Load, percentile_ms
 from machine import Watch
 from model import Model
@@ -13,18 +13,18 @@ from scans import Scans
 from server import Server, log_lines
 from table import Table
 from wire import expect
-from work import follow_job, upload
+from workload import follow_job, upload
 
 CLIENTS = 64
-# Of the traffic without a crowd: how much is warming up, and how long the first and the last window of memory are.
+# For traffic without a flood: the share that counts as warm-up, and the length of the first and last memory window.
 WARM, WINDOW = 0.2, 0.2
-# Right answers to a crowd: its own limits, no place, and 20 s of silence.
-FOR_CROWDS = {200, 408, 429, 503}
+# Correct statuses for a flood: its own limits, no permit, and 20 s of silence.
+FLOOD_STATUSES = {200, 408, 429, 503}
 
 
 class Parses:
-    """Two people who upload scans, back to back: each waits for the parse, deletes the scene and comes with the next. Where stalled uploads
-    have taken all places for uploads, they have another scene parsed again meanwhile, with settings of its own each time."""
+    """Two users who upload scans continuously: each waits for the parse, deletes the scene and uploads the next. While stalled uploads hold all
+    upload permits, they reparse another scene with new settings instead."""
 
     def __init__(self, server, scans, spares):
         self.over, self.done, self.refused, self.complaints, self.spares = threading.Event(), 0, 0, [], spares
@@ -63,7 +63,7 @@ class Parses:
 
 
 class Memory:
-    """Resident megabytes of the server, twice a second."""
+    """Records the server's resident megabytes twice a second."""
 
     def __init__(self, server):
         self.samples, self.over = [], threading.Event()
@@ -84,30 +84,30 @@ class Memory:
 
 
 def waiting_job(connection, scene):
-    """A job that is not over for minutes: a batch whose model thinks."""
+    """Returns a job that stays unfinished for minutes: a batch whose model is slow."""
     item = json.dumps({"scene_id": scene, "query": "the red sofa", "reasoner": "vlm"}).encode()
     return expect(connection.call("POST", "/v1/batches", item, "application/jsonl"), 202)["job_id"]
 
 
 def within(told, windows, kind):
-    """How long requests of a kind took that were asked within these times, seconds."""
+    """Returns the latencies in seconds of requests of a kind that were sent within these periods."""
     return [took for what, at, took, status in told if what == kind and status < 400 and any(a <= at < b for a, b in windows)]
 
 
 class Course:
-    """When what went on: times of begin and end."""
+    """The phases of the run: times of begin and end."""
 
     def __init__(self, begin, calm_s, full):
         self.turns, self.crowd_s, self.pause_s = (3, calm_s * 0.15, calm_s * 0.1) if full else (1, 5, 2)
-        # A crowd needs a moment to come and to go; its arrival is told by itself.
+        # A flood needs a moment to start and to end; its arrival is measured separately.
         self.arrival_s = 5 if full else 2
         self.calm = (begin, begin + calm_s)
         self.end = begin + calm_s + self.turns * (self.arrival_s + self.crowd_s + self.arrival_s + self.pause_s)
-        # In turns: with a crowd, and without, the last of the time before the first crowd included.
+        # Alternating with and without a flood, including the last period before the first flood.
         self.crowds, self.arrivals, self.pauses = [], [], [(self.calm[1] - self.pause_s, self.calm[1])]
 
     def follow(self, make_crowd):
-        """Lets crowds come and go; what they were told."""
+        """Starts and ends floods and returns the statuses they received."""
         told = []
         for _ in range(self.turns):
             crowd, at = make_crowd(), time.time()
@@ -123,19 +123,19 @@ class Course:
 
 
 def prepare(connection, scans, number):
-    """So many scenes, parsed."""
+    """Uploads and parses this many scenes."""
     scenes = []
     for at in range(number):
         created = upload(connection, scans, f"base-{at}")
         job = follow_job(connection, created["job"]["id"])
         if job["state"] != "succeeded":
-            raise AssertionError(f"the sample scan can not be parsed: {job}")
+            raise AssertionError(f"the sample scan could not be parsed: {job}")
         scenes.append(created["scene"]["id"])
     return scenes
 
 
 def run(program, folder, full, seconds=None):
-    """The table of it all."""
+    """Runs everything and returns the table."""
     calm_s = seconds or (300 if full else 10)
     streams, uploads = (2000, 1000) if full else (200, 100)
     table = Table(f"traffic: {CLIENTS} clients beside two people who upload, {calm_s} s, then in turns with a crowd of {streams} + {uploads}")
@@ -143,18 +143,18 @@ def run(program, folder, full, seconds=None):
     model.pace_s = 3600
     with Server(program, folder / "data", folder / "log", *model.flags, "--max-connections", 8192 if full else 1024) as server:
         connection = server.ready().connection()
-        # Two are not asked about.
+        # Two scenes are not queried.
         *scenes, spare, other_spare = prepare(connection, scans, 5)
-        # What the generator itself adds: the same clients, a request that does nothing.
+        # The generator's own overhead: the same clients with a trivial request.
         alone, _ = Load(server.address, scenes, asked, CLIENTS, time.time() + (5 if full else 2), {"healthz": 1}).told()
         nothing = [took for _, _, took, _ in alone]
-        table.row("generator: /healthz, server idle", f"p50 {percentile_ms(nothing, 0.5):.1f}, p99 {percentile_ms(nothing, 0.99):.1f} ms", "told only")
+        table.row("generator: /healthz, server idle", f"p50 {percentile_ms(nothing, 0.5):.1f}, p99 {percentile_ms(nothing, 0.99):.1f} ms", "for information")
         job, memory, parses = waiting_job(connection, scenes[0]), Memory(server), Parses(server, scans, (spare, other_spare))
         course, watch = Course(time.time(), calm_s, full), Watch(server)
         load = Load(server.address, scenes, asked, CLIENTS, course.end, seed=1000)
         time.sleep(calm_s)
         done_calm, peak_calm = parses.done, server.peak_mb()
-        crowd_told = course.follow(lambda: Crowd(server.address, job, streams, uploads))
+        crowd_told = course.follow(lambda: Flood(server.address, job, streams, uploads))
         told, closed_idle = load.told()
         peak = server.peak_mb()
         watch.row(table)
@@ -163,13 +163,13 @@ def run(program, folder, full, seconds=None):
         code = server.terminate()
     model.shutdown()
     judge(table, told, course, full)
-    table.row("connections closed while idle, and opened again", closed_idle, "told only")
+    table.row("connections closed while idle and reopened", closed_idle, "for information")
     judge_crowd(table, crowd_told, streams, uploads)
     judge_memory(table, memory, course.calm, full)
-    table.row("resident at most, without and with a crowd", f"{peak_calm:.0f} and {peak:.0f} MB", "told only")
-    table.row("parses done beside the traffic", f"{done_calm} without a crowd, {parses.done} in all", "some", done_calm > 0)
-    table.row("uploads sent away because stalled ones had all places", parses.refused, "told only")
-    table.row("uploads and parses that should have gone well", len(parses.complaints), "0", not parses.complaints)
+    table.row("peak resident memory, without and with a flood", f"{peak_calm:.0f} and {peak:.0f} MB", "for information")
+    table.row("parses completed during the traffic", f"{done_calm} without a flood, {parses.done} in total", "some", done_calm > 0)
+    table.row("uploads refused because stalled ones held all permits", parses.refused, "for information")
+    table.row("uploads and parses that failed unexpectedly", len(parses.complaints), "0", not parses.complaints)
     for complaint in parses.complaints[:5]:
         table.note(complaint)
     numbers, examples = log_lines(folder / "log")
@@ -181,62 +181,62 @@ def run(program, folder, full, seconds=None):
 
 
 def judge_memory(table, memory, calm, full):
-    """Whether the server grows under the same traffic."""
+    """Checks whether memory grows under constant traffic."""
     begin, end = calm
     window = WINDOW * (end - begin)
     first = memory.mean(begin + WARM * (end - begin), begin + WARM * (end - begin) + window)
     last = memory.mean(end - window, end)
     tenths = [memory.mean(begin + (end - begin) * at / 10, begin + (end - begin) * (at + 1) / 10) for at in range(10)]
-    table.row("resident, tenth by tenth of that time", " ".join(f"{mb:.0f}" for mb in tenths) + " MB", "told only")
+    table.row("resident memory, by tenths of that time", " ".join(f"{mb:.0f}" for mb in tenths) + " MB", "for information")
     growth = last / first - 1
-    table.row("resident, first window after warming up, and last", f"{first:.0f} and {last:.0f} MB: {growth * 100:+.1f} %",
-              "+5 % at most" if full else "told only", not full or growth <= 0.05)
+    table.row("resident memory, first window after warm-up, and last", f"{first:.0f} and {last:.0f} MB: {growth * 100:+.1f} %",
+              "+5 % at most" if full else "for information", not full or growth <= 0.05)
 
 
 def judge(table, told, course, full):
-    """Statuses and times."""
+    """Checks statuses and latencies."""
     begin, end = course.calm
     numbers = collections.Counter((kind, status) for kind, _, _, status in told)
     in_calm = [one for one in told if begin <= one[1] < end]
     wrong_calm = collections.Counter((kind, status) for kind, _, _, status in in_calm if status == 0 or status >= 500)
     wrong = collections.Counter({key: count for key, count in numbers.items() if key[1] == 0 or key[1] >= 500})
-    table.row("requests", f"{len(in_calm)} without a crowd, {len(in_calm) / (end - begin):.0f} a second; {len(told)} in all")
-    table.row("5xx and connections that broke, without a crowd", sum(wrong_calm.values()), "0", not wrong_calm)
+    table.row("requests", f"{len(in_calm)} without a flood, {len(in_calm) / (end - begin):.0f} per second; {len(told)} in total")
+    table.row("5xx and broken connections, without a flood", sum(wrong_calm.values()), "0", not wrong_calm)
     in_crowd = wrong - wrong_calm
-    # Beyond its limits a server may send people away; nothing else.
+    # Above its limits a server may answer 503, but nothing else.
     unfit = {key: count for key, count in in_crowd.items() if key[1] != 503}
-    table.row("5xx and connections that broke, with a crowd", f"{sum(in_crowd.values())}, of them 503 {sum(in_crowd.values()) - sum(unfit.values())}",
+    table.row("5xx and broken connections, with a flood", f"{sum(in_crowd.values())}, of them 503 {sum(in_crowd.values()) - sum(unfit.values())}",
               "503 only", not unfit)
     for key, count in (wrong_calm + in_crowd).most_common(6):
         table.note(f"{key[0]} got {key[1]} {count} times")
     others = {f"{kind} {status}": count for (kind, status), count in sorted(numbers.items()) if 400 <= status < 500}
-    table.row("4xx", json.dumps(others), "told only")
+    table.row("4xx", json.dumps(others), "for information")
     for kind in sorted({kind for kind, *_ in told}):
         took = within(told, [course.calm], kind)
-        table.row(f"{kind}, without a crowd", f"n {len(took)}, p50 {percentile_ms(took, 0.5):.1f}, p95 {percentile_ms(took, 0.95):.1f}, "
+        table.row(f"{kind}, without a flood", f"n {len(took)}, p50 {percentile_ms(took, 0.5):.1f}, p95 {percentile_ms(took, 0.95):.1f}, "
                   f"p99 {percentile_ms(took, 0.99):.1f} ms")
     ground, evidence = within(told, [course.calm], "ground"), within(told, [course.calm], "evidence")
     p99, p95 = percentile_ms(ground, 0.99), percentile_ms(evidence, 0.95)
-    # A busy machine may take seconds; that it answers at all is what the short form asserts.
+    # A busy machine may take seconds. The short form only asserts that there is an answer.
     for what, figure, most in [("ground, p99", p99, 50 if full else 10_000), ("evidence pictures, p95", p95, 250 if full else 20_000)]:
         table.row(what, f"{figure:.1f} ms", f"{most} ms" + ("" if full else ", for busy machines"), figure < most)
     before, with_crowd = (percentile_ms(within(told, windows, "ground"), 0.99) for windows in (course.pauses, course.crowds))
     coming = percentile_ms(within(told, course.arrivals, "ground"), 0.99)
     change = with_crowd / before - 1
-    table.row("ground p99 in turns: without, with a crowd", f"{before:.1f}, {with_crowd:.1f} ms: {change * 100:+.0f} %",
-              "+50 % at most" if full else "told only", not full or change < 0.5)
-    table.row("ground p99 while a crowd arrives", f"{coming:.1f} ms", "told only")
+    table.row("ground p99, alternating: without, with a flood", f"{before:.1f}, {with_crowd:.1f} ms: {change * 100:+.0f} %",
+              "+50 % at most" if full else "for information", not full or change < 0.5)
+    table.row("ground p99 while a flood starts", f"{coming:.1f} ms", "for information")
     for kind in ("evidence", "healthz"):
         before, with_crowd = (percentile_ms(within(told, windows, kind), 0.95) for windows in (course.pauses, course.crowds))
-        table.row(f"{kind} p95 in turns: without, with a crowd", f"{before:.1f}, {with_crowd:.1f} ms", "told only")
+        table.row(f"{kind} p95, alternating: without, with a flood", f"{before:.1f}, {with_crowd:.1f} ms", "for information")
 
 
 def judge_crowd(table, crowd_told, streams, uploads):
-    """What the crowd was told."""
+    """Checks the statuses that the flood received."""
     for kind, number in (("streams", streams), ("uploads", uploads)):
         statuses = collections.Counter()
         for told in crowd_told:
             statuses.update(told[kind])
-        strange = {status for status in statuses if status and status not in FOR_CROWDS}
-        table.row(f"crowd of {number} {kind}: statuses", json.dumps(dict(sorted(statuses.items()))), f"of {sorted(FOR_CROWDS)}", not strange)
-    table.row("crowd: connections open at its end", ", ".join(str(told["open at the end"]) for told in crowd_told), "told only")
+        strange = {status for status in statuses if status and status not in FLOOD_STATUSES}
+        table.row(f"flood of {number} {kind}: statuses", json.dumps(dict(sorted(statuses.items()))), f"of {sorted(FLOOD_STATUSES)}", not strange)
+    table.row("flood: connections open at its end", ", ".join(str(told["open at the end"]) for told in crowd_told), "for information")

@@ -1,16 +1,16 @@
-"""HTTP/1.1 over one socket, kept alive: little enough that what is measured is the server and not the client."""
+"""HTTP/1.1 over one persistent socket, minimal so that the measurement is of the server and not of the client."""
 import json
 import socket
 from dataclasses import dataclass
 
 
 class Broken(ConnectionError):
-    """The connection ended before its answer did."""
+    """The connection ended before its response did."""
 
 
 @dataclass
 class Reply:
-    """An answer, read to its end."""
+    """A complete response."""
     status: int
     headers: dict
     body: bytes
@@ -20,7 +20,7 @@ class Reply:
 
 
 def request_bytes(method, path, body=b"", media_type="application/json", headers=()):
-    """A request as it goes over the wire."""
+    """Returns a request as bytes."""
     lines = [f"{method} {path} HTTP/1.1", "host: localhost", f"content-length: {len(body)}"]
     if body:
         lines.append(f"content-type: {media_type}")
@@ -29,7 +29,7 @@ def request_bytes(method, path, body=b"", media_type="application/json", headers
 
 
 def read_head(text):
-    """Status and headers of an answer's first bytes, without the empty line that ends them."""
+    """Reads status and headers of a response from its first bytes, without the empty line at their end."""
     lines = text.decode("latin-1").split("\r\n")
     headers = {}
     for line in lines[1:]:
@@ -39,7 +39,7 @@ def read_head(text):
 
 
 class Connection:
-    """One connection to a server; opened again where the server has closed it between two requests."""
+    """One connection to a server; opened again if the server closed it between two requests."""
 
     def __init__(self, address, timeout_s=60.0):
         self.address, self.timeout_s = address, timeout_s
@@ -56,7 +56,7 @@ class Connection:
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def send(self, data):
-        """Sends a whole request and reads its answer."""
+        """Sends a whole request and reads its response."""
         for _ in range(2):
             fresh = not self.used
             try:
@@ -66,20 +66,20 @@ class Connection:
                 return self.read_reply()
             except OSError as error:
                 self.close()
-                # A connection that was kept alive may have been closed meanwhile: once more, on a new one. Nothing was answered yet.
+                # A persistent connection may have been closed meanwhile: retry once on a new one. No response had begun.
                 if fresh or isinstance(error, (Broken, TimeoutError)):
                     raise
         raise Broken("closed twice")
 
     def call(self, method, path, body=None, media_type="application/json", headers=()):
-        """A request with a JSON body, or with bytes as they are."""
+        """Sends a request with a JSON body, or with raw bytes."""
         data = b"" if body is None else body if isinstance(body, bytes) else json.dumps(body).encode()
         return self.send(request_bytes(method, path, data, media_type, headers))
 
     def more(self):
         chunk = self.socket.recv(1 << 18)
         if not chunk:
-            # Before the first byte this is a connection that was closed while it was idle.
+            # Before the first byte, this is a connection that was closed while idle.
             raise Broken("the answer was cut off") if self.rest or not self.used else ConnectionResetError("closed while idle")
         self.rest += chunk
 
@@ -114,14 +114,14 @@ class Connection:
         return Reply(status, headers, body)
 
     def chunks(self):
-        """The pieces of a body whose length nobody knows yet."""
+        """Yields the pieces of a chunked body."""
         while size := int(self.until(b"\r\n"), 16):
             yield self.exactly(size)
             self.exactly(2)
         self.exactly(2)
 
     def stream(self, path):
-        """Lines of an answer that is made while it is read."""
+        """Yields the lines of a streamed response."""
         self.open()
         self.socket.sendall(request_bytes("GET", path))
         status, headers = read_head(self.until(b"\r\n\r\n"))
@@ -135,7 +135,7 @@ class Connection:
 
 
 def expect(reply, *statuses):
-    """The answer's JSON, where it has one of these statuses."""
+    """Returns the response's JSON if it has one of these statuses."""
     if reply.status not in statuses:
         raise AssertionError(f"status {reply.status}, expected {statuses}: {reply.body[:400]!r}")
     return reply.json()

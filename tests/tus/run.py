@@ -1,5 +1,5 @@
-"""Two clients of tus that exist against a real server that is killed in the middle: Python's tuspy, with checksums, and tus-js-client,
-where node is there. Each uploads the sample scan in parts, loses its server, and goes on where it was.
+"""Two existing tus clients against a real server that is killed during the upload: Python's tuspy, with checksums, and tus-js-client if Node
+is installed. Each uploads the sample scan in parts, loses its server, and resumes at its offset.
 
     python tests/tus/run.py --program target/release/uniground
 """
@@ -27,7 +27,7 @@ KEY = "a-key-for-tests-0123456789abcdef0123456789"
 
 
 class Server:
-    """A server on one address, however often it is killed."""
+    """A server on one address across kills."""
 
     def __init__(self, program: str, data: Path) -> None:
         with socket.socket() as free:
@@ -69,7 +69,7 @@ def tuspy(server: Server) -> None:
     server.kill()
     try:
         uploader.upload_chunk()
-        raise AssertionError("nobody was there")
+        raise AssertionError("the server did not answer")
     except (TusCommunicationError, TusUploadFailed, OSError):
         server.start()
     again = client.uploader(str(SAMPLE), chunk_size=PART_BYTES, url=uploader.url, upload_checksum=True)
@@ -82,11 +82,11 @@ def tus_js_client(server: Server) -> None:
     script = [str(ROOT / "tests/tus/client.mjs"), f"http://{server.address}/v1/uploads", str(SAMPLE), KEY, str(PART_BYTES)]
     with subprocess.Popen(["node", *script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client:
         assert client.stdin is not None and client.stdout is not None
-        # It says when two parts have been taken, and goes on when it is told to: the rest is up to it.
+        # The client reports after two parts and continues when it is told to; the rest happens in the client.
         upload = client.stdout.readline().strip()
         server.kill()
         print("go on", file=client.stdin, flush=True)
-        # Until it has met nobody at least once.
+        # Until it has failed to reach the server at least once.
         assert client.stdout.readline() == "lost\n"
         server.start()
         assert client.wait() == 0 and client.stdout.read() == f"{2 * PART_BYTES}\n"
@@ -104,7 +104,7 @@ def main() -> None:
             if shutil.which("node") and (ROOT / "web/node_modules/tus-js-client").exists():
                 tus_js_client(server)
             else:
-                print("left out: tus-js-client, there is no node, or web/node_modules is not installed")
+                print("skipped: tus-js-client, there is no node, or web/node_modules is not installed")
         finally:
             server.kill()
 

@@ -1,6 +1,6 @@
-//! A question that is sent again under its idempotency key.
+//! Questions repeated under the same idempotency key.
 
-use super::{builtin, by, config, six_lines, start};
+use super::{builtin_answer, request_by, six_field_reply, start_server, vlm_config};
 use crate::scripted_model::{Script, Scripted, says};
 use reqwest::{Method, Response};
 use std::time::Duration;
@@ -9,7 +9,7 @@ use uniground_types::answer::Answer;
 use uniground_types::problem::Problem;
 use uniground_types::question::{GroundRequest, Include, ReasonerChoice};
 
-async fn send(
+async fn send_question(
     client: &uniground_client::Client,
     scene: &str,
     key: &str,
@@ -21,71 +21,77 @@ async fn send(
     asked.json(request).send().await.unwrap()
 }
 
-/// The answer, and whether it was given before.
-async fn told(response: Response) -> (Answer, bool) {
+/// Returns the answer and whether it is a replay.
+async fn read_answer(response: Response) -> (Answer, bool) {
     let replayed = response.headers().get("idempotent-replayed").is_some_and(|told| told == "true");
     (response.json().await.unwrap(), replayed)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_retry_never_pays_twice() {
+async fn a_retry_is_not_billed_twice() {
     let script = Script::default();
     let url = script.serve(vec![says("-")]).await;
-    let (server, scene) = start(config(&url)).await;
+    let (server, scene) = start_server(vlm_config(&url)).await;
     let client = &server.client;
-    let plain = builtin(&server, &scene).await;
-    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
-    let asked = by(ReasonerChoice::Vlm);
+    let plain = builtin_answer(&server, &scene).await;
+    script.next(vec![six_field_reply(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    let asked = request_by(ReasonerChoice::Vlm);
 
-    let (first, replayed) = told(send(client, &scene, "k1", &asked).await).await;
-    assert!(!replayed && first.usage.cost_usd > 0.0);
-    let (again, replayed) = told(send(client, &scene, "k1", &asked).await).await;
+    let (first, replayed) = read_answer(send_question(client, &scene, "k1", &asked).await).await;
+    assert!(!replayed && first.usage.cost_usd > 0.0, "{:?}", first.usage);
+    let (again, replayed) = read_answer(send_question(client, &scene, "k1", &asked).await).await;
     assert_eq!((&again, replayed, script.calls()), (&first, true, 1));
-    // Another question wants another key, and another key is another question.
+    // Another question needs another key, and the same question under another key is asked again.
     let other = GroundRequest { top_k: 3, ..asked.clone() };
-    let refused: Problem = send(client, &scene, "k1", &other).await.json().await.unwrap();
+    let refused: Problem = send_question(client, &scene, "k1", &other).await.json().await.unwrap();
     assert_eq!((refused.status, refused.code.as_str()), (422, "idempotency_key_reused"));
-    let (own, replayed) = told(send(client, &scene, "k2", &asked).await).await;
-    assert!(own.id != first.id && !replayed);
+    let (own, replayed) = read_answer(send_question(client, &scene, "k2", &asked).await).await;
+    assert!(own.id != first.id && !replayed, "{} {}", own.id, first.id);
 
-    // What is left out is left out again.
+    // Fields left out of the first response are left out of the replay.
     let brief = GroundRequest { include: Some(vec![Include::Trace]), ..asked.clone() };
     for replayed in [false, true] {
-        let (answer, again) = told(send(client, &scene, "k3", &brief).await).await;
+        let (answer, again) = read_answer(send_question(client, &scene, "k3", &brief).await).await;
         assert!(again == replayed && answer.candidates.is_none() && answer.trace.is_some());
     }
     let refused: Problem =
-        send(client, &scene, &"k".repeat(300), &asked).await.json().await.unwrap();
+        send_question(client, &scene, &"k".repeat(300), &asked).await.json().await.unwrap();
     assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "Idempotency-Key"));
     server.stop().await;
 }
 
-/// Who asks again while the first is still being answered waits for it; who hung up comes back to
-/// its answer.
+/// A repeated request waits while the first is in progress, and a caller that disconnected gets its
+/// answer.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lost_connection_is_no_second_call() {
+async fn a_lost_connection_causes_no_second_call() {
     let script = Script::default();
     let url = script.serve(vec![says("-")]).await;
-    let (server, scene) = start(config(&url)).await;
+    let (server, scene) = start_server(vlm_config(&url)).await;
     let client = &server.client;
-    let id = builtin(&server, &scene).await.answer.predicted_id.unwrap();
-    let slow =
-        |id| Scripted::Slowly(Duration::from_millis(600), Box::new(six_lines(id, "", true, 1)));
+    let id = builtin_answer(&server, &scene).await.answer.predicted_id.unwrap();
+    let slow = |id| {
+        Scripted::Slowly(Duration::from_millis(600), Box::new(six_field_reply(id, "", true, 1)))
+    };
     script.next(vec![slow(id)]);
-    let asked = by(ReasonerChoice::Vlm);
-    let gone =
-        tokio::time::timeout(Duration::from_millis(200), send(client, &scene, "k", &asked)).await;
-    assert!(gone.is_err(), "the model takes longer");
-    let (one, two) =
-        tokio::join!(send(client, &scene, "k", &asked), send(client, &scene, "k", &asked));
-    let (one, two) = (told(one).await, told(two).await);
+    let asked = request_by(ReasonerChoice::Vlm);
+    let gone = tokio::time::timeout(
+        Duration::from_millis(200),
+        send_question(client, &scene, "k", &asked),
+    )
+    .await;
+    assert!(gone.is_err(), "the client must time out before the model answers");
+    let (one, two) = tokio::join!(
+        send_question(client, &scene, "k", &asked),
+        send_question(client, &scene, "k", &asked)
+    );
+    let (one, two) = (read_answer(one).await, read_answer(two).await);
     assert_eq!((&one, script.calls()), (&two, 1));
-    assert!(one.1 && one.0.usage.cost_usd > 0.0, "both are told what the first got");
-    // A question that failed may be asked again.
+    assert!(one.1 && one.0.usage.cost_usd > 0.0, "both requests must get the same answer");
+    // A question that failed can be asked again.
     script.next(vec![crate::scripted_model::fails(400, "no")]);
-    assert_eq!(send(client, &scene, "f", &asked).await.status(), 502);
-    script.next(vec![six_lines(id, "", true, 1)]);
+    assert_eq!(send_question(client, &scene, "f", &asked).await.status(), 502);
+    script.next(vec![six_field_reply(id, "", true, 1)]);
     sleep(Duration::from_millis(50)).await;
-    assert!(!told(send(client, &scene, "f", &asked).await).await.1);
+    assert!(!read_answer(send_question(client, &scene, "f", &asked).await).await.1);
     server.stop().await;
 }

@@ -1,12 +1,13 @@
-//! A model sees in a photograph what was not listed: the place becomes an instance, and the model
-//! is asked again with it.
+//! A model sees an object in a photograph that is not listed: the place becomes an instance, and
+//! the model is asked again.
 
 use super::{
-    Script, config, corrections, pictures_of, purposes, sample, six_lines, start, text_of,
+    Script, call_purposes, corrections, count_images, sample_scan, six_field_reply, start_server,
+    user_text, vlm_config,
 };
-use crate::neural::tiny;
+use crate::neural::tiny_models;
 use crate::scripted_model::{Scripted, says};
-use crate::server::{TestServer, ask};
+use crate::test_server::{TestServer, ask};
 use uniground::config::{LimitsConfig, ModelsConfig};
 use uniground_core::grounding::{NoMatchReason, Status};
 use uniground_types::answer::Answer;
@@ -16,26 +17,26 @@ use uniground_types::question::{GroundRequest, PromptVersion};
 const QUERY: &str = "the porcelain teapot";
 const NAME: &str = "white porcelain teapot";
 
-/// "Not listed", and where it is seen: in the whole photograph below the crop of the collage that
-/// comes as this image.
-fn sees(image: usize, (x, y): (u32, u32)) -> Scripted {
+/// Returns the reply "not listed" with the object's place, in the whole photograph below the crop
+/// of this collage image.
+fn unlisted_reply(image: usize, (x, y): (u32, u32)) -> Scripted {
     says(&format!(
         "Predicted ID: not listed\nExplanation: it stands there\nCandidate Names: none\nTarget name matches?: false\nAnchor ID: unknown\n\
          Relation used: none\nSeen at: {image}, {x}, {y}, {NAME}"
     ))
 }
 
-/// The id of the instance that was made, as the trace tells it.
-fn made(answer: &Answer) -> Option<u32> {
+/// Returns the id of the new instance, from the trace.
+fn created_instance(answer: &Answer) -> Option<u32> {
     let told = corrections(answer);
     let (before, _) = told.split_once(" was made of it")?;
     before.rsplit(' ').next()?.parse().ok()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_seen_but_not_listed_becomes_an_instance() {
+async fn an_unlisted_object_in_a_photograph_becomes_an_instance() {
     let script = Script::default();
-    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
+    let (server, scene) = start_server(vlm_config(&script.serve(vec![says("-")]).await)).await;
     let before = server.client.all_instances(&scene, Levels::All).await.unwrap().len();
     let asked = async |answers: Vec<Scripted>| {
         script.take();
@@ -43,25 +44,29 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
         server.client.ground(&scene, &ask(QUERY)).await.unwrap()
     };
 
-    // A place in the render is told, but shows no photograph.
-    let answer = asked(vec![sees(1, (500, 500))]).await;
+    // A place in the render is reported, because it is not in a photograph.
+    let answer = asked(vec![unlisted_reply(1, (500, 500))]).await;
     assert_eq!(
         (answer.status, answer.no_match_reason),
         (Status::NoMatch, Some(NoMatchReason::NotListed))
     );
-    assert_eq!((answer.seen.as_ref().unwrap().name.as_str(), purposes(&answer).len()), (NAME, 1));
+    assert_eq!(
+        (answer.seen.as_ref().unwrap().name.as_str(), call_purposes(&answer).len()),
+        (NAME, 1)
+    );
 
-    // Somewhere in the photographs lies something that is no instance yet. The model does not take
-    // it: nothing was meant.
+    // The place in the photographs is not an instance yet. The model does not choose it: there is
+    // no target.
     let spots = (2..=4).flat_map(|image| {
         [80, 160, 240].into_iter().flat_map(move |x| [600, 700, 800, 900].map(|y| (image, (x, y))))
     });
     let mut found = None;
     for (image, at) in spots {
-        let answer = asked(vec![sees(image, at), six_lines("none", "", false, 1)]).await;
-        if let Some(id) = made(&answer) {
+        let answer =
+            asked(vec![unlisted_reply(image, at), six_field_reply("none", "", false, 1)]).await;
+        if let Some(id) = created_instance(&answer) {
             assert_eq!(
-                (answer.status, purposes(&answer).len()),
+                (answer.status, call_purposes(&answer).len()),
                 (Status::NoMatch, 2),
                 "{}",
                 corrections(&answer)
@@ -71,10 +76,10 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
             break;
         }
     }
-    let (image, at, id) = found.expect("something in three photographs is no instance");
-    assert_eq!(id as usize, before + 1, "behind all others");
+    let (image, at, id) = found.expect("no place in three photographs is without an instance");
+    assert_eq!(id as usize, before + 1, "the new instance must have the highest id");
 
-    // It is kept, flagged, and can be looked at.
+    // The instance is stored and flagged, and has views.
     let instances: Vec<InstanceView> =
         server.client.all_instances(&scene, Levels::All).await.unwrap();
     let instance = instances.last().unwrap();
@@ -90,24 +95,24 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
             .bytes(&format!("v1/scenes/{scene}/instances/{id}/views/0.jpg?picture={picture}"))
             .await
             .unwrap();
-        assert!(image::load_from_memory(&bytes).is_ok());
+        image::load_from_memory(&bytes).unwrap();
     }
 
-    // Asked again it is among the candidates by its name, and the model takes it.
-    let answer = asked(vec![six_lines(id, &format!("{id} -> {NAME}"), true, 1)]).await;
+    // On the next question it is a candidate by its name, and the model chooses it.
+    let answer = asked(vec![six_field_reply(id, &format!("{id} -> {NAME}"), true, 1)]).await;
     assert_eq!(
-        (answer.status, answer.answer.predicted_id.map(|id| id.0), purposes(&answer).len()),
+        (answer.status, answer.answer.predicted_id.map(|id| id.0), call_purposes(&answer).len()),
         (Status::Grounded, Some(id), 1)
     );
     assert_eq!(answer.aabb, Some(instance.aabb));
 
-    // It is listed now: who points there once more and says that it is not listed means something
-    // else, or nothing. No thing is kept twice.
-    let answer = asked(vec![sees(image, at), six_lines("none", "", false, 1)]).await;
+    // It is listed now. Pointing at the same place again creates no second instance.
+    let answer =
+        asked(vec![unlisted_reply(image, at), six_field_reply("none", "", false, 1)]).await;
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
     assert_eq!(
         instances.len(),
-        before + 1 + usize::from(made(&answer).is_some()),
+        before + 1 + usize::from(created_instance(&answer).is_some()),
         "{}",
         corrections(&answer)
     );
@@ -118,14 +123,14 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn photographs_are_offered_where_nothing_fits_and_can_be_pointed_into() {
+async fn photographs_are_shown_when_no_candidate_matches() {
     let script = Script::default();
-    let encoder = ModelsConfig { masks: "builtin".into(), ..tiny() };
-    let vlm = config(&script.serve(vec![says("-")]).await);
+    let encoder = ModelsConfig { masks: "builtin".into(), ..tiny_models() };
+    let vlm = vlm_config(&script.serve(vec![says("-")]).await);
     let server =
         TestServer::start_on(tempfile::tempdir().unwrap(), LimitsConfig::default(), vlm, encoder)
             .await;
-    let scene = server.parsed(sample()).await.id;
+    let scene = server.upload_and_parse(sample_scan()).await.id;
     let asked = async |prompt: PromptVersion, answers: Vec<Scripted>| {
         script.take();
         script.next(answers);
@@ -133,29 +138,30 @@ async fn photographs_are_offered_where_nothing_fits_and_can_be_pointed_into() {
             server.client.ground(&scene, &GroundRequest { prompt, ..ask(QUERY) }).await.unwrap();
         (answer, script.take().remove(0))
     };
-    let none = || six_lines("none", "", false, 1);
+    let none = || six_field_reply("none", "", false, 1);
     let told = "photographs of the room with nothing drawn in";
     let (answer, body) = asked(PromptVersion::Revised, vec![none()]).await;
     let best = answer.candidates.as_ref().unwrap().iter().map(|c| c.score).fold(0.0, f32::max);
-    assert!(best < 0.5 && text_of(&body).contains(told), "{best}: {}", text_of(&body));
-    let pictures = pictures_of(&body);
+    assert!(best < 0.5 && user_text(&body).contains(told), "{best}: {}", user_text(&body));
+    let pictures = count_images(&body);
     let (_, paper) = asked(PromptVersion::Paper, vec![none()]).await;
-    assert!(!text_of(&paper).contains(told));
+    assert!(!user_text(&paper).contains(told));
 
-    // A place in the last one of them is a place in its frame: what lies there becomes an instance.
+    // A place in the last photograph belongs to that frame: what is there becomes an instance.
     let spots =
         [200, 350, 500, 650, 800].into_iter().flat_map(|x| [400, 550, 700, 850].map(|y| (x, y)));
     let mut found = None;
     for at in spots {
-        let (answer, _) = asked(PromptVersion::Revised, vec![sees(pictures, at), none()]).await;
+        let (answer, _) =
+            asked(PromptVersion::Revised, vec![unlisted_reply(pictures, at), none()]).await;
         assert_eq!(answer.trace.as_ref().unwrap().calls[0].error, None);
-        if let Some(id) = made(&answer) {
+        if let Some(id) = created_instance(&answer) {
             assert!(corrections(&answer).contains("in photograph-2"), "{}", corrections(&answer));
             found = Some(id);
             break;
         }
     }
-    let id = found.expect("something in the photograph is no instance");
+    let id = found.expect("no place in the photograph is without an instance");
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
     assert_eq!(
         (instances.last().unwrap().id.0, instances.last().unwrap().label.as_str()),

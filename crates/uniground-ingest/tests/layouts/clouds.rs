@@ -1,4 +1,4 @@
-//! The same room as a cloud and nothing else, in every format.
+//! The same room as a bare cloud in every format.
 
 use crate::room::{Points, cloud, mesh};
 use crate::writers::Out;
@@ -106,18 +106,18 @@ fn e57(points: &Points) -> Vec<u8> {
     std::fs::read(file.path()).unwrap()
 }
 
-fn moved(points: &Points, by: impl Fn(&Point3<f64>) -> Point3<f64>) -> Points {
+fn transform_points(points: &Points, by: impl Fn(&Point3<f64>) -> Point3<f64>) -> Points {
     points.iter().map(|(p, c)| (by(p), *c)).collect()
 }
 
 fn read(name: &str, bytes: &[u8]) -> InspectedScan {
-    crate::imported(
+    crate::with_import(
         |out: &Out| out.put(name, bytes),
         |found| found.unwrap_or_else(|e| panic!("{name}: {e}")),
     )
 }
 
-/// The room's box, to a centimetre: sampling and rounding aside it is the same cloud.
+/// Compares the room's box to a centimeter. Except for sampling and rounding it is the same cloud.
 fn check(what: &str, found: &InspectedScan) {
     let cloud = found.cloud.as_ref().unwrap();
     let extent = Aabb::around(&cloud.positions).unwrap();
@@ -126,7 +126,7 @@ fn check(what: &str, found: &InspectedScan) {
     }
     let reds = cloud.colours.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
     assert!(reds > 500, "{what}: {reds} red points");
-    // The floor is below.
+    // The floor is at the bottom.
     let low = cloud
         .positions
         .iter()
@@ -141,7 +141,7 @@ fn check(what: &str, found: &InspectedScan) {
 }
 
 #[test]
-fn every_format_is_the_same_cloud() {
+fn every_format_gives_the_same_cloud() {
     let points = cloud();
     for (name, bytes) in [
         ("room.ply", ply(&points)),
@@ -158,9 +158,9 @@ fn every_format_is_the_same_cloud() {
     }
 }
 
-/// A mesh that has corners only is as much of a scan as one with a point every few centimetres.
+/// A mesh of vertices only is as good a scan as a cloud with a point every few centimeters.
 #[test]
-fn meshes_of_few_corners_are_the_same_cloud() {
+fn meshes_with_few_vertices_give_the_same_cloud() {
     let (corners, squares) = mesh();
     let mut in_obj = obj(&corners);
     let mut in_ply = String::from_utf8_lossy(&ply(&corners))
@@ -202,16 +202,16 @@ fn meshes_of_few_corners_are_the_same_cloud() {
 }
 
 #[test]
-fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
+fn rotated_and_scaled_clouds_are_leveled_and_converted_to_meters() {
     let points = cloud();
     let y_up = crate::room::y_up();
-    // What a camera that looks down at an angle would see: x right, y down, z forward.
+    // The axes of a camera that looks down at an angle: x right, y down, z forward.
     let camera = crate::pose(2).inverse().to_homogeneous();
-    let with = |m: Matrix4<f64>| moved(&points, |p| m.transform_point(p));
+    let with = |m: Matrix4<f64>| transform_points(&points, |p| m.transform_point(p));
     for (what, turned) in [
         ("Y up", with(y_up)),
         ("seen from a camera", with(camera)),
-        ("millimetres", moved(&points, |p| p * 1000.0)),
+        ("millimetres", transform_points(&points, |p| p * 1000.0)),
     ] {
         let found = read("room.ply", &ply(&turned));
         let cloud = found.cloud.as_ref().unwrap();
@@ -232,9 +232,10 @@ fn clouds_that_lie_otherwise_are_set_upright_and_measured_in_metres() {
 }
 
 #[test]
-fn map_coordinates_lead_back_to_the_millimetre() {
+fn map_coordinates_are_recovered_to_the_millimeter() {
     let points = cloud();
-    let there = moved(&points, |p| p + nalgebra::Vector3::new(412_345.678, 5_654_321.123, 87.5));
+    let there =
+        transform_points(&points, |p| p + nalgebra::Vector3::new(412_345.678, 5_654_321.123, 87.5));
     for (name, bytes) in
         [("site.las", las(&there, false)), ("site.ply", ply(&there)), ("site.xyz", xyz(&there))]
     {
@@ -251,15 +252,15 @@ fn map_coordinates_lead_back_to_the_millimetre() {
     }
 }
 
-/// Half a room, a wall, a table top: nobody can tell, so it is asked for.
+/// Half a room, a wall, a table top: the up axis cannot be determined, so the error asks for it.
 #[test]
-fn a_piece_of_something_is_refused_asking_for_up() {
+fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
     let wall: Points = cloud()
         .into_iter()
         .filter(|(p, _)| p.y > 2.05)
         .map(|(p, c)| (Point3::new(p.x, p.z, -p.y), c))
         .collect();
-    crate::imported(
+    crate::with_import(
         |out: &Out| out.put("wall.ply", ply(&wall)),
         |found| {
             let message = found.map(|found| found.report).unwrap_err().to_string();
@@ -268,16 +269,19 @@ fn a_piece_of_something_is_refused_asking_for_up() {
     );
 }
 
-/// What has no walls is believed to have Z up when things stand on it that way; lying on its side
-/// it is asked for.
+/// A cloud without walls is assumed to be Z up if objects stand on it that way. Lying on its side,
+/// it is refused and asks for the up axis.
 #[test]
-fn a_floor_with_things_on_it_is_taken_as_most_files_are() {
+fn a_floor_with_objects_is_assumed_to_be_z_up() {
     let floor: Points = cloud()
         .into_iter()
         .filter(|(p, _)| p.z < 0.9 && p.x.abs() < 2.5 && p.y.abs() < 2.0)
         .collect();
     let found = read("floor.ply", &ply(&floor));
     assert_eq!(found.report.up.name(), "z", "{:?}", found.report);
-    let side = moved(&floor, |p| Point3::new(p.z, p.x, p.y));
-    crate::imported(|out: &Out| out.put("floor.ply", ply(&side)), |found| assert!(found.is_err()));
+    let side = transform_points(&floor, |p| Point3::new(p.z, p.x, p.y));
+    crate::with_import(
+        |out: &Out| out.put("floor.ply", ply(&side)),
+        |found| assert!(found.is_err()),
+    );
 }

@@ -1,6 +1,6 @@
-//! One small room, written down in every layout: each is read as the same canonical scene.
+//! One small room in every layout: each is read as the same canonical scene.
 
-// A helper that can not go on fails its test.
+// A helper that fails aborts its test.
 #![allow(clippy::unwrap_used)]
 
 mod clouds;
@@ -18,8 +18,8 @@ use uniground_ingest::{IngestError, InspectedScan};
 use uniground_types::settings::ImportSettings;
 use writers::Out;
 
-/// Writes, and looks before the folder goes.
-fn imported<T>(
+/// Writes a scan, imports it, and checks the result before the folder is removed.
+fn with_import<T>(
     write: impl Fn(&Out),
     look: impl FnOnce(Result<InspectedScan, IngestError>) -> T,
 ) -> T {
@@ -31,7 +31,7 @@ fn imported<T>(
     }))
 }
 
-fn apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
+fn pose_difference(a: &Isometry3<f64>, b: &Isometry3<f64>) -> (f64, f64) {
     let distance = (a.translation.vector - b.translation.vector).norm();
     (distance, a.rotation.angle_to(&b.rotation).to_degrees())
 }
@@ -40,7 +40,7 @@ fn camera_to_world(frame: &FrameRef) -> Isometry3<f64> {
     frame.camera_to_world.cast()
 }
 
-/// Depth of a picture's middle rows against what is there.
+/// Compares the middle rows of a depth image with the true depth.
 fn check_depth(what: &str, i: usize, frame: &FrameRef) {
     let depth = frame.decode_depth().unwrap();
     let expected = room::depth_m(&frame.depth_intrinsics, &pose(i));
@@ -50,14 +50,14 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
         .zip(&expected)
         .filter(|(found, there)| (*found - *there).abs() > 0.002)
         .count();
-    // Where a silhouette falls between two pixels either may be right.
+    // Where a silhouette falls between two pixels, either depth is correct.
     assert!(off * 50 < expected.len(), "{what}, frame {i}: {off} of {} pixels", expected.len());
     assert!(frame.decode_colour().is_ok(), "{what}, frame {i}");
 }
 
 type Write = fn(&Out);
 
-/// What it is, its writer, and the format it is to be recognised as.
+/// Description, writer, and the format that must be recognized.
 const LAYOUTS: [(&str, Write, &str); 18] = [
     ("plain", writers::plain, "color-depth-pose"),
     ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
@@ -80,9 +80,9 @@ const LAYOUTS: [(&str, Write, &str); 18] = [
 ];
 
 #[test]
-fn every_layout_is_the_same_scene() {
+fn every_layout_gives_the_same_scene() {
     for (what, write, format) in LAYOUTS {
-        imported(write, |found| {
+        with_import(write, |found| {
             let InspectedScan { frames, report, .. } =
                 found.unwrap_or_else(|e| panic!("{what}: {e}"));
             assert_eq!(
@@ -92,7 +92,7 @@ fn every_layout_is_the_same_scene() {
             );
             assert!(report.reprojection_agreement.unwrap() > 0.8, "{what}: {report:?}");
             for (i, frame) in frames.iter().enumerate() {
-                let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
+                let (metres, degrees) = pose_difference(&camera_to_world(frame), &pose(i));
                 assert!(
                     metres < 1e-3 && degrees < 0.1,
                     "{what}, frame {i}: {metres} m and {degrees} degrees off: {report:?}"
@@ -103,10 +103,9 @@ fn every_layout_is_the_same_scene() {
     }
 }
 
-/// Eight bits are coarse, but a depth all the same where their unit is said. Without one they are a
-/// picture to look at.
+/// Eight-bit images are depth only if their unit is given. Without a unit they are pictures.
 #[test]
-fn depth_of_eight_bits_wants_a_unit() {
+fn eight_bit_depth_requires_a_unit() {
     let write = |unit_m: Option<f32>| {
         move |out: &Out| {
             writers::plain(out);
@@ -131,7 +130,7 @@ fn depth_of_eight_bits_wants_a_unit() {
             out.put("scene.json", manifest.to_string());
         }
     };
-    imported(write(Some(0.02)), |found| {
+    with_import(write(Some(0.02)), |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
         let (found, there) = (frames[0].decode_depth().unwrap(), room::depth_m(&CAMERA, &pose(0)));
@@ -139,15 +138,15 @@ fn depth_of_eight_bits_wants_a_unit() {
             found.depth_m.iter().zip(&there).all(|(found, there)| (found - there).abs() < 0.011)
         );
     });
-    imported(write(None), |found| {
+    with_import(write(None), |found| {
         let message = found.unwrap().frames[0].decode_depth().unwrap_err().to_string();
         assert!(message.contains("depth/0.png") && message.contains("depth_scale_m"), "{message}");
     });
 }
 
-/// What a header announces is looked at before room is made for it.
+/// The size in a header is checked before memory is allocated.
 #[test]
-fn floats_that_lie_are_refused_by_their_headers() {
+fn float_images_with_false_headers_are_refused() {
     let broken = |write: Write, name: &'static str, at: fn(&[u8]) -> usize, with: &'static [u8]| {
         move |out: &Out| {
             write(out);
@@ -157,7 +156,7 @@ fn floats_that_lie_are_refused_by_their_headers() {
             (0..FRAMES).for_each(|i| out.put(&name.replace('0', &i.to_string()), &bytes));
         }
     };
-    // The last column of the data window: its attribute's name and type, the size, three numbers.
+    // The last column of the data window: attribute name and type, size, three numbers.
     let window: fn(&[u8]) -> usize =
         |bytes| bytes.windows(10).position(|w| w == b"dataWindow").unwrap() + 10 + 1 + 6 + 4 + 8;
     // The value of the first tag, which is the width.
@@ -167,18 +166,18 @@ fn floats_that_lie_are_refused_by_their_headers() {
         (writers::plain_exr as Write, "depth/0.exr", window),
         (writers::plain_tiff, "depth/0.tiff", width),
     ] {
-        imported(broken(write, name, at, &[0xff, 0xff, 0xff, 0x3f]), |found| {
+        with_import(broken(write, name, at, &[0xff, 0xff, 0xff, 0x3f]), |found| {
             let message = found.unwrap_err().to_string();
             assert!(message.contains("frames") && message.contains("depth/"), "{message}");
         });
     }
 }
 
-/// Its world is that of its first camera: level afterwards, and the frames stand to each other as
-/// they did.
+/// The world is that of the first camera. The import levels it and keeps the frames' relative
+/// poses.
 #[test]
-fn a_recording_without_gravity_is_levelled() {
-    imported(writers::record3d, |found| {
+fn a_recording_without_gravity_is_leveled() {
+    with_import(writers::record3d, |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert_eq!((report.format.as_str(), frames.len()), ("record3d", FRAMES));
         let level = report.levelling.clone().unwrap();
@@ -187,14 +186,14 @@ fn a_recording_without_gravity_is_levelled() {
         let tilt = (turn.rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
         assert!(tilt < 1.0, "{tilt} degrees off: {report:?}");
         for (i, frame) in frames.iter().enumerate() {
-            let (metres, degrees) = apart(&(turn * camera_to_world(frame)), &pose(i));
+            let (metres, degrees) = pose_difference(&(turn * camera_to_world(frame)), &pose(i));
             assert!(
                 metres < 1e-3 && degrees < 0.1,
                 "frame {i}: {metres} m and {degrees} degrees off"
             );
             check_depth("Record3D", i, frame);
         }
-        // From the files' own axes to the scene's: the first camera stands at the files' origin.
+        // From the files' axes to the scene's: the first camera is at the files' origin.
         let way = report.source_to_scene.unwrap();
         let eye = frames[0].camera_to_world.translation.vector;
         let found = way.apply([0.0; 3]);
@@ -202,7 +201,7 @@ fn a_recording_without_gravity_is_levelled() {
     });
 }
 
-/// The plain layout with its poses rewritten.
+/// Writes the plain layout with rewritten poses.
 fn with_poses(rewrite: impl Fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>) -> impl Fn(&Out) {
     move |out| {
         writers::plain(out);
@@ -213,7 +212,7 @@ fn with_poses(rewrite: impl Fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>
 }
 
 #[test]
-fn the_reading_that_fits_is_taken() {
+fn the_pose_convention_that_fits_is_used() {
     type Rewrite = fn(nalgebra::Matrix4<f64>) -> nalgebra::Matrix4<f64>;
     let cases: [(&str, Rewrite, &str); 3] = [
         ("world-to-camera", |m| m.try_inverse().unwrap(), "world_to_camera"),
@@ -228,12 +227,12 @@ fn the_reading_that_fits_is_taken() {
         ),
     ];
     for (what, rewrite, words) in cases {
-        imported(with_poses(rewrite), |found| {
+        with_import(with_poses(rewrite), |found| {
             let InspectedScan { frames, report, .. } =
                 found.unwrap_or_else(|e| panic!("{what}: {e}"));
             assert!(report.warnings.iter().any(|w| w.contains(words)), "{what}: {report:?}");
             for (i, frame) in frames.iter().enumerate() {
-                let (metres, degrees) = apart(&camera_to_world(frame), &pose(i));
+                let (metres, degrees) = pose_difference(&camera_to_world(frame), &pose(i));
                 assert!(
                     metres < 1e-3 && degrees < 0.1,
                     "{what}, frame {i}: {metres} m and {degrees} degrees off"
@@ -244,9 +243,9 @@ fn the_reading_that_fits_is_taken() {
 }
 
 #[test]
-fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
+fn a_tilted_world_is_leveled_and_a_level_one_is_unchanged() {
     let tilt = Isometry3::rotation(Vector3::new(0.3, 0.35, 0.0)).to_homogeneous();
-    imported(with_poses(move |m| tilt * m), |found| {
+    with_import(with_poses(move |m| tilt * m), |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         let turn = pose(0) * camera_to_world(&frames[0]).inverse();
         let left = (turn.rotation * Vector3::z()).angle(&Vector3::z()).to_degrees();
@@ -254,14 +253,14 @@ fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
         let level = report.levelling.unwrap();
         assert!(level.turned && (level.tilt_deg - 26.4).abs() < 1.0, "{level:?}");
     });
-    imported(writers::plain, |found| {
+    with_import(writers::plain, |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert!(!report.levelling.unwrap().turned);
         assert_eq!(
             report.source_to_scene.unwrap(),
             uniground_geometry::scene::SourceToScene::IDENTITY
         );
-        // As in the file, to the last bit.
+        // Bit-identical to the file.
         let written: Vec<f64> = room::rows(&pose(3).to_homogeneous())
             .split_whitespace()
             .map(|w| w.parse().unwrap())
@@ -271,10 +270,9 @@ fn a_tilted_world_is_levelled_and_a_level_one_is_not_touched() {
     });
 }
 
-/// One frame in twelve is a tenth at most only by rounding down: here it is too much, so the scan
-/// is made longer.
+/// One frame of twelve is more than a tenth, so the scan is made longer.
 #[test]
-fn a_damaged_frame_in_ten_is_left_out_and_named() {
+fn one_damaged_frame_in_ten_is_skipped_and_reported() {
     let longer = |out: &Out| {
         writers::plain(out);
         for i in FRAMES..2 * FRAMES {
@@ -292,7 +290,7 @@ fn a_damaged_frame_in_ten_is_left_out_and_named() {
         out.put("color/5.jpg", &jpeg[..jpeg.len() / 2]);
         out.put("pose/9.txt", "nan ".repeat(16));
     };
-    imported(one, |found| {
+    with_import(one, |found| {
         let InspectedScan { report, frames, .. } = found.unwrap();
         assert_eq!((frames.len(), report.frames_skipped), (22, 2));
         let named = |what: &str| report.warnings.iter().any(|w| w.contains(what));
@@ -302,14 +300,14 @@ fn a_damaged_frame_in_ten_is_left_out_and_named() {
         longer(out);
         (0..4).for_each(|i| fs::remove_file(out.0.join(format!("depth/{i}.png"))).unwrap());
     };
-    imported(four, |found| {
+    with_import(four, |found| {
         let message = found.unwrap_err().to_string();
         assert!(message.contains("4 of 24 frames") && message.contains("color/0.jpg"), "{message}");
     });
 }
 
 #[test]
-fn what_lacks_something_is_told_what_it_looks_like() {
+fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
     let without = |write: Write, gone: &'static str| {
         move |out: &Out| {
             write(out);
@@ -337,7 +335,7 @@ fn what_lacks_something_is_told_what_it_looks_like() {
         (writers::rtabmap, "scan_camera_poses.txt", &["RTAB-Map", "poses"]),
     ];
     for (write, gone, words) in cases {
-        imported(without(write, gone), |found| {
+        with_import(without(write, gone), |found| {
             let message = found.unwrap_err().to_string();
             assert!(words.iter().all(|word| message.contains(word)), "without {gone}: {message}");
         });
@@ -348,7 +346,7 @@ fn what_lacks_something_is_told_what_it_looks_like() {
             r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#,
         );
     };
-    imported(pictures_alone, |found| {
+    with_import(pictures_alone, |found| {
         assert!(found.unwrap_err().to_string().contains("no depth_file_path"));
     });
     let fisheye = |out: &Out| {
@@ -357,14 +355,16 @@ fn what_lacks_something_is_told_what_it_looks_like() {
             r#"{"camera_model": "OPENCV_FISHEYE", "fl_x": 100, "frames": []}"#,
         );
     };
-    imported(fisheye, |found| assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE")));
+    with_import(fisheye, |found| {
+        assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE"))
+    });
     let colmap = |out: &Out| out.put("sparse/0/cameras.bin", [0; 8]);
-    imported(colmap, |found| assert!(found.unwrap_err().to_string().contains("COLMAP")));
+    with_import(colmap, |found| assert!(found.unwrap_err().to_string().contains("COLMAP")));
 }
 
 #[test]
-fn the_size_of_the_test_pictures_is_what_they_say() {
-    imported(writers::plain, |found| {
+fn picture_sizes_match_the_file_headers() {
+    with_import(writers::plain, |found| {
         let frame = found.unwrap().frames.remove(0);
         assert_eq!(frame.decode_colour().unwrap().dimensions(), (CAMERA.width, CAMERA.height));
     });

@@ -1,4 +1,4 @@
-//! A small room, ray-cast: what every layout is filled with.
+//! A small ray-cast room, the content of every layout.
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage};
 use nalgebra::{
@@ -7,8 +7,8 @@ use nalgebra::{
 use std::io::Cursor;
 use uniground_geometry::scene::Intrinsics;
 
-/// Walls of the room (seen from within) and things in it: low corner, high corner, colour. Metres,
-/// Z up.
+/// The room's walls (seen from within) and boxes in it: low corner, high corner, color. Meters, Z
+/// up.
 const INSIDE: ([f32; 3], [f32; 3]) = ([-2.6, -2.1, 0.0], [2.6, 2.1, 2.5]);
 const THINGS: [([f32; 3], [f32; 3], [u8; 3]); 4] = [
     ([-2.6, -1.0, 0.0], [-1.7, 1.0, 0.8], [190, 30, 30]),
@@ -17,12 +17,12 @@ const THINGS: [([f32; 3], [f32; 3], [u8; 3]); 4] = [
     ([1.9, 1.2, 0.0], [2.6, 2.1, 1.6], [160, 140, 60]),
 ];
 pub const FRAMES: usize = 12;
-/// What most layouts are taken with.
+/// The camera of most layouts.
 pub const CAMERA: Intrinsics =
     Intrinsics { width: 160, height: 120, fx: 120.0, fy: 120.0, cx: 79.5, cy: 59.5 };
 
-/// Camera-to-world (OpenCV, Z up, metres) of a frame: from around the middle, looking outwards and
-/// down.
+/// Returns the camera-to-world pose (OpenCV, Z up, meters) of a frame near the center that looks
+/// outwards and down.
 pub fn pose(frame: usize) -> Isometry3<f64> {
     let angle = frame as f64 / FRAMES as f64 * std::f64::consts::TAU;
     let eye =
@@ -36,7 +36,7 @@ pub fn pose(frame: usize) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(eye), rotation)
 }
 
-/// Row-major text of a matrix.
+/// Formats a matrix as row-major text.
 pub fn rows(matrix: &Matrix4<f64>) -> String {
     matrix
         .row_iter()
@@ -44,18 +44,18 @@ pub fn rows(matrix: &Matrix4<f64>) -> String {
         .collect()
 }
 
-/// From OpenCV camera axes to OpenGL's, and back.
+/// Returns the conversion between OpenCV and OpenGL camera axes.
 pub fn opengl() -> Matrix4<f64> {
     Matrix4::from_diagonal(&nalgebra::Vector4::new(1.0, -1.0, -1.0, 1.0))
 }
 
-/// From the Z-up world to one with Y up.
+/// Returns the conversion from the Z-up world to a Y-up one.
 pub fn y_up() -> Matrix4<f64> {
     Matrix4::new(1., 0., 0., 0., 0., 0., 1., 0., 0., -1., 0., 0., 0., 0., 0., 1.)
 }
 
-/// Depth along the optical axis, metres, and colour of what a pixel shows.
-fn seen(camera: &Intrinsics, pose: &Isometry3<f64>, u: u32, v: u32) -> (f32, [u8; 3]) {
+/// Returns the depth along the optical axis in meters and the color of a pixel.
+fn cast_ray(camera: &Intrinsics, pose: &Isometry3<f64>, u: u32, v: u32) -> (f32, [u8; 3]) {
     let origin = pose.translation.vector.cast::<f32>();
     let ray =
         Vector3::new((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy, 1.0);
@@ -87,18 +87,19 @@ fn seen(camera: &Intrinsics, pose: &Isometry3<f64>, u: u32, v: u32) -> (f32, [u8
 }
 
 pub fn colour(camera: &Intrinsics, pose: &Isometry3<f64>) -> DynamicImage {
-    RgbImage::from_fn(camera.width, camera.height, |u, v| Rgb(seen(camera, pose, u, v).1)).into()
+    RgbImage::from_fn(camera.width, camera.height, |u, v| Rgb(cast_ray(camera, pose, u, v).1))
+        .into()
 }
 
-/// Metres, row-major.
+/// Returns the depth in meters, row-major.
 pub fn depth_m(camera: &Intrinsics, pose: &Isometry3<f64>) -> Vec<f32> {
     (0..camera.height)
         .flat_map(|v| (0..camera.width).map(move |u| (u, v)))
-        .map(|(u, v)| seen(camera, pose, u, v).0)
+        .map(|(u, v)| cast_ray(camera, pose, u, v).0)
         .collect()
 }
 
-/// 16-bit grey in units of `scale_m`.
+/// Returns 16-bit gray values in units of `scale_m`.
 pub fn depth(camera: &Intrinsics, pose: &Isometry3<f64>, scale_m: f32) -> DynamicImage {
     let units = depth_m(camera, pose).into_iter().map(|z| (z / scale_m).round() as u16).collect();
     ImageBuffer::<Luma<u16>, Vec<u16>>::from_raw(camera.width, camera.height, units).unwrap().into()
@@ -112,7 +113,7 @@ pub fn encoded(picture: &DynamicImage, format: ImageFormat) -> Vec<u8> {
 
 pub type Points = Vec<(Point3<f64>, [u8; 3])>;
 
-/// Points of the room's surfaces, a few centimetres apart, with colour.
+/// Returns points of the room's surfaces, a few centimeters apart, with color.
 pub fn cloud() -> Points {
     let mut points = Vec::new();
     let mut block =
@@ -140,7 +141,7 @@ pub fn cloud() -> Points {
     points
 }
 
-/// The same surfaces as corners and squares, a handful of them.
+/// Returns the same surfaces as a few vertices and squares.
 pub fn mesh() -> (Points, Vec<[usize; 4]>) {
     let (mut corners, mut squares) = (Vec::new(), Vec::new());
     let mut block = |low: [f32; 3], high: [f32; 3], rgb: [u8; 3], lid: usize| {

@@ -1,4 +1,4 @@
-//! One small room in every layout that is read.
+//! Writers of the small room, one for every supported layout.
 
 use super::room::{CAMERA, FRAMES, colour, depth, depth_m, encoded, opengl, pose, rows, y_up};
 use camino::Utf8Path;
@@ -9,7 +9,7 @@ use std::fmt::Write;
 use std::fs;
 use uniground_geometry::scene::Intrinsics;
 
-/// A folder that a layout is written into.
+/// The folder that a layout is written into.
 pub struct Out<'a>(pub &'a Utf8Path);
 
 impl Out<'_> {
@@ -52,8 +52,8 @@ fn camera_matrix(c: &Intrinsics) -> String {
     format!("{} 0 {} 0\n0 {} {} 0\n0 0 1 0\n0 0 0 1\n", c.fx, c.cx, c.fy, c.cy)
 }
 
-/// Position and quaternion, `x y z w`.
-fn seven(m: &Matrix4<f64>) -> [f64; 7] {
+/// Formats position and quaternion as `x y z w`.
+fn position_and_quaternion(m: &Matrix4<f64>) -> [f64; 7] {
     let rotation = UnitQuaternion::from_matrix(&m.fixed_view::<3, 3>(0, 0).into_owned());
     let q = rotation.coords;
     [m[(0, 3)], m[(1, 3)], m[(2, 3)], q.x, q.y, q.z, q.w]
@@ -73,7 +73,7 @@ pub fn plain(out: &Out) {
     }
 }
 
-/// Other folders' names, padded numbers on one side only, poses in one file.
+/// Other folder names, padded numbers on one side only, poses in one file.
 pub fn plain_paired(out: &Out) {
     out.put("intrinsics.txt", camera_matrix(&CAMERA));
     let mut list = String::new();
@@ -90,7 +90,7 @@ pub fn plain_paired(out: &Out) {
     out.put("poses.txt", list);
 }
 
-/// The plain layout with other depth pictures: metres, row-major, to a file's bytes.
+/// Writes the plain layout with other depth files. `encode` gets meters, row-major.
 fn plain_with_depth(out: &Out, ending: &str, encode: impl Fn(&Intrinsics, Vec<f32>) -> Vec<u8>) {
     plain(out);
     for i in 0..FRAMES {
@@ -99,7 +99,7 @@ fn plain_with_depth(out: &Out, ending: &str, encode: impl Fn(&Intrinsics, Vec<f3
     }
 }
 
-/// As renderers write it: among colours, with nothing measured in a corner.
+/// As renderers write it: next to color channels, and without values in one corner.
 pub fn plain_exr(out: &Out) {
     plain_with_depth(out, "exr", |camera, mut depth| {
         (depth[0], depth[1], depth[2]) = (f32::INFINITY, 1e10, f32::NAN);
@@ -165,7 +165,7 @@ where
 pub fn scannet(out: &Out) {
     out.put("intrinsic/intrinsic_color.txt", camera_matrix(&CAMERA));
     out.put("intrinsic/intrinsic_depth.txt", camera_matrix(&half()));
-    // The world of the files is turned and moved; the alignment brings it back.
+    // The files' world is rotated and shifted; the alignment file reverses that.
     let alignment = Isometry3::rotation(nalgebra::Vector3::z() * 0.7).to_homogeneous()
         * Matrix4::new_translation(&nalgebra::Vector3::new(1.0, 2.0, 0.1));
     let text = rows(&alignment).replace('\n', " ");
@@ -199,7 +199,7 @@ pub fn tum(out: &Out) {
         out.pictures(i, (&colour, &depth), &camera, &camera, 1.0 / 5000.0);
         let _ = writeln!(rgb, "{time:.6} {colour}");
         let _ = writeln!(deep, "{:.6} {depth}", time + 0.006);
-        let [x, y, z, qx, qy, qz, qw] = seven(&matrix(&pose(i)));
+        let [x, y, z, qx, qy, qz, qw] = position_and_quaternion(&matrix(&pose(i)));
         let _ = writeln!(
             truth,
             "{:.4} {x:.7} {y:.7} {z:.7} {qx:.8} {qy:.8} {qz:.8} {qw:.8}",
@@ -340,7 +340,7 @@ pub fn polycam(out: &Out) {
     }
 }
 
-/// In a world of its first camera, as the app has it.
+/// In the world of the first camera, as the app writes it.
 pub fn record3d(out: &Out) {
     let first = (matrix(&pose(0)) * opengl()).try_inverse().unwrap();
     let mut poses = Vec::new();
@@ -353,7 +353,8 @@ pub fn record3d(out: &Out) {
         lzfse_rust::encode_bytes(&[2; 80 * 60], &mut sure).unwrap();
         out.put(&format!("rgbd/{i}.depth"), depth);
         out.put(&format!("rgbd/{i}.conf"), sure);
-        let [x, y, z, qx, qy, qz, qw] = seven(&(first * matrix(&pose(i)) * opengl()));
+        let [x, y, z, qx, qy, qz, qw] =
+            position_and_quaternion(&(first * matrix(&pose(i)) * opengl()));
         poses.push([qx, qy, qz, qw, x, y, z]);
     }
     let c = CAMERA;
@@ -379,7 +380,7 @@ pub fn stray_scanner(out: &Out) {
             &half(),
             0.001,
         );
-        let [x, y, z, qx, qy, qz, qw] = seven(&(y_up() * matrix(&pose(i))));
+        let [x, y, z, qx, qy, qz, qw] = position_and_quaternion(&(y_up() * matrix(&pose(i))));
         let _ = writeln!(
             odometry,
             "{}, {i:06}, {x:.9}, {y:.9}, {z:.9}, {qx:.9}, {qy:.9}, {qz:.9}, {qw:.9}",
@@ -436,7 +437,7 @@ pub fn rtabmap(out: &Out) {
             &half(),
             0.001,
         );
-        let [x, y, z, qx, qy, qz, qw] = seven(&matrix(&pose(i)));
+        let [x, y, z, qx, qy, qz, qw] = position_and_quaternion(&matrix(&pose(i)));
         let _ = writeln!(poses, "{time:.6} {x:.9} {y:.9} {z:.9} {qx:.9} {qy:.9} {qz:.9} {qw:.9}");
     }
     out.put("scan_camera_poses.txt", poses);

@@ -1,4 +1,4 @@
-"""A crowd that costs its sender nothing: event streams nobody reads, connections that say nothing, uploads that stall. In a process of its own."""
+"""A flood that costs its sender nothing: event streams that nobody reads, silent connections, stalled uploads. Runs in its own process."""
 import asyncio
 import collections
 import multiprocessing
@@ -9,9 +9,9 @@ from wire import read_head, request_bytes
 UPLOAD = (b"POST /v1/scenes HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/zip\r\ncontent-length: 1000000\r\n\r\nPK")
 
 
-class Crowd:
-    """`streams` connections that ask for the events of a job and stay, whatever they are told; `uploads` that stop after two bytes. All
-    come back when they were closed."""
+class Flood:
+    """Opens `streams` connections that request a job's events and stay open, and `uploads` that stop after two bytes. Closed connections are
+    opened again."""
 
     def __init__(self, address, job, streams, uploads):
         self.over = multiprocessing.get_context("fork").Event()
@@ -22,7 +22,7 @@ class Crowd:
         theirs.close()
 
     def leave(self):
-        """Ends the crowd; what it was told: how often which status, 0 for a connection that could not be made."""
+        """Ends the flood and returns how often each status was received; 0 stands for a failed connection."""
         self.over.set()
         told = self.mine.recv()
         self.process.join()
@@ -35,7 +35,7 @@ def stand(address, job, streams, uploads, over, pipe):
 
     async def one(kind, data, seed):
         dice = random.Random(seed)
-        # All come within two seconds.
+        # All connections open within two seconds.
         await asyncio.sleep(dice.random() * 2)
         while True:
             writer = None
@@ -53,7 +53,7 @@ def stand(address, job, streams, uploads, over, pipe):
                 if writer:
                     told["open"] -= 1
                     writer.close()
-            # Who was idle too long is back at once; who was sent away waits a while.
+            # A connection closed as idle is reopened at once; a refused one waits a while.
             await asyncio.sleep(dice.uniform(0.1, 1) if kind == "streams" else dice.uniform(5, 10))
 
     async def everybody():

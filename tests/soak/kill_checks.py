@@ -1,12 +1,12 @@
-"""What must hold after the kills.
+"""Checks after the kills.
 
-When is an item paid for twice? The server keeps an answer in its database and tells nobody before it is on the disk. So the line is drawn
-there: after every kill a copy of the database says which items have their answer. A question whose answer is kept must never reach the
-model again, and within one life of the server no call is made twice. What was under way when the kill came may be asked again, and is
-told in two numbers: calls whose reply was not whole yet, and calls whose whole reply had been handed to the system, but the answer was not
-on the disk. The second can not be avoided by anybody who has no transaction with the model; it can only be as large as what is asked at once.
+When is an item paid for twice? The server returns an answer only after it is stored on the disk. So after every kill a copy of the database
+tells which items have an answer. A question with a stored answer must never reach the model again, and within one life of the server no call
+is made twice. A call in progress at a kill may be repeated. Two numbers are reported: calls with an incomplete reply, and calls whose complete
+reply had been handed to the system but whose answer was not on the disk. The second kind cannot be avoided without a transaction that
+includes the model; it is limited by the number of concurrent calls.
 
-Answers are compared with those of the undisturbed run whole, but for these fields: `id` and `scene_id` (drawn anew in every folder), `evidence`
+Answers must equal those of the undisturbed run, except for these fields: `id` and `scene_id` (different in every folder), `evidence`
 and the `view` of candidates and alternatives (paths with these ids), `timings_ms`, and `latency_ms` of the calls in `trace`.
 """
 import collections
@@ -14,14 +14,14 @@ import json
 
 from records import Records
 from wire import expect
-from work import instances
+from workload import instances
 
-# Dollars that do not add up because they are floats.
+# US dollars of rounding error in sums of floats.
 EPSILON_USD = 1e-6
 
 
 def comparable(line):
-    """A line of results without what differs between two runs."""
+    """Returns a line of results without the fields that differ between two runs."""
     result = json.loads(line)
     answer = result.get("answer") or {}
     for field in ("id", "scene_id", "evidence", "timings_ms"):
@@ -37,8 +37,8 @@ def answers(lines):
     return [comparable(line) for line in lines]
 
 
-class Told:
-    """What the last server says, before it stops."""
+class FinalState:
+    """What the last server reports before it stops."""
 
     def __init__(self, server, batch, uploader, asker):
         connection = server.connection()
@@ -64,8 +64,8 @@ class Told:
 
 
 def under_way(storm, number_of):
-    """For every kill the questions that were asked and not kept: those whose reply was not whole, and those whose last reply was, with how
-    long before the kill it was delivered."""
+    """Returns for every kill the questions that were asked but have no stored answer: those with an incomplete reply, and those whose reply was
+    complete, with the time between delivery and kill."""
     by_life = collections.defaultdict(dict)
     for call in storm.model.calls:
         by_life[call.life][call.question] = call
@@ -80,7 +80,8 @@ def under_way(storm, number_of):
 
 
 def paid_twice(storm, number_of):
-    """Calls for a question whose answer was kept after an earlier kill; calls made twice within one life; calls made again for another reason."""
+    """Returns calls for a question whose answer was stored before an earlier kill; calls made twice within one life; and calls repeated for
+    another reason."""
     kept_since = {}
     for at, life in enumerate(storm.lives):
         for item in life.kept:
@@ -93,22 +94,22 @@ def paid_twice(storm, number_of):
 
 
 def judge_batch_job(table, batch):
-    """Whether the batch's job went on after every kill. Interruptions count only while a job gets no further."""
-    table.row("batch put off though it got further", len(batch.put_off_wrongly), "0", not batch.put_off_wrongly)
-    table.row("batch put off in all, and put on again by this script", batch.put_off, "told only")
+    """Checks that the batch's job continued after every kill. Interruptions count only while a job makes no progress."""
+    table.row("batch delayed although it made progress", len(batch.put_off_wrongly), "0", not batch.put_off_wrongly)
+    table.row("batch delays in total, and restarts by this script", batch.put_off, "for information")
     table.equal("batch paused though nobody asked for it", batch.paused, 0)
     for what in batch.put_off_wrongly[:3]:
         table.note(f"put off {what}")
 
 
 def judge(table, storm, told, expected, parses, data):
-    """The batch, its money, uploads and jobs."""
+    """Checks the batch, its cost, uploads and jobs."""
     number = len(storm.items)
     number_of = {item["query"]: at for at, item in enumerate(storm.items)}
     kinds = collections.Counter(life.moment for life in storm.lives)
     table.row("moments", ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items())))
     working = sum(0 < life.open_items < number for life in storm.lives)
-    table.row("kills while the batch was at work", f"{working} of {len(storm.lives)}", "more than half", 2 * working > len(storm.lives))
+    table.row("kills while the batch was running", f"{working} of {len(storm.lives)}", "more than half", 2 * working > len(storm.lives))
 
     table.row("the batch", f"{told.batch['state']}, {told.batch['done']} of {number} done",
               "succeeded", (told.batch["state"], told.batch["done"]) == ("succeeded", number))
@@ -133,46 +134,46 @@ def judge(table, storm, told, expected, parses, data):
     after_kept, within, again = paid_twice(storm, number_of)
     table.equal("calls for an item whose answer was kept", after_kept, 0)
     table.equal("calls made twice within one life", within, 0)
-    table.row("questions under way at a kill: reply not whole", len(cut), "told only")
+    table.row("questions in progress at a kill: reply incomplete", len(cut), "for information")
     longest = f", the longest {max(unkept) * 1e3:.0f} ms before" if unkept else ""
-    table.row("questions under way at a kill: reply whole, not kept yet", f"{len(unkept)}{longest}", "told only")
-    table.row("most under way at one kill", most, "4 at most", most <= 4)
-    table.row("calls made again, all for these reasons", f"{again} of {len(storm.model.calls)}",
+    table.row("questions in progress at a kill: reply complete, not stored", f"{len(unkept)}{longest}", "for information")
+    table.row("most in progress at one kill", most, "4 at most", most <= 4)
+    table.row("repeated calls, all for these reasons", f"{again} of {len(storm.model.calls)}",
               f"{2 * (len(cut) + len(unkept))} at most", again <= 2 * (len(cut) + len(unkept)))
 
-    # What a kill left reserved counts as spent; beyond that, what was paid is what the model delivered: at least for the answers
-    # that are kept, at most for every call.
+    # Money reserved at a kill counts as spent. Beyond that, the spent amount is at least the cost of the stored answers and at most the cost of all
+    # calls.
     kept_usd = sum((json.loads(line).get("answer") or {}).get("usage", {}).get("cost_usd", 0.0) for line in told.results)
     every_usd = sum(call.cost_usd for call in storm.model.calls)
     settled = spent - sum(storm.reserved.values())
     held = kept_usd - EPSILON_USD <= settled <= every_usd + EPSILON_USD
-    table.row("spent, less what kills left reserved, USD", f"{settled:.6f}", f"{kept_usd:.6f} to {every_usd:.6f}", held)
-    table.row("left reserved by kills, counted as spent, USD", f"{sum(storm.reserved.values()):.6f} in {len(storm.reserved)} calls")
+    table.row("spent, without amounts reserved at kills, USD", f"{settled:.6f}", f"{kept_usd:.6f} to {every_usd:.6f}", held)
+    table.row("reserved at kills, counted as spent, USD", f"{sum(storm.reserved.values()):.6f} in {len(storm.reserved)} calls")
     table.row("still reserved, USD", f"{left:.6f}", "0", left == 0)
     agrees = abs(told.batch["cost_usd"] - kept_usd) < EPSILON_USD
-    table.row("cost the batch tells, USD", f"{told.batch['cost_usd']:.6f}", f"{kept_usd:.6f}", agrees)
+    table.row("cost reported by the batch, USD", f"{told.batch['cost_usd']:.6f}", f"{kept_usd:.6f}", agrees)
 
     names = collections.Counter(scene["name"] for scene in told.scenes)
-    table.row("uploads", f"{len(told.parsed)} acknowledged, lost {len(told.lost_scenes)}, doubled {sum(n - 1 for n in names.values())}",
-              "lost 0, doubled 0", not told.lost_scenes and max(names.values()) == 1)
+    table.row("uploads", f"{len(told.parsed)} acknowledged, lost {len(told.lost_scenes)}, duplicated {sum(n - 1 for n in names.values())}",
+              "lost 0, duplicated 0", not told.lost_scenes and max(names.values()) == 1)
     others = sum(found != parses[version > 1] for version, found in told.parsed)
-    table.row("parses unlike those of the undisturbed run", others, "0", others == 0)
+    table.row("parses that differ from the undisturbed run", others, "0", others == 0)
     table.row("single answers acknowledged", f"{told.answers_given}, lost or changed {told.lost_answers}", "lost 0", told.lost_answers == 0)
-    # The disk is not full: there is no reason for this.
+    # The disk is not full, so there is no reason for this.
     table.equal("single answers given, but not kept", told.not_stored, 0)
     table.row("prompts of the batch's answers", f"{told.transcripts}, lost {len(told.lost_transcripts)}", "lost 0", not told.lost_transcripts)
     table.row("jobs", f"failed {len(failed)}, not over {len(open_jobs)}, lost {len(told.lost_jobs)}", "0, 0, 0",
               not failed and not open_jobs and not told.lost_jobs)
     for job in failed + open_jobs:
         table.note(f"job: {job}")
-    table.row("answers and connections that should not be", len(storm.complaints), "0", not storm.complaints)
+    table.row("unexpected answers and connections", len(storm.complaints), "0", not storm.complaints)
     for complaint in storm.complaints[:5]:
         table.note(f"should not be: {complaint[:400]}")
     table.equal("exit code of the last server", told.exit_code, 0)
 
 
 def judge_folder(table, code, text):
-    """Whether the stopped server's folder is whole, as the doctor says. What kills left was swept when the last server started."""
+    """Checks with the doctor that the stopped server's folder is intact. The last start has removed what kills left behind."""
     table.row("doctor", text.strip().splitlines()[-1][-60:], "whole", code == 0)
     if code:
         table.note(text[:2000])

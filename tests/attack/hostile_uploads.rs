@@ -1,13 +1,13 @@
-//! Uploads nobody means well with, each a few kilobytes on the wire.
+//! Malicious uploads, each a few kilobytes on the wire.
 
-use crate::archives::{Scan, ply_header};
+use crate::test_scans::{Scan, ply_header};
 use std::io::{Cursor, Write};
 
 pub const ZIP: &str = "application/zip";
 pub const ZST: &str = "application/zstd";
 pub const ANY: &str = "application/octet-stream";
 
-/// A zip of these files.
+/// Returns a zip of these files.
 fn zip_of(entries: impl IntoIterator<Item = (String, Vec<u8>)>) -> Vec<u8> {
     let options = zip::write::SimpleFileOptions::default();
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
@@ -71,7 +71,7 @@ pub fn many_folders(count: usize) -> Vec<u8> {
     tar.into_inner().unwrap().finish().unwrap()
 }
 
-/// A tar whose first entry is a header of so many bytes that describes the next.
+/// Returns a tar whose first entry is an extended header of `bytes` bytes.
 pub fn an_extended_header(kind: tar::EntryType, bytes: u64) -> Vec<u8> {
     let mut packed = zstd::Encoder::new(Vec::new(), 1).unwrap();
     let mut header = tar::Header::new_gnu();
@@ -94,7 +94,8 @@ pub fn zeros(bytes: usize) -> Vec<u8> {
     zip_of([("cloud.ply".to_owned(), vec![0; bytes])])
 }
 
-/// A LAS 1.4 file with compressed points: a header of 375 bytes, records, points, and what follows.
+/// Returns a LAS 1.4 file with compressed points: a header of 375 bytes, records, points, and what
+/// follows.
 fn laz(records: u32, vlrs: &[u8], points: &[u8], evlr_bytes: Option<u64>) -> Vec<u8> {
     let mut header = vec![0; 375];
     let start = 375 + vlrs.len() as u32;
@@ -123,12 +124,12 @@ fn laz(records: u32, vlrs: &[u8], points: &[u8], evlr_bytes: Option<u64>) -> Vec
     [&header, vlrs, points, &evlr].concat()
 }
 
-/// An extended record that says it is so long.
+/// Returns a LAZ file with an extended record that declares this length.
 pub fn laz_with_a_record(bytes: u64) -> Vec<u8> {
     laz(0, &[], &[0; 400], Some(bytes))
 }
 
-/// A table that says it has so many chunks.
+/// Returns a LAZ file with a table that declares this many chunks.
 pub fn laz_with_chunks(chunks: u32) -> Vec<u8> {
     let items: Vec<u8> = [6_u16, 20, 2].iter().flat_map(|word| word.to_le_bytes()).collect();
     let mut data: Vec<u8> = [2_u16, 0].iter().flat_map(|word| word.to_le_bytes()).collect();
@@ -152,7 +153,8 @@ pub fn laz_with_chunks(chunks: u32) -> Vec<u8> {
     laz(1, &vlr, &points, None)
 }
 
-/// So many bytes that do not compress: an archive may unpack to a few hundred times what it has.
+/// Returns bytes that do not compress, because an archive may unpack only to a few hundred times
+/// its size.
 fn noise(bytes: usize) -> Vec<u8> {
     let mut state = 0x2545_f491_4f6c_dd1d_u64;
     let next = || {
@@ -164,7 +166,7 @@ fn noise(bytes: usize) -> Vec<u8> {
     std::iter::repeat_with(next).take(bytes).collect()
 }
 
-/// A GLB of triangles with so many indices of one byte.
+/// Returns a GLB of triangles with `count` indices of one byte.
 pub fn glb_of_indices(count: usize) -> Vec<u8> {
     let json = format!(
         r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
@@ -197,7 +199,7 @@ pub fn glb_of_indices(count: usize) -> Vec<u8> {
     zip_of([("scan.glb".to_owned(), glb), ("noise.bin".to_owned(), noise(count / 150))])
 }
 
-/// An E57 whose description has so many pages of empty elements.
+/// Returns an E57 file whose description has `pages` pages of empty elements.
 pub fn e57_of_elements(pages: usize) -> Vec<u8> {
     const CONTENT: usize = 1020;
     let page = |content: &[u8], fill: u8| {

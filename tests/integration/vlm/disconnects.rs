@@ -1,8 +1,8 @@
-//! Callers that hang up while the model is being called.
+//! Callers that disconnect during a model call.
 
-use super::{by, config, six_lines, start};
+use super::{request_by, six_field_reply, start_server, vlm_config};
 use crate::scripted_model::{Script, Scripted};
-use crate::server::{TestServer, problem, rows};
+use crate::test_server::{TestServer, expect_problem, open_database};
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
@@ -10,8 +10,8 @@ use tokio::time::{sleep, timeout};
 use uniground::config::VlmConfig;
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// Waits until something is so.
-async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
+/// Waits until a condition holds.
+async fn wait_until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
     let wait = async {
         while !is_so().await {
             sleep(Duration::from_millis(20)).await;
@@ -20,9 +20,9 @@ async fn until(what: &str, mut is_so: impl AsyncFnMut() -> bool) {
     assert!(timeout(Duration::from_mins(1), wait).await.is_ok(), "never: {what}");
 }
 
-/// US dollars spent, and calls under way for which money is reserved.
-async fn spending(server: &TestServer) -> (f64, i64) {
-    let mut database = rows(server.data()).await;
+/// Returns the US dollars spent and the number of open calls with reserved money.
+async fn fetch_spending(server: &TestServer) -> (f64, i64) {
+    let mut database = open_database(server.data()).await;
     let usd: Option<f64> =
         sqlx::query_scalar("SELECT sum(usd) FROM spending").fetch_one(&mut database).await.unwrap();
     let reserved: i64 = sqlx::query_scalar("SELECT count(*) FROM reservations")
@@ -37,8 +37,8 @@ async fn has_metric(server: &TestServer, line: &str) -> bool {
     metrics.lines().any(|metric| metric == line)
 }
 
-/// Asks a question over a connection of its own, which is closed when what is returned is dropped.
-async fn send(server: &TestServer, scene: &str, request: &GroundRequest) -> TcpStream {
+/// Asks a question over a connection of its own, which closes when the returned stream is dropped.
+async fn open_request(server: &TestServer, scene: &str, request: &GroundRequest) -> TcpStream {
     let address = server.url().trim_start_matches("http://").to_owned();
     let body = serde_json::to_string(request).unwrap();
     let head = format!(
@@ -50,46 +50,55 @@ async fn send(server: &TestServer, scene: &str, request: &GroundRequest) -> TcpS
     stream
 }
 
-/// The model is being called when its caller hangs up: the call ends, what it may have cost is
-/// written down, and its place goes to the next question. Whether the model has begun to answer or
-/// not.
+/// When the caller disconnects, the model call ends, its possible cost is recorded, and the next
+/// question gets its permit, whether or not the model has begun to answer.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_caller_that_hangs_up_during_a_model_call_stops_it_and_frees_its_place() {
+async fn a_caller_that_disconnects_during_a_model_call_frees_its_permit() {
     for never in [Scripted::Silent, Scripted::Stall] {
         let script = Script::default();
         let url = script.serve(vec![never.clone()]).await;
-        // One call at a time, each of about a dollar.
+        // One call at a time, about a dollar each.
         let one = VlmConfig {
             vlm_prompt_usd: 1000.0,
             vlm_completion_usd: 5000.0,
             vlm_concurrency: 1,
             vlm_attempts: 1,
             vlm_timeout_s: 300,
-            ..config(&url)
+            ..vlm_config(&url)
         };
-        let (server, scene) = start(one).await;
-        let asked = by(ReasonerChoice::Vlm);
-        let caller = send(&server, &scene, &asked).await;
-        until("the model is called", async || script.calls() == 1).await;
-        assert_eq!(spending(&server).await, (0.0, 1), "{never:?}: money is reserved for the call");
-        assert!(has_metric(&server, "uniground_vlm_questions_waiting 1").await);
-        assert!(!script.left.is_cancelled(), "{never:?}: the call is under way");
+        let (server, scene) = start_server(one).await;
+        let asked = request_by(ReasonerChoice::Vlm);
+        let caller = open_request(&server, &scene, &asked).await;
+        wait_until("the model is called", async || script.calls() == 1).await;
+        assert_eq!(
+            fetch_spending(&server).await,
+            (0.0, 1),
+            "{never:?}: money is reserved for the call"
+        );
+        assert!(
+            has_metric(&server, "uniground_vlm_questions_waiting 1").await,
+            "{never:?}: no question is waiting"
+        );
+        assert!(!script.left.is_cancelled(), "{never:?}: the call was cancelled too early");
 
         drop(caller);
         let left = timeout(Duration::from_mins(1), script.left.cancelled()).await;
         assert!(left.is_ok(), "{never:?}: the model's server is still being called");
-        until("the call is settled", async || spending(&server).await.1 == 0).await;
+        wait_until("the call is settled", async || fetch_spending(&server).await.1 == 0).await;
         assert!(
-            spending(&server).await.0 > 0.5,
-            "{never:?}: the model was asked, whoever waits for it"
+            fetch_spending(&server).await.0 > 0.5,
+            "{never:?}: the abandoned call was not charged"
         );
-        until("its place is free", async || {
+        wait_until("its permit is free", async || {
             has_metric(&server, "uniground_vlm_questions_waiting 0").await
         })
         .await;
-        assert!(has_metric(&server, "uniground_vlm_calls_total{outcome=\"abandoned\"} 1").await);
+        assert!(
+            has_metric(&server, "uniground_vlm_calls_total{outcome=\"abandoned\"} 1").await,
+            "{never:?}: the call is not counted as abandoned"
+        );
 
-        script.next(vec![six_lines("none", "", true, 1)]);
+        script.next(vec![six_field_reply("none", "", true, 1)]);
         let next = server.client.ground(&scene, &asked).await.unwrap();
         assert_eq!(
             (next.usage.vlm_calls > 0, next.degraded),
@@ -100,16 +109,18 @@ async fn a_caller_that_hangs_up_during_a_model_call_stops_it_and_frees_its_place
     }
 }
 
-/// Asks questions that may take longer and longer, until the model was called for one that took too
-/// long.
+/// Asks with growing timeouts until one question times out during its model call.
 pub async fn time_out_during_a_call(server: &TestServer, scene: &str, script: &Script) {
     let calls = script.calls();
     for seconds in [0.3, 1.0, 4.0, 16.0] {
-        let limited = GroundRequest { timeout_s: Some(seconds), ..by(ReasonerChoice::Vlm) };
-        assert_eq!(problem(server.client.ground(scene, &limited).await).code, "question_timed_out");
+        let limited = GroundRequest { timeout_s: Some(seconds), ..request_by(ReasonerChoice::Vlm) };
+        assert_eq!(
+            expect_problem(server.client.ground(scene, &limited).await).code,
+            "question_timed_out"
+        );
         if script.calls() > calls {
             return;
         }
     }
-    panic!("the model is never called within a question's time");
+    panic!("no question timed out during its model call");
 }

@@ -1,40 +1,40 @@
-"""What must hold after the storm.
+"""Checks after the disturbances.
 
-When is a question paid for twice? Each call of the model is written down by the model itself, with the process that made it. A question whose answer is
-kept must never be asked about again. Before that, a call may be made again where the process that made it was killed, or stood still for longer than
-its lease, while the call was under way or its answer not yet in the database: nobody has a transaction with a model. Each such call excuses one
-more. Anything else is paid twice; told apart is what a process begins that stood still past its lease and goes on as if nothing had happened: one that
-takes the job again, as it may once it has found itself forgotten, does not.
+When is a question paid for twice? The model records each call with the process that made it. A question with a stored answer must never be asked
+again. Before that, a call may be repeated if its process was killed, or frozen for longer than its lease, while the call was in progress or its answer
+not yet in the database, because there is no transaction that includes the model. Each such call excuses one repetition. Every other repetition is paid
+twice. Reported separately are calls that a frozen process starts after its lease has expired; a process that has noticed the loss and claims the job
+again is not counted there.
 """
 import collections
 import json
 
-from verdict import comparable
+from kill_checks import comparable
 from wire import Connection, request_bytes
-from work import instances
+from workload import instances
 
-# Jobs and answers end in these.
+# Final states of jobs and answers.
 OVER = {"succeeded", "failed", "cancelled"}
-# Between an answer's line in the database and its commit.
+# Time between an answer's row in the database and its commit.
 COMMIT_S = 0.5
 
 
-# How long after standing still a process may take for itself what is others'.
+# How long after it was frozen a process may still act on a lost lease.
 AWAKE_S = 5.0
 KILLED, STOPPED = "killed", "stopped"
 LATE, KEPT, NOTHING = "late", "kept", "nothing"
 
 
 def repeated_calls(calls, disturbances, kept_at, lease_s, claims=(), batch_of=lambda question: None):
-    """Calls made again, by why: KILLED and STOPPED are excused, LATE and those after the answer was KEPT and for NOTHING are not. `claims` are batches, each
-    with the moment at which somebody took it up."""
+    """Returns repeated calls by reason: KILLED and STOPPED are excused; LATE, KEPT (the answer was stored) and NOTHING are not. `claims` lists for
+    each batch the times at which a process claimed it."""
     by_question, told = collections.defaultdict(list), collections.defaultdict(list)
     for call in sorted(calls, key=lambda call: call.arrived):
         by_question[call.question, call.turn].append(call)
     paused = [one for one in disturbances if one.how == STOPPED and one.until - one.at >= lease_s]
     killed = [one for one in disturbances if one.how == KILLED]
     def has_taken_it_again(call, woke_at):
-        """Whether the batch was taken up since then, and its questions are asked by this process."""
+        """Returns whether this process has claimed the batch since then."""
         batch = batch_of(call.question)
         since = max((at for of, at in claims if of == batch and woke_at <= at <= call.arrived), default=None)
         return since is not None and all(other.life == call.life for other in calls if since < other.arrived <= call.arrived and batch_of(other.question) == batch)
@@ -50,18 +50,18 @@ def repeated_calls(calls, disturbances, kept_at, lease_s, claims=(), batch_of=la
             if at:
                 why = reasons.pop(0) if reasons else NOTHING
                 told[KEPT if call.arrived > kept + COMMIT_S else why].append(call)
-            # What it may be a reason for that this question is asked about once more.
+            # The reasons for which a question may be asked again.
             under_way = lambda found: any(one.who == call.life and call.arrived <= one.at < kept for one in found)
             reasons += [KILLED] if under_way(killed) else [STOPPED] if under_way(paused) else [LATE] if is_late else []
     return told
 
 
 def storm(table, fleet, database, crowd, model, items):
-    """The storm, by what the database has witnessed and the model written down."""
+    """Checks the run with the database's records and the model's call records."""
     count = collections.Counter(one.how for one in fleet.disturbances)
     kinds = collections.Counter(f"{one.who.split('-')[0]} {one.how}" for one in fleet.disturbances)
     table.row("disturbances", ", ".join(f"{kind} {number}" for kind, number in sorted(kinds.items())), "both", len(count) == 2)
-    table.row("what callers met that should not be", len(crowd.complaints), "0", not crowd.complaints)
+    table.row("unexpected responses", len(crowd.complaints), "0", not crowd.complaints)
     for complaint in crowd.complaints[:5]:
         table.note(complaint[:400])
     jobs(table, database, crowd)
@@ -74,12 +74,12 @@ def storm(table, fleet, database, crowd, model, items):
               database.rows("SELECT subject, extract(epoch FROM at) AS at FROM witness JOIN jobs USING (id) WHERE what = 'job' AND change = 'queued running'")]
     batch_of = {item["query"]: crowd.batches[number] for number, batch in enumerate(items) for item in batch}
     told = repeated_calls(calls, fleet.disturbances, kept_at, fleet.lease_s, claims, batch_of.get)
-    table.row("calls of the model", f"{len(calls)} for {len(asked)} questions", "one each or more", len({call.question for call in calls}) == len(asked))
-    table.row("made again: under way when their process was killed", len(told[KILLED]), "told only")
-    table.row("made again: under way when it stood still past its lease", len(told[STOPPED]), "told only")
+    table.row("model calls", f"{len(calls)} for {len(asked)} questions", "one each or more", len({call.question for call in calls}) == len(asked))
+    table.row("repeated: in progress when their process was killed", len(told[KILLED]), "for information")
+    table.row("repeated: in progress when their process was frozen past its lease", len(told[STOPPED]), "for information")
     for why, what in ((LATE, "made again: begun by a process that had lost its lease, or because of that"), (KEPT, "made again after the answer was kept"),
                       (NOTHING, "made again for no reason")):
-        # One that stood still may send once more what it had begun to ask, in the moment before it knows that it was forgotten.
+        # A process that was frozen may send one more prepared call before it notices that it lost its lease.
         most = sum(one.how == STOPPED for one in fleet.disturbances) // 4 if why == LATE else 0
         table.row(what, len(told[why]), f"at most {most}" if most else "0", len(told[why]) <= most)
         for call in told[why][:3]:
@@ -90,7 +90,7 @@ def storm(table, fleet, database, crowd, model, items):
 
 
 def jobs(table, database, crowd):
-    """Every job came to an end once, and stayed there."""
+    """Checks that every job finished once and stayed finished."""
     ends = collections.Counter()
     left = 0
     for row in database.rows("SELECT id, change FROM witness WHERE what = 'job'"):
@@ -111,11 +111,11 @@ def jobs(table, database, crowd):
     lost = set(crowd.uploads.values()) - {row["id"] for row in stored}
     table.equal("jobs that callers were told of, lost", len(lost), 0)
     taken_up = sum(int(row["attempts"]) > 1 for row in stored)
-    table.row("jobs that were taken up again", f"{taken_up}, at most {max(int(row['attempts']) for row in stored)} attempts", "some", taken_up > 0)
+    table.row("jobs that were taken over", f"{taken_up}, at most {max(int(row['attempts']) for row in stored)} attempts", "some", taken_up > 0)
 
 
 def answers(table, database, items):
-    """Every item of a batch was closed once, by one answer."""
+    """Checks that every batch item was closed once, by one answer."""
     number = sum(len(batch) for batch in items)
     closed = collections.Counter(row["id"] for row in database.rows("SELECT id FROM witness WHERE what = 'item'"))
     table.row("items of batches", f"{len(closed)} closed, {sum(count > 1 for count in closed.values())} of them more than once",
@@ -128,7 +128,7 @@ def answers(table, database, items):
 
 
 def replicas(table, fleet, crowd, scenes, expected):
-    """Every API tells the same, byte for byte; and what a server tells that nobody disturbs."""
+    """Checks that all APIs return the same, byte for byte, and the same as an undisturbed server."""
     connections = [Connection(address, 60) for address in fleet.addresses()]
     every = [*scenes, *crowd.uploads]
     paths = [f"/v1/scenes/{scene}{rest}" for scene in every for rest in ("", "/instances?limit=1000&level=all", "/graph", "/points.bin")]
@@ -140,10 +140,10 @@ def replicas(table, fleet, crowd, scenes, expected):
         told = [connection.call("GET", path) for connection in connections]
         if {reply.status for reply in told} != {200} or len({reply.body for reply in told}) != 1:
             differ.append(f"{path}: {[(reply.status, len(reply.body)) for reply in told]}")
-    table.row("the same by every API", f"{len(paths) - len(differ)} of {len(paths)} paths", "all", not differ)
+    table.row("equal at all APIs", f"{len(paths) - len(differ)} of {len(paths)} paths", "all", not differ)
     for difference in differ[:5]:
         table.note(difference)
-    # Scenes without a parse were told above.
+    # Scenes without a parse were reported above.
     parsed = [scene for scene in every if connections[-1].call("GET", f"/v1/scenes/{scene}").json()["status"] == "ready"]
     table.equal("different parses of the same room", len({instances(connections[-1], scene) for scene in parsed}), 1)
     results = [connections[0].call("GET", f"/v1/batches/{batch}/results").body.splitlines() for _, batch in sorted(crowd.batches.items())]
@@ -160,7 +160,7 @@ def replicas(table, fleet, crowd, scenes, expected):
 
 
 def acknowledged(table, connections, crowd):
-    """Single answers are kept as they were given, and given again for the same key, whoever is asked."""
+    """Checks that single answers are stored as returned, and replayed by every API for the same key."""
     lost = sum(connection.call("GET", f"/v1/answers/{answer}").body != body for connection in connections for answer, (_, _, _, body) in crowd.given.items())
     table.row("single answers acknowledged", f"{len(crowd.given)}, lost or changed {lost}", "lost 0", lost == 0 and len(crowd.given) > 0)
     others = 0
@@ -172,5 +172,5 @@ def acknowledged(table, connections, crowd):
 
 
 def ends(table, codes):
-    """How processes stopped that were asked to."""
+    """Checks how processes ended after SIGTERM."""
     table.row("exit codes after SIGTERM", ", ".join(f"{who} {code}" for who, code in codes.items()), "all 0", set(codes.values()) == {0})

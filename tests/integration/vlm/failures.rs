@@ -1,17 +1,19 @@
-//! A model that can not be asked, is down, or takes longer than anybody waits.
+//! A model that fails, is down, or takes too long.
 
-use super::{QUERY, builtin, by, config, corrections, six_lines, start};
+use super::{
+    QUERY, builtin_answer, corrections, request_by, six_field_reply, start_server, vlm_config,
+};
 use crate::scripted_model::{Script, Scripted, fails, says};
-use crate::server::{TestServer, ask, problem};
+use crate::test_server::{TestServer, ask, expect_problem};
 use serde_json::json;
 use std::time::Duration;
 use uniground::config::VlmConfig;
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// A model whose server is down costs nobody time.
-async fn down(server: &TestServer, scene: &str) {
+/// Asserts that questions do not wait for a model whose server is down.
+async fn assert_unavailable_at_once(server: &TestServer, scene: &str) {
     let asked_at = std::time::Instant::now();
-    let error = problem(server.client.ground(scene, &by(ReasonerChoice::Vlm)).await);
+    let error = expect_problem(server.client.ground(scene, &request_by(ReasonerChoice::Vlm)).await);
     assert_eq!((error.status, error.code.as_str()), (503, "vlm_down"), "{}", error.detail);
     assert!(error.retry_after_s.is_some_and(|wait| (1..=10).contains(&wait)), "{error:?}");
     let answer = server.client.ground(scene, &ask(QUERY)).await.unwrap();
@@ -23,14 +25,14 @@ async fn down(server: &TestServer, scene: &str) {
     assert!(asked_at.elapsed() < Duration::from_secs(1), "{:?}", asked_at.elapsed());
 }
 
-/// Who gave a time gets an answer by then, from whoever can give one.
+/// A question with a timeout gets an answer in time, from the built-in reasoner if necessary.
 #[tokio::test(flavor = "multi_thread")]
-async fn at_the_deadline_there_is_the_built_in_answer() {
+async fn the_built_in_answer_is_returned_at_the_timeout() {
     let script = Script::default();
     let url = script.serve(vec![Scripted::Stall]).await;
-    let (server, scene) = start(config(&url)).await;
-    let plain = builtin(&server, &scene).await;
-    let hurried = |reasoner| GroundRequest { timeout_s: Some(0.5), ..by(reasoner) };
+    let (server, scene) = start_server(vlm_config(&url)).await;
+    let plain = builtin_answer(&server, &scene).await;
+    let hurried = |reasoner| GroundRequest { timeout_s: Some(0.5), ..request_by(reasoner) };
     let answer = server.client.ground(&scene, &hurried(ReasonerChoice::Auto)).await.unwrap();
     assert!(answer.degraded && answer.answer == plain.answer, "{answer:?}");
     assert!(
@@ -38,18 +40,18 @@ async fn at_the_deadline_there_is_the_built_in_answer() {
         "{}",
         corrections(&answer)
     );
-    let error = problem(server.client.ground(&scene, &hurried(ReasonerChoice::Vlm)).await);
+    let error = expect_problem(server.client.ground(&scene, &hurried(ReasonerChoice::Vlm)).await);
     assert_eq!((error.status, error.code.as_str()), (504, "question_timed_out"));
     server.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
+async fn a_failing_model_is_reported_or_replaced() {
     let script = Script::default();
     let url = script.serve(vec![says("-")]).await;
-    let (server, scene) = start(config(&url)).await;
-    let plain = builtin(&server, &scene).await;
-    // What happens, how often it is tried, and what is told.
+    let (server, scene) = start_server(vlm_config(&url)).await;
+    let plain = builtin_answer(&server, &scene).await;
+    // The failure, the number of attempts, and the reported message.
     for (answers, attempts, told) in [
         (vec![fails(401, "bad key")], 1, "401 Unauthorized: bad key"),
         (vec![fails(404, "no such model")], 1, "no such model"),
@@ -66,7 +68,8 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
     ] {
         script.take();
         script.next(answers);
-        let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+        let error =
+            expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await);
         assert_eq!(
             (error.status, error.code.as_str(), script.calls()),
             (502, "vlm_unavailable", attempts),
@@ -80,7 +83,7 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
             error.detail
         );
 
-        let answer = server.client.ground(&scene, &by(ReasonerChoice::Auto)).await.unwrap();
+        let answer = server.client.ground(&scene, &request_by(ReasonerChoice::Auto)).await.unwrap();
         assert!(
             answer.degraded
                 && answer.models.reasoner == "builtin-3"
@@ -100,46 +103,52 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
             reply.calls[0].text.is_none() && reply.calls[0].error.as_ref().unwrap().contains(told)
         );
     }
-    // What is asked for is waited for.
+    // A requested `Retry-After` is honored.
     script.take();
     script.next(vec![
         Scripted::After(429, "1"),
-        six_lines(plain.answer.predicted_id.unwrap(), "", true, 1),
+        six_field_reply(plain.answer.predicted_id.unwrap(), "", true, 1),
     ]);
     let asked_at = std::time::Instant::now();
-    let answer = server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.unwrap();
+    let answer = server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await.unwrap();
     assert_eq!(answer.trace.unwrap().calls[0].attempts, 2);
-    assert!(asked_at.elapsed() >= Duration::from_secs(1));
+    assert!(asked_at.elapsed() >= Duration::from_secs(1), "{:?}", asked_at.elapsed());
     server.stop().await;
 
-    // A body whose end never comes: from then on its server is taken to be down.
+    // A body that never ends: from then on the server is considered down.
     script.next(vec![Scripted::Stall]);
     let (server, scene) =
-        start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
-    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+        start_server(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..vlm_config(&url) }).await;
+    let error =
+        expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await);
     assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
     assert!(
         error.detail.contains("timed out") && error.detail.contains("in 2 attempts"),
         "{}",
         error.detail
     );
-    down(&server, &scene).await;
+    assert_unavailable_at_once(&server, &scene).await;
     server.stop().await;
-    // Nobody there; somebody who does not speak TLS.
+    // Nothing listens there; the server does not speak TLS.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     for url in [format!("http://127.0.0.1:{port}/v1"), url.replace("http://", "https://")] {
         let (server, scene) =
-            start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
-        // Where the look at the start is some seconds ago, the first question tries it.
+            start_server(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..vlm_config(&url) }).await;
+        // If the startup probe is some seconds old, the first question tries the model.
         assert!(server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
-        down(&server, &scene).await;
+        assert_unavailable_at_once(&server, &scene).await;
         server.stop().await;
     }
-    // No model at all: who insists is told, who does not gets the geometry's answer, undiminished.
-    let (server, scene) = start(VlmConfig::default()).await;
-    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    // No model is configured: a question that requires one gets an error, any other the built-in
+    // answer, which is not degraded.
+    let (server, scene) = start_server(VlmConfig::default()).await;
+    let error =
+        expect_problem(server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await);
     assert_eq!((error.status, error.code.as_str()), (409, "vlm_not_configured"));
     assert!(!server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
-    assert_eq!(problem(server.client.name_instances(&scene).await).code, "vlm_not_configured");
+    assert_eq!(
+        expect_problem(server.client.name_instances(&scene).await).code,
+        "vlm_not_configured"
+    );
     server.stop().await;
 }

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""A server whose scans and parses are in an object store: on a machine without copies of them, while the store is away, within the bound of
-its copies, beside what nobody refers to.
+"""A server whose scans and parses are in an object store: on a machine without local copies, during an outage of the store, within the limit of
+local copies, and with orphans in the store.
 
-usage: objects.py --program PROGRAM --server S3S_FS
+usage: object_store_outage.py --program PROGRAM --server S3S_FS
 """
 import argparse
 import hashlib
@@ -19,7 +19,7 @@ import urllib.error
 import urllib.request
 import zipfile
 
-from away import QUESTIONS, SCAN, Server, check, until, what_it_says
+from database_outage import QUESTIONS, SCAN, Server, check, until, comparable_answer
 from object_store import BUCKET, KEYS, ObjectStore
 
 PREFIX = "a/site"
@@ -29,7 +29,7 @@ AWAY_S = 20
 
 
 class Site:
-    """A data folder, and the object store beside it."""
+    """A data folder and its object store."""
 
     def __init__(self, program, store, folder):
         self.program, self.store, self.data = program, store, pathlib.Path(folder) / "data"
@@ -44,12 +44,12 @@ class Site:
         return subprocess.run([self.program, *arguments], env=self.environment, capture_output=True, text=True, check=False, **more)
 
     def forget_copies(self):
-        """As a machine that was lost and set up anew."""
+        """Deletes local copies, as on a machine that was replaced."""
         for kind in COPIES:
             shutil.rmtree(self.data / "blobs" / kind)
 
     def folders(self, kind):
-        """Names of the folders of a kind in the store."""
+        """Returns the names of the folders of a kind in the store."""
         return {folder.name for folder in (self.objects / kind).glob("*") if any(path.is_file() for path in folder.rglob("*"))}
 
     def bytes_of_copies(self):
@@ -58,7 +58,7 @@ class Site:
 
 
 def another_scan(number):
-    """The same room under another hash."""
+    """Returns the same room with another hash."""
     archive = io.BytesIO(SCAN.read_bytes())
     with zipfile.ZipFile(archive, "a") as scan:
         scan.comment = f"copy {number}".encode()
@@ -76,7 +76,7 @@ def ready(server, scene):
 
 
 def fetched(server, path):
-    """The bytes of a file."""
+    """Returns the bytes of a file."""
     with urllib.request.urlopen(server.url + path, timeout=60) as reply:
         return reply.read()
 
@@ -86,14 +86,14 @@ def ask(server, scene, query):
 
 
 def everything(server, scene):
-    """What a scene is to who looks at it and asks about it, for comparison."""
+    """Returns everything that a client can read of a scene, for comparison."""
     pictures = [picture["url"] for picture in server.call("GET", f"/v1/scenes/{scene}/report")[2]["pictures"]]
     frames = server.call("GET", f"/v1/scenes/{scene}/frames")[2]["frames"]
     paths = [f"/v1/scenes/{scene}/{file}" for file in
              ("cloud.ply", "instances.ply", "points.bin", "thumbnail.jpg", "export?format=glb", "instances/1/views/0.jpg", "instances",
               f"frames/{frames[0]['index']}/photograph.jpg")]
     files = {path: hashlib.sha256(fetched(server, path)).hexdigest() for path in paths + pictures}
-    return files, [what_it_says(ask(server, scene, query)[2]) for query in QUESTIONS]
+    return files, [comparable_answer(ask(server, scene, query)[2]) for query in QUESTIONS]
 
 
 def a_machine_without_copies(site):
@@ -109,7 +109,7 @@ def a_machine_without_copies(site):
     try:
         check(f"a machine without copies shows the same {len(before[0])} files, byte for byte, and gives the same answers",
               everything(server, scene) == before)
-        # Other settings of the last stages, on what the first parse left in the object store.
+        # Other settings of the last stages, with the first parse's checkpoints in the object store.
         job = server.call("POST", f"/v1/scenes/{scene}/parse", {"settings": {"parsing": {"merging": {"thresholds": [0.8, 0.7, 0.6, 0.5, 0.4]}}}})
         scene_now = ready_again(server, scene, job)
         reused = [stage["stage"] for stage in scene_now["report"]["stages"] if stage["reused"]]
@@ -127,7 +127,7 @@ def ready_again(server, scene, job):
 
 
 def away(site, scene):
-    """The store is killed, and then silent: clear 503s, nothing half there, and all goes on by itself."""
+    """The store is killed, and then frozen: requests get clear 503s, nothing is left half written, and the server recovers by itself."""
     store = site.store
     for how, leave, come_back in (("gone", store.kill, store.start), ("silent", store.freeze, store.thaw)):
         site.forget_copies()
@@ -168,7 +168,7 @@ def within_the_bound(site):
             scenes.append(upload(server, another_scan(number)))
             ready(server, scenes[-1])
             most = max(most, site.bytes_of_copies())
-        answers = {what_it_says(ask(server, scene, QUESTIONS[0])[2]) for scene in scenes for _ in range(2)}
+        answers = {comparable_answer(ask(server, scene, QUESTIONS[0])[2]) for scene in scenes for _ in range(2)}
         for scene in scenes:
             fetched(server, f"/v1/scenes/{scene}/points.bin")
         until("copies within their bound", lambda: site.bytes_of_copies() <= CACHE_BYTES, 10)
@@ -200,7 +200,7 @@ def put(place, files):
 
 
 def orphans_and_torn(site, scenes):
-    """What nobody refers to goes after the grace period, and not before; files without a seal are never read."""
+    """Orphans are collected after the grace period and not before; files without a seal are never read."""
     sealed = {".sha256sums": f"# 0001\n{hashlib.sha256(b'x').hexdigest()}  cloud.ply\n", "0001/cloud.ply": "x"}
     scan = another_scan("torn")
     hash = hashlib.sha256(scan).hexdigest()
@@ -237,7 +237,7 @@ def orphans_and_torn(site, scenes):
 
 
 def links(site, scene):
-    """Where callers are sent to the object store, its links give the same bytes, and nothing else."""
+    """Signed links to the object store return the same bytes, and nothing else."""
     server = site.serve()
     try:
         files = {file: fetched(server, f"/v1/scenes/{scene}/{file}") for file in ("cloud.ply", "instances.ply", "points.bin")}
@@ -261,7 +261,7 @@ def links(site, scene):
 
 
 def refusals(site):
-    """What an object store does not go with is said so."""
+    """Options that do not work with an object store are refused with a reason."""
     data = ("--data-dir", str(site.data))
     elsewhere = {**site.environment, "UNIGROUND_BLOBS": "folder"}
     for what, told in (

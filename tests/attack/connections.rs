@@ -1,9 +1,9 @@
-//! Crowds: connections that send nothing, uploads that stall, streams without number; and a scene
-//! with more answers than anybody reads.
+//! Connection floods: connections that send nothing, stalled uploads, many event streams; and a
+//! scene with very many answers.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{ask, parsed};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{ask, upload_and_parse};
 use crate::{Form, Report, Target, since};
 use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
@@ -12,8 +12,8 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use uniground_client::Client;
 
-/// p99 of questions one after another, milliseconds; with the longest wait.
-async fn questions(client: &Client, scene: &str, count: usize) -> (f64, f64) {
+/// Returns the p99 and the maximum latency of sequential questions, in milliseconds.
+async fn measure_questions(client: &Client, scene: &str, count: usize) -> (f64, f64) {
     let mut times = Vec::new();
     for _ in 0..count {
         let start = Instant::now();
@@ -24,15 +24,15 @@ async fn questions(client: &Client, scene: &str, count: usize) -> (f64, f64) {
     (times[count * 99 / 100], times[count - 1])
 }
 
-async fn say(address: &str, text: &str) -> Option<TcpStream> {
+async fn send_text(address: &str, text: &str) -> Option<TcpStream> {
     let mut stream = TcpStream::connect(address).await.ok()?;
     stream.write_all(text.as_bytes()).await.ok()?;
     Some(stream)
 }
 
-/// How many of the crowd are told that there is no place for them: most; which ones is the
-/// scheduler's business.
-async fn refused(crowd: &mut [TcpStream]) -> usize {
+/// Returns how many connections of the flood are refused. Most are; which ones depends on the
+/// scheduler.
+async fn count_refused(crowd: &mut [TcpStream]) -> usize {
     let told = crowd.iter_mut().map(async |stream| {
         let mut bytes = [0; 64];
         let read = tokio::time::timeout(Duration::from_millis(500), stream.read(&mut bytes)).await;
@@ -45,7 +45,7 @@ async fn refused(crowd: &mut [TcpStream]) -> usize {
 pub async fn run(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
-    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let address = client
         .request(reqwest::Method::GET, "healthz")
         .build()
@@ -54,29 +54,31 @@ pub async fn run(form: Form, report: &mut Report) {
         .authority()
         .to_owned();
     let count = form.of(300, 1000);
-    questions(client, &scene.id, 200).await;
-    let (calm, _) = questions(client, &scene.id, count).await;
+    measure_questions(client, &scene.id, 200).await;
+    let (calm, _) = measure_questions(client, &scene.id, count).await;
     report.row(
-        "questions, calm",
+        "questions, idle server",
         &format!("p99 {calm:.1} ms"),
         0.0,
         Some(target.peak_mb()),
         "",
         true,
     );
-    // Twice the calm value; below this many milliseconds the machine's own noise decides, and more
-    // so where other tests ran just now.
+    // Twice the idle latency. Below this many milliseconds noise of the machine dominates,
+    // especially right after other tests.
     let most = (2.0 * calm).max(form.of(250.0, 25.0));
 
     let half_headers = form.of(1100, 3000);
     let mut crowd = Vec::new();
     for _ in 0..half_headers {
-        crowd.extend(say(&address, "GET /healthz HTTP/1.1\r\nhost: 127.0.0.1\r\nx-slow: ").await);
+        crowd.extend(
+            send_text(&address, "GET /healthz HTTP/1.1\r\nhost: 127.0.0.1\r\nx-slow: ").await,
+        );
     }
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
-    let (p99, longest) = questions(&fresh, &scene.id, count).await;
+    let (p99, longest) = measure_questions(&fresh, &scene.id, count).await;
     report.row(
-        &format!("5 {half_headers} half-sent headers"),
+        &format!("{half_headers} half-sent headers"),
         &format!("p99 {p99:.1}, longest {longest:.0} ms"),
         0.0,
         Some(target.peak_mb()),
@@ -90,12 +92,12 @@ pub async fn run(form: Form, report: &mut Report) {
     for _ in 0..dripping {
         let head = "POST /mcp HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\n\
             accept: application/json, text/event-stream\r\ncontent-length: 60000\r\n\r\n ";
-        crowd.extend(say(&address, head).await);
+        crowd.extend(send_text(&address, head).await);
     }
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
-    let (p99, longest) = questions(&fresh, &scene.id, count).await;
+    let (p99, longest) = measure_questions(&fresh, &scene.id, count).await;
     report.row(
-        &format!("5 {dripping} bodies that drip"),
+        &format!("{dripping} slow request bodies"),
         &format!("p99 {p99:.1}, longest {longest:.0} ms"),
         0.0,
         Some(target.peak_mb()),
@@ -108,15 +110,15 @@ pub async fn run(form: Form, report: &mut Report) {
     let mut crowd = Vec::new();
     for _ in 0..stalled {
         let head = "POST /v1/scenes HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/zip\r\ncontent-length: 1000000\r\n\r\nPK";
-        crowd.extend(say(&address, head).await);
+        crowd.extend(send_text(&address, head).await);
     }
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
-    let (p99, longest) = questions(&fresh, &scene.id, count).await;
+    let (p99, longest) = measure_questions(&fresh, &scene.id, count).await;
     let ready = fresh.bytes("readyz").await.is_ok();
-    let refused_uploads = refused(&mut crowd).await;
+    let refused_uploads = count_refused(&mut crowd).await;
     let held = p99 < most && ready && 2 * refused_uploads > stalled;
     report.row(
-        &format!("5 {stalled} stalled uploads"),
+        &format!("{stalled} stalled uploads"),
         &format!("p99 {p99:.1}, longest {longest:.0} ms"),
         0.0,
         Some(target.peak_mb()),
@@ -126,7 +128,7 @@ pub async fn run(form: Form, report: &mut Report) {
     drop(crowd);
 
     let streams = form.of(600, 2000);
-    // A job that is not over keeps its streams open: one that waits for its time.
+    // An unfinished job keeps its event streams open: this one waits for its start time.
     let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
     let mut other = SqliteConnection::connect_with(&options).await.unwrap();
     let sql = "INSERT INTO jobs (id, kind, subject, payload, state, created_at, not_before)
@@ -136,19 +138,20 @@ pub async fn run(form: Form, report: &mut Report) {
     let mut crowd = Vec::new();
     for _ in 0..streams {
         crowd.extend(
-            say(&address, "GET /v1/jobs/waiting/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").await,
+            send_text(&address, "GET /v1/jobs/waiting/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n")
+                .await,
         );
     }
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
-    let (p99, longest) = questions(&fresh, &scene.id, count).await;
-    let refused_streams = refused(&mut crowd).await;
+    let (p99, longest) = measure_questions(&fresh, &scene.id, count).await;
+    let refused_streams = count_refused(&mut crowd).await;
     report.row(
-        &format!("5 {streams} event streams"),
+        &format!("{streams} event streams"),
         &format!("p99 {p99:.1}, longest {longest:.0} ms"),
         0.0,
         Some(target.peak_mb()),
         &format!("{refused_streams} refused with 429"),
-        // As many as half the connections stay.
+        // Half of the connections stay open.
         p99 < most && refused_streams + 512 >= streams,
     );
     drop(crowd);
@@ -158,8 +161,8 @@ pub async fn run(form: Form, report: &mut Report) {
 async fn many_answers(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = target.process.client.clone();
-    let full = parsed(&client, ZIP, Scan::neutral().with("note.txt", "full").zip()).await;
-    let quiet = parsed(&client, ZIP, Scan::neutral().zip()).await;
+    let full = upload_and_parse(&client, ZIP, Scan::neutral().with("note.txt", "full").zip()).await;
+    let quiet = upload_and_parse(&client, ZIP, Scan::neutral().zip()).await;
     let answer = client.ground(&full.id, &ask("the red sofa")).await.unwrap();
     let count = form.of(10_000, 100_000);
     let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
@@ -169,7 +172,7 @@ async fn many_answers(form: Form, report: &mut Report) {
                SELECT answers.id || '-' || i, scene_id, parse_id, body, created_at FROM answers, n WHERE answers.id = ?1";
     sqlx::query(sql).bind(&answer.id).bind(count).execute(&mut other).await.unwrap();
     other.close().await.unwrap();
-    let (calm, _) = questions(&client, &quiet.id, 200).await;
+    let (calm, _) = measure_questions(&client, &quiet.id, 200).await;
     let start = Instant::now();
     let deleting = tokio::spawn({
         let (client, id) = (client.clone(), full.id.clone());
@@ -177,12 +180,12 @@ async fn many_answers(form: Form, report: &mut Report) {
     });
     let mut longest: f64 = 0.0;
     while !deleting.is_finished() {
-        longest = longest.max(questions(&client, &quiet.id, 1).await.1);
+        longest = longest.max(measure_questions(&client, &quiet.id, 1).await.1);
     }
     let deleted = deleting.await.unwrap();
     let answer = format!("calm p99 {calm:.1}, longest {longest:.0} ms");
     report.row(
-        &format!("10 deleting a scene with {count} answers"),
+        &format!("deleting a scene with {count} answers"),
         &answer,
         since(start),
         None,

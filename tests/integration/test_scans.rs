@@ -1,5 +1,4 @@
-//! Small scans made on the spot: a ray-cast room with a few boxes, small enough to parse in a
-//! blink.
+//! Small synthetic scans for tests: a ray-cast room with a few boxes, which parses quickly.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Write};
@@ -8,10 +7,10 @@ const WIDTH: u32 = 120;
 const HEIGHT: u32 = 90;
 const FOCAL: f32 = 100.0;
 
-/// An axis-aligned thing in a room: min, max, colour.
+/// An axis-aligned box in a room: minimum, maximum, color.
 pub type Thing = ([f32; 3], [f32; 3], [u8; 3]);
 
-/// What is in the room.
+/// The boxes of the test room.
 pub const THINGS: [Thing; 4] = [
     ([-2.5, -2.5, -0.05], [2.5, 2.5, 0.0], [150, 130, 110]),
     // A red sofa, a blue box, a green trash can.
@@ -20,20 +19,20 @@ pub const THINGS: [Thing; 4] = [
     ([-1.3, -1.0, 0.0], [-1.0, -0.7, 0.4], [30, 150, 50]),
 ];
 
-/// Eight places around a room.
+/// Eight camera positions around a room, as fractions of a full turn.
 pub const EIGHTHS: [f32; 8] = [0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875];
 
-/// The files of a scan, by name; tests take one and break it.
+/// The files of a scan, by name. Tests modify single files.
 #[derive(Clone)]
 pub struct Scan(pub BTreeMap<String, Vec<u8>>);
 
 impl Scan {
-    /// `color/ depth/ pose/ intrinsic.txt`, without a cloud.
+    /// Returns a scan in the layout `color/ depth/ pose/ intrinsic.txt`, without a cloud.
     pub fn frames_only() -> Self {
         Self::of_room(&THINGS, &EIGHTHS)
     }
 
-    /// The same of these things, from as many places: shares of the way around the room.
+    /// Renders these boxes from the given camera positions, as fractions of a full turn.
     pub fn of_room(things: &[Thing], around: &[f32]) -> Self {
         let mut files = BTreeMap::new();
         files.insert("intrinsic.txt".into(), intrinsics().into_bytes());
@@ -42,12 +41,12 @@ impl Scan {
             let (color, depth) = render(things, &pose);
             files.insert(format!("color/{i}.png"), color);
             files.insert(format!("depth/{i}.png"), depth);
-            files.insert(format!("pose/{i}.txt"), matrix(&pose).into_bytes());
+            files.insert(format!("pose/{i}.txt"), format_pose(&pose).into_bytes());
         }
         Self(files)
     }
 
-    /// The same with a manifest instead of the folder convention.
+    /// Returns the same frames with a manifest instead of the folder convention.
     pub fn neutral() -> Self {
         let mut scan = Self::frames_only();
         scan.0.remove("intrinsic.txt");
@@ -63,7 +62,7 @@ impl Scan {
         scan
     }
 
-    /// A cloud and nothing else.
+    /// Returns a scan that is only a cloud.
     pub fn cloud_only() -> Self {
         Self(BTreeMap::from([("cloud.ply".into(), cloud())]))
     }
@@ -78,7 +77,7 @@ impl Scan {
         self
     }
 
-    /// Replaces a piece of a text file, which must be there.
+    /// Replaces a piece of a text file. Panics if it is not in the file.
     pub fn edit(mut self, name: &str, from: &str, to: &str) -> Self {
         let text = String::from_utf8(self.0[name].clone()).unwrap();
         assert!(text.contains(from), "{name} does not hold {from:?}");
@@ -115,8 +114,8 @@ pub fn intrinsics() -> String {
     format!("{FOCAL} 0 59.5\n0 {FOCAL} 44.5\n0 0 1\n")
 }
 
-/// Camera-to-world columns (right, down, forward, position) at an angle around the room, looking at
-/// its middle.
+/// Returns camera-to-world columns (right, down, forward, position) at an angle around the room,
+/// looking at its center.
 type Pose = [[f32; 3]; 4];
 
 fn pose(angle: f32) -> Pose {
@@ -134,14 +133,14 @@ fn pose(angle: f32) -> Pose {
     [right, down, forward, position]
 }
 
-fn matrix(pose: &Pose) -> String {
+fn format_pose(pose: &Pose) -> String {
     let row = |i: usize| {
         format!("{:.6} {:.6} {:.6} {:.6}\n", pose[0][i], pose[1][i], pose[2][i], pose[3][i])
     };
     format!("{}{}{}0 0 0 1\n", row(0), row(1), row(2))
 }
 
-/// Colour and depth pictures as PNG.
+/// Renders the color and depth images as PNG.
 fn render(things: &[Thing], pose: &Pose) -> (Vec<u8>, Vec<u8>) {
     let mut color = image::RgbImage::new(WIDTH, HEIGHT);
     let mut depth = image::ImageBuffer::<image::Luma<u16>, _>::new(WIDTH, HEIGHT);
@@ -150,8 +149,8 @@ fn render(things: &[Thing], pose: &Pose) -> (Vec<u8>, Vec<u8>) {
             let (x, y) = ((u as f32 - 59.5) / FOCAL, (v as f32 - 44.5) / FOCAL);
             let ray: [f32; 3] =
                 std::array::from_fn(|i| pose[0][i] * x + pose[1][i] * y + pose[2][i]);
-            // The ray has length 1 along the optical axis: its parameter is the depth.
-            if let Some((z, rgb)) = hit(things, &pose[3], &ray) {
+            // The ray has length 1 along the optical axis, so its parameter is the depth.
+            if let Some((z, rgb)) = nearest_box(things, &pose[3], &ray) {
                 color.put_pixel(u, v, image::Rgb(rgb));
                 depth.put_pixel(u, v, image::Luma([(z * 1000.0).round() as u16]));
             }
@@ -165,8 +164,8 @@ fn render(things: &[Thing], pose: &Pose) -> (Vec<u8>, Vec<u8>) {
     (png(color.into()), png(depth.into()))
 }
 
-/// Nearest thing along a ray: depth and shaded colour.
-fn hit(things: &[Thing], origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8; 3])> {
+/// Returns the nearest box along a ray: depth and shaded color.
+fn nearest_box(things: &[Thing], origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8; 3])> {
     let enter = |(min, max, rgb): &Thing| {
         let (mut near, mut far, mut side) = (0.0_f32, f32::INFINITY, 0);
         for i in 0..3 {
@@ -183,7 +182,7 @@ fn hit(things: &[Thing], origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8;
     things.iter().filter_map(enter).min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
-/// The things' visible sides as a binary PLY, two centimetres apart.
+/// Returns the boxes' visible sides as a binary PLY, with points two centimeters apart.
 pub fn cloud() -> Vec<u8> {
     let mut rows = Vec::new();
     let mut count = 0;

@@ -18,10 +18,10 @@ use uniground_types::problem::Problem;
 use uniground_types::question::GroundRequest;
 use uniground_types::scenes::Scene;
 
-/// Where the rows of a server on a data folder are kept: in the folder itself; or, where
-/// `UNIGROUND_TEST_POSTGRES` says which server (`postgres://USER@HOST:PORT`), in a database of
-/// PostgreSQL's that is the folder's own.
-pub fn location(data: &Utf8Path) -> Location {
+/// Returns where a data folder's rows are stored: in the folder itself, or, if
+/// `UNIGROUND_TEST_POSTGRES` names a server (`postgres://USER@HOST:PORT`), in a PostgreSQL database
+/// that belongs to the folder.
+pub fn database_location(data: &Utf8Path) -> Location {
     let Ok(server) = std::env::var("UNIGROUND_TEST_POSTGRES") else { return Location::Folder };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
     let name = &name[name.len().saturating_sub(60)..];
@@ -34,37 +34,37 @@ pub fn location(data: &Utf8Path) -> Location {
     format!("{server}/{name}").parse().unwrap()
 }
 
-/// Where its scans and parses are kept: in the folder itself; or, where `UNIGROUND_TEST_S3` names a
-/// bucket (`s3://BUCKET`, the rest in `AWS_…`), below a prefix there that is the folder's own.
-pub fn blobs(data: &Utf8Path) -> BlobsConfig {
+/// Returns where scans and parses are stored: in the folder itself, or, if `UNIGROUND_TEST_S3`
+/// names a bucket (`s3://BUCKET`, the rest in `AWS_…`), below a prefix that belongs to the folder.
+pub fn blobs_config(data: &Utf8Path) -> BlobsConfig {
     let Ok(bucket) = std::env::var("UNIGROUND_TEST_S3") else { return BlobsConfig::default() };
     let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
     BlobsConfig { at: format!("{bucket}/{name}").parse().unwrap(), ..BlobsConfig::default() }
 }
 
-/// What tells a program of those places.
-pub fn in_places(data: &Utf8Path) -> [(&'static str, String); 2] {
-    let place = match location(data) {
+/// Returns the environment variables that tell a program both locations.
+pub fn storage_env(data: &Utf8Path) -> [(&'static str, String); 2] {
+    let place = match database_location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
         _ => "sqlite".to_owned(),
     };
-    [("UNIGROUND_DATABASE", place), ("UNIGROUND_BLOBS", blobs(data).at.to_string())]
+    [("UNIGROUND_DATABASE", place), ("UNIGROUND_BLOBS", blobs_config(data).at.to_string())]
 }
 
-/// The rows of a stopped or running server.
-pub async fn rows(data: &Utf8Path) -> AnyConnection {
+/// Connects to the database of a stopped or running server.
+pub async fn open_database(data: &Utf8Path) -> AnyConnection {
     sqlx::any::install_default_drivers();
-    let url = match location(data) {
+    let url = match database_location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
         _ => format!("sqlite:{}", data.join("uniground.sqlite")),
     };
     AnyConnection::connect(&url).await.unwrap()
 }
 
-/// The same, where a row may be written that refers to nothing.
-pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
-    let mut rows = rows(data).await;
-    let loosen = match location(data) {
+/// Connects without foreign key checks, so that a test can write a dangling reference.
+pub async fn open_database_unchecked(data: &Utf8Path) -> AnyConnection {
+    let mut rows = open_database(data).await;
+    let loosen = match database_location(data) {
         Location::Postgres(_) => "SET session_replication_role = replica",
         _ => "PRAGMA foreign_keys = OFF",
     };
@@ -72,21 +72,23 @@ pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
     rows
 }
 
-/// The limits of a server in this process, whose children are processes of the program that is
-/// tested.
-pub fn limits() -> LimitsConfig {
+/// Returns limits for a server in this process. Its child processes run the tested program.
+pub fn test_limits() -> LimitsConfig {
     LimitsConfig {
         reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()),
         ..LimitsConfig::default()
     }
 }
 
-/// That of a server on a data folder, without models.
-pub fn config(data_dir: &Utf8Path) -> ServeConfig {
+/// Returns the configuration of a server on a data folder, without models.
+pub fn serve_config(data_dir: &Utf8Path) -> ServeConfig {
     ServeConfig {
         listen: "127.0.0.1:0".parse().unwrap(),
-        database: DatabaseConfig { location: location(data_dir), ..DatabaseConfig::default() },
-        blobs: blobs(data_dir),
+        database: DatabaseConfig {
+            location: database_location(data_dir),
+            ..DatabaseConfig::default()
+        },
+        blobs: blobs_config(data_dir),
         data_dir: data_dir.to_owned(),
         role: Role::All,
         access: AccessConfig::default(),
@@ -94,7 +96,7 @@ pub fn config(data_dir: &Utf8Path) -> ServeConfig {
         fetch_models: false,
         vlm: VlmConfig::default(),
         webhook: WebhookConfig::default(),
-        limits: limits(),
+        limits: test_limits(),
         log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
     }
 }
@@ -119,15 +121,15 @@ impl TestServer {
         Self::start_on(tempfile::tempdir().unwrap(), limits, vlm, ModelsConfig::builtin()).await
     }
 
-    /// A server on a data folder that may have been another server's.
+    /// Starts a server on a data folder that may already have been used.
     pub async fn start_on(
         data: tempfile::TempDir,
         limits: LimitsConfig,
         vlm: VlmConfig,
         models: ModelsConfig,
     ) -> Self {
-        let config = config(Utf8Path::from_path(data.path()).unwrap());
-        let limits = LimitsConfig { reader_program: self::limits().reader_program, ..limits };
+        let config = serve_config(Utf8Path::from_path(data.path()).unwrap());
+        let limits = LimitsConfig { reader_program: self::test_limits().reader_program, ..limits };
         let running = app::start(&ServeConfig { models, vlm, limits, ..config }).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();
         Self { client, running, data }
@@ -142,35 +144,35 @@ impl TestServer {
     }
 
     /// Uploads an archive and waits until it is parsed.
-    pub async fn parsed(&self, archive: Vec<u8>) -> Scene {
-        parsed(&self.client, "application/zip", archive).await
+    pub async fn upload_and_parse(&self, archive: Vec<u8>) -> Scene {
+        upload_and_parse(&self.client, "application/zip", archive).await
     }
 
-    /// Names of the entries of a folder below the data folder.
-    pub fn stored(&self, folder: &str) -> Vec<String> {
+    /// Returns the names of the entries of a folder below the data folder.
+    pub fn list_folder(&self, folder: &str) -> Vec<String> {
         let entries = self.data().join(folder).read_dir_utf8().unwrap();
         entries.map(|entry| entry.unwrap().file_name().to_owned()).collect()
     }
 
     pub async fn stop(self) {
-        self.give_back().await;
+        self.stop_and_keep_data().await;
     }
 
-    /// Stops and hands back the data folder, for the next server.
-    pub async fn give_back(self) -> tempfile::TempDir {
+    /// Stops the server and returns the data folder for the next one.
+    pub async fn stop_and_keep_data(self) -> tempfile::TempDir {
         self.running.stop().await.unwrap();
         self.data
     }
 }
 
-pub async fn parsed(client: &Client, media_type: &str, archive: Vec<u8>) -> Scene {
+pub async fn upload_and_parse(client: &Client, media_type: &str, archive: Vec<u8>) -> Scene {
     let created = client.create_scene(None, media_type, archive).await.unwrap();
-    let job = finished(client, &created.job.unwrap().id).await;
+    let job = wait_for_job(client, &created.job.unwrap().id).await;
     assert_eq!(job.error, None, "{job:?}");
     client.scene(&created.scene.id).await.unwrap()
 }
 
-pub async fn finished(client: &Client, job_id: &str) -> Job {
+pub async fn wait_for_job(client: &Client, job_id: &str) -> Job {
     client.follow_job(job_id, |_| {}).await.unwrap()
 }
 
@@ -178,7 +180,7 @@ pub fn ask(query: &str) -> GroundRequest {
     serde_json::from_value(serde_json::json!({ "query": query })).unwrap()
 }
 
-/// The problem a call ended with.
+/// Returns the problem of a failed call.
 pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
     match result {
         Err(ClientError::Problem(problem)) => *problem,
@@ -186,7 +188,14 @@ pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
     }
 }
 
-/// Sends raw bytes as JSON and returns the problem.
+/// Asserts that a text contains another one, and prints both if it does not.
+#[track_caller]
+pub fn assert_contains(text: impl AsRef<str>, expected: impl AsRef<str>) {
+    let (text, expected) = (text.as_ref(), expected.as_ref());
+    assert!(text.contains(expected), "{expected:?} is not in: {text}");
+}
+
+/// Sends raw bytes and returns the problem.
 pub async fn post_raw(client: &Client, path: &str, media_type: &str, body: &str) -> Problem {
     let request =
         client.request(Method::POST, path).header("content-type", media_type).body(body.to_owned());
@@ -197,7 +206,7 @@ pub async fn post_raw(client: &Client, path: &str, media_type: &str, body: &str)
     serde_json::from_str(&text).unwrap()
 }
 
-/// The binary itself, for tests that kill it.
+/// The binary as a child process, for tests that kill it.
 pub struct Process {
     pub client: Client,
     pub child: Child,
@@ -205,13 +214,13 @@ pub struct Process {
 
 impl Process {
     pub fn start(data: &Utf8Path) -> Self {
-        Self::started(command(data, "127.0.0.1:0").stderr(Stdio::null()))
+        Self::spawn(serve_command(data, "127.0.0.1:0").stderr(Stdio::null()))
     }
 
-    /// With its log in a file, as JSON, at the level that is on by default.
+    /// Starts the binary with its log in a JSON file, at the default level.
     pub fn start_logging(data: &Utf8Path, log: &Utf8Path) -> Self {
-        let mut command = command(data, "127.0.0.1:0");
-        Self::started(
+        let mut command = serve_command(data, "127.0.0.1:0");
+        Self::spawn(
             command
                 .args(["--log-format", "json"])
                 .env_remove("RUST_LOG")
@@ -219,7 +228,7 @@ impl Process {
         )
     }
 
-    pub fn started(command: &mut Command) -> Self {
+    pub fn spawn(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -230,20 +239,20 @@ impl Process {
         Self { client: Client::new(address, None).unwrap(), child }
     }
 
-    /// SIGKILL: no chance to tidy up.
+    /// Sends SIGKILL: the process cannot clean up.
     pub fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
 
-    /// SIGTERM; the exit code.
+    /// Sends SIGTERM and returns the exit code.
     pub fn terminate(mut self) -> Option<i32> {
         Command::new("kill").arg(self.child.id().to_string()).status().unwrap();
         self.child.wait().unwrap().code()
     }
 }
 
-/// No test leaves a server behind, however it ends.
+/// No test leaves a server running, however it ends.
 impl Drop for Process {
     fn drop(&mut self) {
         let _ = self.child.kill();
@@ -251,13 +260,13 @@ impl Drop for Process {
     }
 }
 
-pub fn command(data: &Utf8Path, listen: &str) -> Command {
+pub fn serve_command(data: &Utf8Path, listen: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command
         .args(["serve", "--listen", listen, "--data-dir", data.as_str()])
         .env_remove("UNIGROUND_API_KEY")
-        // Whatever lies in the folder it runs in; a test that wants models says so.
+        // Ignores models in the current folder; a test that needs models sets them.
         .envs([("UNIGROUND_MASKS", "builtin"), ("UNIGROUND_ENCODER", "builtin")])
-        .envs(in_places(data));
+        .envs(storage_env(data));
     command
 }

@@ -1,8 +1,10 @@
-//! Databases and files that are locked, lost or somebody else's.
+//! Databases and files that are locked or lost, and folders that are not data folders.
 
-use crate::archives::Scan;
-use crate::hostile::ZIP;
-use crate::server::{Process, ask, command, finished, parsed, problem};
+use crate::hostile_uploads::ZIP;
+use crate::test_scans::Scan;
+use crate::test_server::{
+    Process, ask, expect_problem, serve_command, upload_and_parse, wait_for_job,
+};
 use crate::{Form, Report, Target, since};
 use camino::Utf8Path;
 use sqlx::Connection;
@@ -13,18 +15,18 @@ use std::time::{Duration, Instant};
 use uniground_types::job::JobState;
 
 pub async fn run(_: Form, report: &mut Report) {
-    lost_database(report).await;
-    strangers_folder(report);
-    lost_files(report).await;
-    locked(report).await;
+    run_lost_database(report).await;
+    run_foreign_folder(report);
+    run_lost_files(report).await;
+    run_locked_database(report).await;
 }
 
-fn bytes_below(folder: &Utf8Path) -> u64 {
+fn folder_bytes(folder: &Utf8Path) -> u64 {
     let entries = folder.read_dir_utf8().unwrap().map(Result::unwrap);
     entries
         .map(|entry| {
             if entry.file_type().unwrap().is_dir() {
-                bytes_below(entry.path())
+                folder_bytes(entry.path())
             } else {
                 entry.metadata().unwrap().len()
             }
@@ -32,14 +34,14 @@ fn bytes_below(folder: &Utf8Path) -> u64 {
         .sum()
 }
 
-async fn lost_database(report: &mut Report) {
-    for (case, is_empty) in [("3 the database is gone", false), ("3 the database is empty", true)] {
+async fn run_lost_database(report: &mut Report) {
+    for (case, is_empty) in [("the database is gone", false), ("the database is empty", true)] {
         let target = Target::start();
-        let scene = parsed(&target.process.client, ZIP, Scan::neutral().zip()).await;
+        let scene = upload_and_parse(&target.process.client, ZIP, Scan::neutral().zip()).await;
         let Target { data, process } = target;
         process.terminate();
         let folder = Utf8Path::from_path(data.path()).unwrap();
-        let before = bytes_below(&folder.join("blobs"));
+        let before = folder_bytes(&folder.join("blobs"));
         for file in ["uniground.sqlite", "uniground.sqlite-wal", "uniground.sqlite-shm"] {
             let _ = fs::remove_file(folder.join(file));
         }
@@ -49,13 +51,13 @@ async fn lost_database(report: &mut Report) {
         let start = Instant::now();
         let process = Process::start(folder);
         let scenes = process.client.scenes(10, None).await.unwrap().scenes.len();
-        let after = bytes_below(&folder.join("blobs"));
-        // The same scan again finds its place, and is whole.
-        let again = parsed(&process.client, ZIP, Scan::neutral().zip()).await;
+        let after = folder_bytes(&folder.join("blobs"));
+        // The same scan uploaded again reuses its folder and is complete.
+        let again = upload_and_parse(&process.client, ZIP, Scan::neutral().zip()).await;
         let held = before == after && scenes == 0 && again.content_hash == scene.content_hash;
         report.row(
             case,
-            &format!("{scenes} scenes, uploads go on"),
+            &format!("{scenes} scenes, uploads work"),
             since(start),
             None,
             &format!("{before} -> {after} bytes"),
@@ -65,19 +67,19 @@ async fn lost_database(report: &mut Report) {
     }
 }
 
-fn strangers_folder(report: &mut Report) {
+fn run_foreign_folder(report: &mut Report) {
     let data = tempfile::tempdir().unwrap();
     let folder = Utf8Path::from_path(data.path()).unwrap();
     fs::create_dir(folder.join("tmp")).unwrap();
     fs::write(folder.join("tmp/thesis.txt"), "years").unwrap();
     let start = Instant::now();
-    let output = command(folder, "127.0.0.1:0").output().unwrap();
+    let output = serve_command(folder, "127.0.0.1:0").output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     let held = !output.status.success()
         && told.contains("not a data folder")
         && folder.join("tmp/thesis.txt").exists();
     report.row(
-        "3 --data-dir over somebody's folder",
+        "--data-dir on a foreign folder",
         "refused to start",
         since(start),
         None,
@@ -86,15 +88,15 @@ fn strangers_folder(report: &mut Report) {
     );
 }
 
-async fn lost_files(report: &mut Report) {
+async fn run_lost_files(report: &mut Report) {
     let target = Target::start();
     fs::write(target.folder().join("blobs/contents/note.txt"), "stray").unwrap();
-    let scene = parsed(&target.process.client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(&target.process.client, ZIP, Scan::neutral().zip()).await;
     let target = target.again();
     let client = &target.process.client;
     let kept = client.scene(&scene.id).await.is_ok()
         && target.folder().join("blobs/contents/note.txt").exists();
-    report.row("3 a stray file in blobs/", "starts", 0.0, None, "all of it", kept);
+    report.row("a stray file in blobs/", "starts", 0.0, None, "all of it", kept);
 
     let start = Instant::now();
     let parse = target
@@ -111,16 +113,16 @@ async fn lost_files(report: &mut Report) {
     *bytes.last_mut().unwrap() ^= 0xff;
     fs::write(&cloud, bytes).unwrap();
     let path = format!("v1/scenes/{}/cloud.ply", scene.id);
-    let told = problem(client.bytes(&path).await);
+    let told = expect_problem(client.bytes(&path).await);
     let job = client.scene(&scene.id).await.unwrap().job_id.unwrap();
-    let healed = finished(client, &job).await.state == JobState::Succeeded
+    let healed = wait_for_job(client, &job).await.state == JobState::Succeeded
         && client.bytes(&path).await.is_ok();
     report.row(
-        "11 a damaged cloud",
+        "a damaged cloud",
         &format!("{} {}", told.status, told.code),
         since(start),
         None,
-        "made anew",
+        "recreated",
         told.code == "parse_damaged" && healed,
     );
 
@@ -132,14 +134,14 @@ async fn lost_files(report: &mut Report) {
             }
         }
     }
-    let again = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let again = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let whole = client.bytes(&format!("v1/scenes/{}/cloud.ply", again.id)).await.is_ok();
     report.row(
-        "11 all files lost, the scan uploaded again",
+        "all files lost, the scan uploaded again",
         "parsed again",
         since(start),
         None,
-        "made anew",
+        "recreated",
         whole,
     );
     target.process.terminate();
@@ -150,7 +152,7 @@ async fn lost_files(report: &mut Report) {
     let told = String::from_utf8_lossy(&doctor.stdout);
     let alone = told.contains("stray file") && !told.contains("parse ") && !told.contains("scan ");
     report.row(
-        "the doctor after that",
+        "then the doctor",
         if alone { "a stray file, nothing else" } else { "more" },
         0.0,
         None,
@@ -159,10 +161,10 @@ async fn lost_files(report: &mut Report) {
     );
 }
 
-async fn locked(report: &mut Report) {
+async fn run_locked_database(report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
-    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let scene = upload_and_parse(client, ZIP, Scan::neutral().zip()).await;
     let created =
         client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "2").zip()).await.unwrap();
     let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
@@ -172,7 +174,7 @@ async fn locked(report: &mut Report) {
     let answer = client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
     let seconds = since(start);
     report.row(
-        "4 a question while the database is locked",
+        "a question while the database is locked",
         if answer.stored { "stored?" } else { "answered, not stored" },
         seconds,
         None,
@@ -180,10 +182,10 @@ async fn locked(report: &mut Report) {
         !answer.stored && seconds < 8.0,
     );
     let start = Instant::now();
-    let told = problem(client.rename_scene(&scene.id, "hall").await);
+    let told = expect_problem(client.rename_scene(&scene.id, "hall").await);
     let seconds = since(start);
     report.row(
-        "14 a change while the database is locked",
+        "a change while the database is locked",
         &format!("{} {}", told.status, told.code),
         seconds,
         None,
@@ -192,7 +194,7 @@ async fn locked(report: &mut Report) {
     );
     let ready = client.request(reqwest::Method::GET, "readyz").send().await.unwrap().status();
     report.row(
-        "14 readiness while the database is locked",
+        "readiness while the database is locked",
         ready.as_str(),
         0.0,
         None,
@@ -202,12 +204,14 @@ async fn locked(report: &mut Report) {
     tokio::time::sleep(Duration::from_secs(5)).await;
     drop(other);
     let start = Instant::now();
-    let job =
-        tokio::time::timeout(Duration::from_mins(1), finished(client, &created.job.unwrap().id))
-            .await;
+    let job = tokio::time::timeout(
+        Duration::from_mins(1),
+        wait_for_job(client, &created.job.unwrap().id),
+    )
+    .await;
     let held = job.as_ref().is_ok_and(|job| job.state == JobState::Succeeded);
     report.row(
-        "7 a job that ended meanwhile",
+        "a job that ended while locked",
         if held { "succeeded" } else { "never ended" },
         since(start),
         None,
@@ -216,7 +220,7 @@ async fn locked(report: &mut Report) {
     );
     let ready = client.bytes("readyz").await.is_ok();
     report.row(
-        "14 readiness afterwards",
+        "readiness afterwards",
         if ready { "ready" } else { "not ready" },
         0.0,
         None,

@@ -1,10 +1,9 @@
-//! Archives that can not become a scene: each is refused with a stable code and a message that
-//! names the culprit, and nothing of it is stored.
+//! Archives that cannot become a scene. Each is refused with a stable code and a message that names
+//! the faulty file, and nothing of it is stored.
 
-use crate::archives::{Scan, ply_header};
-use crate::server::{TestServer, ask, finished, problem};
+use crate::test_scans::{Scan, ply_header};
+use crate::test_server::{TestServer, ask, expect_problem, wait_for_job};
 use std::io::{Cursor, Write};
-use uniground::config::LimitsConfig;
 use uniground_storage::JobState;
 
 const ZIP: &str = "application/zip";
@@ -16,10 +15,10 @@ fn zip_with_entry(name: &str) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// What it is, its media type and bytes; status, code and words of the refusal.
+/// Description, media type and bytes of an upload; status, code and words of the refusal.
 type Case = (&'static str, &'static str, Vec<u8>, u16, &'static str, &'static str);
 
-fn refused() -> Vec<Case> {
+fn invalid_uploads() -> Vec<Case> {
     let scan = Scan::frames_only;
     let whole = scan().zip();
     let truncated = whole[..whole.len() * 2 / 3].to_vec();
@@ -353,10 +352,10 @@ fn empty_manifest() -> Scan {
 }
 
 #[tokio::test]
-async fn broken_archives_are_refused_by_name_and_leave_nothing_behind() {
+async fn invalid_archives_are_refused_and_leave_nothing_behind() {
     let server = TestServer::start().await;
-    for (what, media_type, archive, status, code, words) in refused() {
-        let refusal = problem(server.client.create_scene(None, media_type, archive).await);
+    for (what, media_type, archive, status, code, words) in invalid_uploads() {
+        let refusal = expect_problem(server.client.create_scene(None, media_type, archive).await);
         assert_eq!(
             (refusal.status, refusal.code.as_str()),
             (status, code),
@@ -371,17 +370,17 @@ async fn broken_archives_are_refused_by_name_and_leave_nothing_behind() {
         assert!(refusal.request_id.is_some(), "{what}");
     }
     assert_eq!(server.client.scenes(10, None).await.unwrap().scenes, []);
-    assert_eq!((server.stored("blobs/contents"), server.stored("tmp")), (vec![], vec![]));
-    assert!(server.client.bytes("readyz").await.is_ok());
+    assert_eq!((server.list_folder("blobs/contents"), server.list_folder("tmp")), (vec![], vec![]));
+    server.client.bytes("readyz").await.unwrap();
     server.stop().await;
 }
 
-/// What only shows when pictures and clouds are decoded fails the job, with the same care.
+/// Errors that appear only when images and clouds are decoded fail the job with the same detail.
 #[tokio::test]
-async fn what_shows_only_while_parsing_fails_the_job_by_name() {
+async fn errors_found_while_parsing_fail_the_job() {
     let server = TestServer::start().await;
     let png = &Scan::frames_only().0["depth/6.png"];
-    // Whole to look at, from its first bytes to its end mark.
+    // The file looks whole: its first bytes and its end marker are intact.
     let mut broken_png = png.clone();
     broken_png[60..].iter_mut().rev().skip(12).for_each(|byte| *byte = 0);
     let no_depth = (0..8)
@@ -423,7 +422,7 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
         ("no depth anywhere", no_depth, "no_usable_frames", "depth"),
     ] {
         let created = server.client.create_scene(None, ZIP, scan.zip()).await.unwrap();
-        let job = finished(&server.client, &created.job.unwrap().id).await;
+        let job = wait_for_job(&server.client, &created.job.unwrap().id).await;
         let error = job.error.unwrap_or_else(|| panic!("{what}: {:?}", job.message));
         assert_eq!(
             (job.state, error.code.as_str()),
@@ -435,39 +434,21 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
         let scene = server.client.scene(&created.scene.id).await.unwrap();
         assert_eq!(scene.error, Some(error), "{what}");
         assert_eq!(
-            problem(server.client.ground(&scene.id, &ask("the sofa")).await).code,
+            expect_problem(server.client.ground(&scene.id, &ask("the sofa")).await).code,
             "scene_not_ready",
             "{what}"
         );
     }
-    assert_eq!((server.stored("blobs/parses"), server.stored("tmp")), (vec![], vec![]));
-    server.stop().await;
-}
-
-/// Poses the wrong way round are read the right way, with a warning that names it: with a cloud to
-/// tell by, and without.
-#[tokio::test]
-async fn the_reading_that_fits_is_used() {
-    let server = TestServer::start().await;
-    for scan in
-        [Scan::frames_only().with("cloud.ply", crate::archives::cloud()), Scan::frames_only()]
-    {
-        let import = server.parsed((0..8).fold(scan, invert_pose).zip()).await.import.unwrap();
-        assert!(
-            import.warnings.iter().any(|w| w.contains("world_to_camera")),
-            "{:?}",
-            import.warnings
-        );
-        assert!(import.reprojection_agreement.unwrap() > 0.6, "{import:?}");
-    }
+    assert_eq!((server.list_folder("blobs/parses"), server.list_folder("tmp")), (vec![], vec![]));
     server.stop().await;
 }
 
 #[tokio::test]
-async fn lost_poses_are_skipped_with_a_warning() {
+async fn frames_with_invalid_poses_are_skipped_with_a_warning() {
     let server = TestServer::start().await;
-    let scene =
-        server.parsed(Scan::frames_only().with("pose/3.txt", "-inf ".repeat(16)).zip()).await;
+    let scene = server
+        .upload_and_parse(Scan::frames_only().with("pose/3.txt", "-inf ".repeat(16)).zip())
+        .await;
     let import = scene.import.unwrap();
     assert_eq!((import.frames, import.frames_skipped), (7, 1));
     assert!(
@@ -475,17 +456,6 @@ async fn lost_poses_are_skipped_with_a_warning() {
         "{:?}",
         import.warnings
     );
-    server.stop().await;
-}
-
-#[tokio::test]
-async fn an_upload_over_the_limit_is_cut_off() {
-    let server =
-        TestServer::start_with(LimitsConfig { max_upload_bytes: 1000, ..LimitsConfig::default() })
-            .await;
-    let refusal = problem(server.client.create_scene(None, ZIP, Scan::neutral().zip()).await);
-    assert_eq!((refusal.status, refusal.code.as_str()), (413, "upload_too_large"));
-    assert_eq!(server.stored("tmp"), Vec::<String>::new());
     server.stop().await;
 }
 
@@ -500,17 +470,4 @@ fn blank_depth() -> Vec<u8> {
     let blank = image::ImageBuffer::<image::Luma<u16>, _>::new(120, 90);
     image::DynamicImage::from(blank).write_to(&mut bytes, image::ImageFormat::Png).unwrap();
     bytes.into_inner()
-}
-
-/// World-to-camera where the layout promises camera-to-world.
-fn invert_pose(scan: Scan, i: usize) -> Scan {
-    let name = format!("pose/{i}.txt");
-    let text = String::from_utf8(scan.0[&name].clone()).unwrap();
-    let values: Vec<f32> = text.split_whitespace().map(|v| v.parse().unwrap()).collect();
-    let inverse = nalgebra::Matrix4::from_row_slice(&values).try_inverse().unwrap();
-    let rows = inverse
-        .row_iter()
-        .map(|r| r.iter().map(|v| format!("{v:.6} ")).collect::<String>())
-        .collect::<Vec<_>>();
-    scan.with(&name, rows.join("\n"))
 }

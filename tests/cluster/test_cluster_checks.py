@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Whether calls that are paid twice are told from those that nobody can help: made-up calls, seconds from the first."""
+"""Tests the classification of repeated model calls with synthetic calls; times are seconds from the first."""
 import sys
 from pathlib import Path
 
@@ -7,13 +7,13 @@ sys.dont_write_bytecode = True
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "soak"))
 
 from fleet import Disturbance
-from judgement import KEPT, KILLED, LATE, NOTHING, STOPPED, repeated_calls
+from cluster_checks import KEPT, KILLED, LATE, NOTHING, STOPPED, repeated_calls
 from model import Call
 
 KILL = Disturbance("worker-1.0", KILLED, 1.0, 1.5)
 PAUSE = Disturbance("worker-1.0", STOPPED, 1.0, 15.0)
 NAP = Disturbance("worker-1.0", STOPPED, 1.0, 4.0)
-# Who called when; what happened; when the answer was kept; what that comes to.
+# Calls by process and time; disturbances; when the answer was stored; the expected result.
 STORIES = {
     "one call is none too many": ([("worker-1.0", 0)], [KILL], 2, {}),
     "killed under a call: once more": ([("worker-1.0", 0), ("worker-2.0", 8)], [KILL], 10, {KILLED: 1}),
@@ -27,7 +27,7 @@ STORIES = {
     "awake, and asks what another is about to ask": ([("worker-1.0", 15.1), ("worker-2.0", 18)], [PAUSE], 20, {LATE: 1}),
     "still under a call, awake, and once more": ([("worker-1.0", 0), ("worker-1.0", 15.1), ("worker-2.0", 18)], [PAUSE], 20, {LATE: 1, STOPPED: 1}),
 }
-# The same, where the batch was taken up at this moment.
+# The same, if the batch was claimed at this moment.
 TAKEN_UP = {
     "awake, takes the job again, and asks once more": ([("worker-1.0", 0), ("worker-1.0", 15.3)], [PAUSE], 20, 15.2, {STOPPED: 1}),
     "awake, while another takes it up and asks": ([("worker-1.0", 0), ("worker-2.0", 15.3), ("worker-1.0", 15.4)], [PAUSE], 20, 15.2, {LATE: 1, STOPPED: 1}),

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""A database that goes away and comes back, under a server that goes on: clear 503s, nothing lost, recovery by itself.
+"""An outage of the database under a running server: clear 503s, no data lost, automatic recovery.
 
-usage: away.py --program PROGRAM --database postgres://… --stop COMMAND --start COMMAND
-(COMMANDs stop and start the database's server; scripts/test-postgres.sh says them.)
+usage: database_outage.py --program PROGRAM --database postgres://… --stop COMMAND --start COMMAND
+(COMMANDs stop and start the database server; scripts/test-postgres.sh sets them.)
 """
 import argparse
 import json
@@ -24,7 +24,7 @@ AWAY_S = 8
 
 
 class Server:
-    """A server over a data folder, and what else its arguments name."""
+    """A server on a data folder, with further arguments."""
 
     def __init__(self, program, folder, *arguments, environment=None):
         command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", str(folder), "--masks", "builtin", "--encoder", "builtin", *arguments]
@@ -32,7 +32,7 @@ class Server:
         self.url = self.process.stdout.readline().split()[-1]
 
     def call(self, method, path, body=None, media_type="application/json"):
-        """Status, headers and JSON of a call."""
+        """Returns status, headers and JSON of a call."""
         data = body if isinstance(body, (bytes, type(None))) else json.dumps(body).encode()
         request = urllib.request.Request(self.url + path, data, {"content-type": media_type}, method=method)
         try:
@@ -50,22 +50,22 @@ class Server:
 
 
 def until(what, true, seconds=60):
-    """Waits until something is so."""
+    """Waits until a condition holds."""
     end = time.monotonic() + seconds
     while not true():
         if time.monotonic() > end:
-            sys.exit(f"FAILED: {what} did not come about within {seconds} s")
+            sys.exit(f"FAILED: {what}: not reached within {seconds} s")
         time.sleep(0.1)
 
 
 def check(what, holds):
-    print(f"{'held' if holds else 'FAILED'}: {what}", flush=True)
+    print(f"{'passed' if holds else 'FAILED'}: {what}", flush=True)
     if not holds:
         sys.exit(1)
 
 
-def what_it_says(answer):
-    """What an answer says, without what is new about each."""
+def comparable_answer(answer):
+    """Returns an answer without the fields that differ between two answers."""
     return json.dumps({key: answer[key] for key in ("status", "answer", "box", "confidence")}, sort_keys=True)
 
 
@@ -109,7 +109,7 @@ def outage(server, args):
 
     kept = [server.call("GET", f"/v1/answers/{answer['id']}")[2] for answer in before]
     check("answers given before are kept as they were", kept == before)
-    check("the same questions get the same answers", [what_it_says(ask(query)[2]) for query in QUESTIONS] == list(map(what_it_says, before)))
+    check("the same questions get the same answers", [comparable_answer(ask(query)[2]) for query in QUESTIONS] == list(map(comparable_answer, before)))
     state = lambda: server.call("GET", f"/v1/batches/{batch}")[2]
     until("the batch's end", lambda: state()["state"] == "succeeded", 300)
     end = state()

@@ -1,5 +1,6 @@
-"""What people do with a server that is killed under their hands: upload, parse again, submit a batch, follow it, ask. Each goes on with the
-next server where the last one left it."""
+"""Client workloads for a server that is killed: upload, reparse, submit a batch, follow it, ask. Each continues with the next server where the
+last one stopped.
+"""
 import json
 import random
 import re
@@ -7,14 +8,14 @@ import time
 
 from wire import expect, request_bytes
 
-# Other settings than the usual, so that there is something to parse.
+# Non-default settings, so that there is something to parse.
 OTHER_SETTINGS = {"settings": {"parsing": {"superpoints": {"voxel_m": 0.035}}}}
 BUILTIN = {"reasoner": "builtin"}
 IDS = re.compile(rb"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}")
 
 
 def follow_job(connection, job_id, pause_s=0.1):
-    """Waits for a job's end; the job."""
+    """Waits for a job's end and returns the job."""
     while True:
         job = expect(connection.call("GET", f"/v1/jobs/{job_id}"), 200)
         if job["state"] in ("succeeded", "failed", "cancelled"):
@@ -23,7 +24,7 @@ def follow_job(connection, job_id, pause_s=0.1):
 
 
 def send_slowly(connection, data, seconds):
-    """A request in sixteen pieces, so that a kill finds it half received."""
+    """Sends a request in sixteen pieces, so that a kill interrupts it half received."""
     connection.open()
     step = len(data) // 16 + 1
     for at in range(0, len(data), step):
@@ -33,24 +34,24 @@ def send_slowly(connection, data, seconds):
 
 
 def upload(connection, scans, name, seconds=0.0):
-    """Uploads a variant under its name and key."""
+    """Uploads a variant under its name and idempotency key."""
     data = request_bytes("POST", f"/v1/scenes?name={name}", scans.variant(name), "application/zip", [("idempotency-key", name)])
     return expect(send_slowly(connection, data, seconds) if seconds else connection.send(data), 202)
 
 
 def instances(connection, scene):
-    """Everything about a scene's instances, byte for byte but for ids of scenes."""
+    """Returns a scene's instances, byte for byte except for scene ids."""
     reply = connection.call("GET", f"/v1/scenes/{scene}/instances?limit=1000&level=all")
     expect(reply, 200)
     return IDS.sub(b"", reply.body)
 
 
 class Uploader:
-    """Uploads a variant, waits for its parse, has it parsed with other settings, and so on."""
+    """Uploads a variant, waits for its parse, reparses it with other settings, and repeats."""
 
     def __init__(self, scans, most, seed):
         self.scans, self.most, self.dice = scans, most, random.Random(seed)
-        # Scenes that were acknowledged, by name; names of those that were parsed both ways.
+        # Acknowledged scenes by name, and the names of scenes parsed with both settings.
         self.scenes, self.parsed_again = {}, []
         self.jobs, self.begun = set(), 0
 
@@ -72,14 +73,14 @@ class Uploader:
 
 
 class Batch:
-    """Submits one batch, under a key, until somebody says that it was taken; then follows its results, each once."""
+    """Submits one batch under an idempotency key until it is accepted; then follows its results and reads each once."""
 
     def __init__(self, items):
         self.lines = "".join(json.dumps(item) + "\n" for item in items).encode()
         self.id, self.followed = None, []
-        # Jobs that this script stopped, to have the batch put on at once; how often the batch was paused for another reason.
+        # Jobs that this script cancelled so that the batch restarts at once; how often the batch was paused for another reason.
         self.stopped, self.paused = set(), 0
-        # How often its job waited for another try; why that was wrong, where it was.
+        # How often its job waited for a retry, and why that was wrong, if it was.
         self.put_off, self.put_off_wrongly = 0, []
 
     def live(self, server):
@@ -100,11 +101,11 @@ class Batch:
 
 
 class Asker:
-    """Asks the built-in reasoner, and remembers every answer it got."""
+    """Asks the built-in reasoner and remembers every answer."""
 
     def __init__(self, scenes, questions):
         self.scenes, self.questions, self.given = scenes, questions, {}
-        # Answers that were given with the word that they could not be kept.
+        # Answers that were returned with the note that they could not be stored.
         self.next, self.not_stored = 0, 0
 
     def live(self, server):
