@@ -131,7 +131,8 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
         let data = again.stop_and_keep_data().await;
         let well = run_uniground(&["doctor", "--data-dir", data.path().to_str().unwrap()]);
         assert!(
-            output_text(&well).contains("no problems found") || output_text(&well).contains("its scene"),
+            output_text(&well).contains("no problems found")
+                || output_text(&well).contains("its scene"),
             "{}",
             output_text(&well)
         );

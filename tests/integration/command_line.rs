@@ -314,7 +314,8 @@ async fn errors_end_with_what_to_do() {
     let away = dir.ask(&["scenes", "--server", "http://user:password@127.0.0.1:9"]).await;
     assert_eq!(away.status.code(), Some(1));
     assert!(
-        stderr_text(&away).starts_with("uniground: cannot connect to the server at http://127.0.0.1:9: "),
+        stderr_text(&away)
+            .starts_with("uniground: cannot connect to the server at http://127.0.0.1:9: "),
         "{}",
         stderr_text(&away)
     );

@@ -188,8 +188,7 @@ fn a_drop_against_the_baseline_fails_and_lists_the_lost_answers() {
     let fallen = fallen.args(["--baseline", baseline.as_str()]).output().unwrap();
     assert_eq!(fallen.status.code(), Some(1));
     assert!(
-        to_text(&fallen.stderr)
-            .contains("significantly worse than the baseline: source=oracle"),
+        to_text(&fallen.stderr).contains("significantly worse than the baseline: source=oracle"),
         "{}",
         to_text(&fallen.stderr)
     );

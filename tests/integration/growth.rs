@@ -360,13 +360,7 @@ async fn two_scans_of_a_room_are_aligned_and_compared() {
         let line = |x: f32, y: f32, z: f32, plus: f32| {
             let at =
                 |column: usize| x * rows[0][column] + y * rows[1][column] + z * rows[2][column];
-            format!(
-                "{} {} {} {}\n",
-                instance_at(0),
-                instance_at(1),
-                instance_at(2),
-                instance_at(3) + plus
-            )
+            format!("{} {} {} {}\n", at(0), at(1), at(2), at(3) + plus)
         };
         let moved = format!(
             "{}{}{}0 0 0 1\n",

@@ -140,7 +140,7 @@ fn paraphrased_questions_are_answered() {
             &format!("{name} in other words"),
             &known,
             &known.annotations,
-            paraphrased,
+            paraphrase,
             false,
         );
         // The inverted order: the anchor comes first.

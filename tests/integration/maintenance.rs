@@ -143,7 +143,8 @@ async fn the_doctor_finds_damage_and_the_next_start_repairs_it() {
     );
     let repaired = run_doctor(data, &["--repair"]);
     assert!(
-        repaired.status.success() && output_text(&repaired).contains("repaired: 2; 1 parses will run"),
+        repaired.status.success()
+            && output_text(&repaired).contains("repaired: 2; 1 parses will run"),
         "{}",
         output_text(&repaired)
     );

@@ -59,7 +59,10 @@ fn bundles_in_the_folder_are_used_in_name_order() {
     // A named bundle is not searched for.
     let asked = models_config(&tiny_bundles(), "tiny-segmenter-sam", BUILTIN).load().unwrap();
     assert_eq!(model_names(&asked), ["tiny-segmenter-sam"]);
-    assert_eq!(asked.told, "masks: tiny-segmenter-sam (as configured); encoder: built in (as configured)");
+    assert_eq!(
+        asked.told,
+        "masks: tiny-segmenter-sam (as configured); encoder: built in (as configured)"
+    );
 }
 
 /// Without models no library is needed, and nothing is reported as wrong.
@@ -94,7 +97,11 @@ fn a_broken_bundle_is_a_warning_unless_named_in_the_configuration() {
     fs::write(models.join("c-unreadable/model.json"), "{").unwrap();
     let chosen = models_config(&models, AUTO, AUTO).load().unwrap();
     assert_eq!(model_names(&chosen), ["tiny-dual-encoder"]);
-    assert!(chosen.told.starts_with("masks: built in (no segmentation model in"), "{}", chosen.told);
+    assert!(
+        chosen.told.starts_with("masks: built in (no segmentation model in"),
+        "{}",
+        chosen.told
+    );
     let warned = chosen.warnings.join("\n");
     assert!(warned.contains("c-unreadable/model.json") && warned.contains("a-broken/"), "{warned}");
     assert_eq!(chosen.warnings.len(), 2, "{warned}");

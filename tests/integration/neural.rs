@@ -416,7 +416,7 @@ async fn a_misbehaving_inference_server_is_reported_at_load() {
         let error = loaded.await.unwrap().unwrap_err();
         assert!(error.to_string().contains(expected), "{misbehavior:?}: {error}");
         assert!(
-            matches!(error, ModelError::InferenceServer { .. } | ModelError::NotFinite { .. }),
+            matches!(error, ModelError::Remote { .. } | ModelError::NotFinite { .. }),
             "{misbehavior:?}: {error}"
         );
     }

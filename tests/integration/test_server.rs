@@ -181,7 +181,7 @@ pub fn ask(query: &str) -> GroundRequest {
 }
 
 /// Returns the problem of a failed call.
-pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
+pub fn expect_problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
     match result {
         Err(ClientError::Problem(problem)) => *problem,
         other => panic!("expected a problem, got {other:?}"),

@@ -385,7 +385,7 @@ async fn a_disconnected_caller_or_cancelled_job_stops_the_call() {
     server.client.cancel_job(&job.id).await.unwrap();
     assert_eq!(wait_for_job(&server.client, &job.id).await.state, JobState::Cancelled);
     // A timeout of the question itself.
-    leaving::time_out_during_a_call(&server, &scene, &script).await;
+    disconnects::time_out_during_a_call(&server, &scene, &script).await;
     server.stop().await;
 }
 
