@@ -69,7 +69,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     .await
     .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
     if config.database.vectors == Vectors::Pgvector {
-        store.room_index.want_vectors().await?;
+        store.room_index.enable_vectors().await?;
     }
     let mut keys = Keyring::open(&store, api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
@@ -259,7 +259,7 @@ async fn handle_notifications(
 /// if it is unreachable or has a limit that requests will exceed.
 async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
     let Some(vlm) = services.vlm() else { return };
-    if let Err(error) = chat.reach().await {
+    if let Err(error) = chat.check_reachable().await {
         tracing::warn!(
             error = &error as &dyn std::error::Error,
             "vision-language model server unreachable; the built-in reasoner answers until it returns"

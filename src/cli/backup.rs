@@ -26,7 +26,7 @@ pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> any
     telemetry::start_quiet();
     ensure!(!(*as_json && to == "-"), "--json: standard output is the backup itself");
     let begun = Instant::now();
-    let done = back_up(data_dir, BackupTarget::of(to)).await?;
+    let done = back_up(data_dir, BackupTarget::from_path(to)).await?;
     let BackupReport { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
     // Standard output may be the backup itself.
     eprintln!("{to}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));

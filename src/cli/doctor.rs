@@ -32,7 +32,7 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let DoctorArgs { data_dir, database, blobs, repair, json: as_json } = args;
     ensure!(data_dir.is_dir(), "there is no folder {data_dir}");
-    let store = Store::open_as_it_is(data_dir, &database.location, &blobs.home()?).await;
+    let store = Store::open_without_recovery(data_dir, &database.location, &blobs.home()?).await;
     let store = store.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig::default().service_limits();
     let services = Services::new(Dependencies::at_rest(store.clone(), limits).await?);

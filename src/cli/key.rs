@@ -115,7 +115,7 @@ impl KeyStore {
         database: &DatabaseConfig,
         blobs: &BlobsConfig,
     ) -> anyhow::Result<Self> {
-        let store = Store::open_beside(folder, &database.location, &blobs.home()?)
+        let store = Store::open_alongside_server(folder, &database.location, &blobs.home()?)
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
         let keys = Keyring::open(&store, None).await?;

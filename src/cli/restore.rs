@@ -27,7 +27,7 @@ pub async fn run(
     RestoreArgs { from, data_dir, check: only_check, json: as_json }: &RestoreArgs,
 ) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    let source = BackupSource::of(from);
+    let source = BackupSource::from_path(from);
     let (restored, done) = match data_dir {
         _ if *only_check => (check(source).await?, format!("{from} is whole")),
         Some(data_dir) => (restore(source, data_dir).await?, format!("restored to {data_dir}")),

@@ -49,7 +49,7 @@ impl Folders {
 }
 
 async fn backed_up(data: &Utf8Path, to: &Utf8Path) -> BackupReport {
-    let done = back_up(data, BackupTarget::of(to)).await.unwrap();
+    let done = back_up(data, BackupTarget::from_path(to)).await.unwrap();
     assert_eq!(done.left_out, Vec::new());
     done
 }
@@ -57,7 +57,9 @@ async fn backed_up(data: &Utf8Path, to: &Utf8Path) -> BackupReport {
 /// A server on a restored backup.
 async fn restored(from: &Utf8Path) -> TestServer {
     let data = tempfile::tempdir().unwrap();
-    restore(BackupSource::of(from), Utf8Path::from_path(data.path()).unwrap()).await.unwrap();
+    restore(BackupSource::from_path(from), Utf8Path::from_path(data.path()).unwrap())
+        .await
+        .unwrap();
     TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -97,12 +99,12 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
     // Whatever is under way then, each of them is one whole.
     for round in 0..5 {
         backed_up(server.data(), &folders.at("backup")).await;
-        check(BackupSource::of(&folders.at("backup")))
+        check(BackupSource::from_path(&folders.at("backup")))
             .await
             .unwrap_or_else(|error| panic!("round {round}: {error}"));
         let archive = folders.at("backup.tar.zst");
         backed_up(server.data(), &archive).await;
-        check(BackupSource::of(&archive))
+        check(BackupSource::from_path(&archive))
             .await
             .unwrap_or_else(|error| panic!("round {round}, archive: {error}"));
     }
@@ -161,7 +163,7 @@ async fn only_what_is_new_is_copied() {
     let last = backed_up(server.data(), &to).await;
     assert_eq!((last.scenes, last.folders, last.new_folders), (1, 2, 1));
     assert_eq!(to.join("blobs/contents").read_dir_utf8().unwrap().count(), 1);
-    check(BackupSource::of(&to)).await.unwrap();
+    check(BackupSource::from_path(&to)).await.unwrap();
     // A server that is stopped is backed up like one that runs.
     let data = server.give_back().await;
     let stopped = uniground(&["backup", to.as_str(), "--data-dir", data.path().to_str().unwrap()]);

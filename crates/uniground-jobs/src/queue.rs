@@ -146,7 +146,7 @@ impl Jobs {
         if queued < self.max_queued - kept_free {
             return Ok(());
         }
-        let done = self.repository.done_lately(K::NAME, LATELY).await?;
+        let done = self.repository.count_recently_finished(K::NAME, LATELY).await?;
         let again_in_s = u32::try_from(LATELY.as_secs()).unwrap_or(u32::MAX) / done.max(1);
         Err(JobsError::QueueFull { queued, again_in_s: again_in_s.clamp(SOONEST_S, LATEST_S) })
     }
@@ -198,7 +198,9 @@ impl Jobs {
         cursor: Option<&str>,
     ) -> Result<JobList, JobsError> {
         let (rows, next_cursor) =
-            page(self.repository.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+            split_page(self.repository.jobs(filter, limit + 1, cursor).await?, limit, |row| {
+                &row.id
+            });
         Ok(JobList {
             jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(),
             next_cursor,
@@ -315,11 +317,11 @@ mod tests {
     /// Takes the next job, as a worker does.
     async fn take(jobs: &Jobs) -> (JobLease, RunningJob) {
         let row = jobs.repository.claim_job(Parsing::NAME).await.unwrap().unwrap();
-        let hold = JobLease::of(&row);
+        let lease = JobLease::from_claimed_row(&row);
         let running =
             RunningJob { pulse: Arc::default(), cancel: CancellationToken::new(), row: row.into() };
-        jobs.running().insert(hold.job_id.clone(), running.clone());
-        (hold, running)
+        jobs.running().insert(lease.job_id.clone(), running.clone());
+        (lease, running)
     }
 
     /// Whether a bell was rung since it was last looked at.
@@ -420,8 +422,8 @@ mod tests {
         for (more, again_in_s) in [(8, 75), (4, 50)] {
             for _ in 0..more {
                 fill(&jobs, 1, None).await;
-                let (hold, _) = take(&jobs).await;
-                let done = jobs.repository.finish_job(&hold, JobState::Succeeded, None, None);
+                let (lease, _) = take(&jobs).await;
+                let done = jobs.repository.finish_job(&lease, JobState::Succeeded, None, None);
                 done.await.unwrap();
             }
             assert_eq!(again().await, again_in_s);
@@ -433,12 +435,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         fill(&jobs, 1, None).await;
-        let (hold, _) = take(&jobs).await;
-        let row = async || jobs.repository.job(&hold.job_id).await.unwrap().unwrap();
+        let (lease, _) = take(&jobs).await;
+        let row = async || jobs.repository.job(&lease.job_id).await.unwrap().unwrap();
         assert_eq!(jobs.notify_worker::<Parsing>(row().await).state, JobState::Running);
         let told = jobs.metrics().text();
         assert!(!told.contains("kind=\"parsing\""), "one that runs counts nowhere: {told}");
-        jobs.repository.finish_job(&hold, JobState::Succeeded, Some("done"), None).await.unwrap();
+        jobs.repository.finish_job(&lease, JobState::Succeeded, Some("done"), None).await.unwrap();
         let job = jobs.notify_worker::<Parsing>(row().await);
         assert_eq!((job.state, job.message.as_deref()), (JobState::Succeeded, Some("done")));
         let told = jobs.metrics().text();
@@ -506,8 +508,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let id = submit(&jobs, "s").await;
-        let (hold, running) = take(&jobs).await;
-        jobs.repository.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        let (lease, running) = take(&jobs).await;
+        jobs.repository.save_job_progress(&lease, "masks", 0.25).await.unwrap();
         running.beat(JobProgress { stage: "merge", progress: 0.5 });
         assert_eq!(running.pulse(), JobProgress { stage: "merge", progress: 0.5 });
         let stands = async || {
@@ -520,13 +522,13 @@ mod tests {
         running.beat(JobProgress { stage: "", progress: 0.75 });
         assert_eq!(stands().await, (JobState::Running, None, 0.75), "no stage has a name yet");
         // One that is over stands as it was written down, though its worker is still there.
-        jobs.repository.finish_job(&hold, JobState::Failed, None, None).await.unwrap();
+        jobs.repository.finish_job(&lease, JobState::Failed, None, None).await.unwrap();
         assert_eq!(stands().await, (JobState::Failed, Some("masks".into()), 0.25));
         // Of one that runs elsewhere only its row is known.
         let elsewhere = submit(&jobs, "s").await;
-        let (hold, _) = take(&jobs).await;
+        let (lease, _) = take(&jobs).await;
         jobs.running().remove(&elsewhere);
-        jobs.repository.save_job_progress(&hold, "masks", 0.125).await.unwrap();
+        jobs.repository.save_job_progress(&lease, "masks", 0.125).await.unwrap();
         let job = jobs.get(&elsewhere).await.unwrap();
         assert_eq!((job.stage.as_deref(), job.progress), (Some("masks"), 0.125));
     }
@@ -558,14 +560,14 @@ mod tests {
         let jobs = jobs(&folder, 10).await;
         jobs.note_lane(Parsing::NAME, true);
         let (id, other) = (submit(&jobs, "s").await, submit(&jobs, "s").await);
-        let ((hold, running), (_, beside)) = (take(&jobs).await, take(&jobs).await);
+        let ((lease, running), (_, beside)) = (take(&jobs).await, take(&jobs).await);
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "until its next look");
         assert!(running.cancel.is_cancelled() && !beside.cancel.is_cancelled());
         assert!(jobs.repository.is_cancel_requested(&id).await.unwrap());
         assert!(!jobs.repository.is_cancel_requested(&other).await.unwrap());
         assert!(!jobs.metrics().text().contains("state=\"cancelled\""), "its worker counts it");
         // One that is over stays as it is.
-        jobs.repository.finish_job(&hold, JobState::Succeeded, None, None).await.unwrap();
+        jobs.repository.finish_job(&lease, JobState::Succeeded, None, None).await.unwrap();
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Succeeded);
     }
 

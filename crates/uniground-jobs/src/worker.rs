@@ -131,7 +131,7 @@ impl Jobs {
         shutdown: &CancellationToken,
     ) -> Result<(), StoreError> {
         let JobRow { id, payload, attempts, failures, furthest, .. } = job.clone();
-        let hold = JobLease::of(&job);
+        let lease = JobLease::from_claimed_row(&job);
         let payload = match serde_json::from_str(&payload) {
             Ok(payload) => payload,
             Err(error) => {
@@ -140,7 +140,7 @@ impl Jobs {
                 self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
                 return self
                     .record(
-                        &hold,
+                        &lease,
                         &JobOutcome::Failed { code: "internal".into(), detail },
                         shutdown,
                     )
@@ -161,7 +161,7 @@ impl Jobs {
                     "job could not be started yet; retrying"
                 );
                 self.running().remove(&id);
-                return self.record(&hold, &JobOutcome::PutBack, shutdown).await;
+                return self.record(&lease, &JobOutcome::PutBack, shutdown).await;
             }
         }
         let (beating, cancel) = (running.clone(), running.cancel.clone());
@@ -171,7 +171,7 @@ impl Jobs {
         );
         // In a task of its own: a job that panics ends itself, not the lane.
         let lost = CancellationToken::new();
-        let context = JobContext { hold: hold.clone(), lost: lost.clone(), payload, progress };
+        let context = JobContext { lease: lease.clone(), lost: lost.clone(), payload, progress };
         let work = {
             let kind = kind.clone();
             async move { kind.run(context).await }
@@ -186,7 +186,7 @@ impl Jobs {
                 result = &mut work => break result,
                 _ = saving.tick() => {
                     let JobProgress { stage, progress } = running.pulse();
-                    match self.repository.save_job_progress(&hold, stage, progress).await {
+                    match self.repository.save_job_progress(&lease, stage, progress).await {
                         Ok(false) => {}
                         // Cancellation was requested through another process.
                         Ok(true) => running.cancel.cancel(),
@@ -234,7 +234,7 @@ impl Jobs {
         };
         // Count first: whoever sees the finished job must find it in the metrics.
         self.count(K::NAME, &end, start.elapsed());
-        let ended = self.record(&hold, &end, shutdown).await;
+        let ended = self.record(&lease, &end, shutdown).await;
         self.running().remove(&id);
         ended
     }
@@ -254,12 +254,12 @@ impl Jobs {
     /// the job would appear to run forever.
     async fn record(
         &self,
-        hold: &JobLease,
+        lease: &JobLease,
         end: &JobOutcome,
         shutdown: &CancellationToken,
     ) -> Result<(), StoreError> {
         loop {
-            match self.try_to_record(hold, end).await {
+            match self.try_to_record(lease, end).await {
                 Err(StoreError::NotHeld) => {
                     tracing::warn!(
                         "lease lost: another worker has this job, its result here is discarded"
@@ -278,22 +278,24 @@ impl Jobs {
         }
     }
 
-    async fn try_to_record(&self, hold: &JobLease, end: &JobOutcome) -> Result<(), StoreError> {
+    async fn try_to_record(&self, lease: &JobLease, end: &JobOutcome) -> Result<(), StoreError> {
         match end {
             JobOutcome::Done(message) => {
                 tracing::info!(result = message, "job succeeded");
-                self.repository.finish_job(hold, JobState::Succeeded, Some(message), None).await
+                self.repository.finish_job(lease, JobState::Succeeded, Some(message), None).await
             }
-            JobOutcome::PutBack => self.repository.requeue_job(hold).await,
+            JobOutcome::PutBack => self.repository.requeue_job(lease).await,
             JobOutcome::Again { wait, failures, progress } => {
-                self.repository.requeue_job_after(hold, *wait, *failures, *progress).await
+                self.repository.requeue_job_after(lease, *wait, *failures, *progress).await
             }
             JobOutcome::Cancelled => {
                 tracing::info!("job cancelled");
-                self.repository.finish_job(hold, JobState::Cancelled, None, None).await
+                self.repository.finish_job(lease, JobState::Cancelled, None, None).await
             }
             JobOutcome::Failed { code, detail } => {
-                self.repository.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
+                self.repository
+                    .finish_job(lease, JobState::Failed, None, Some((code, detail)))
+                    .await
             }
         }
     }

@@ -113,7 +113,8 @@ impl DoctorService {
         }
         for hash in self.content_repository.all_contents().await? {
             let (blobs, place) = (self.blobs.clone(), self.blobs.content(&hash));
-            let wrong = spawn_blocking(move || blobs.look(&place, CheckDepth::Bytes)).await??;
+            let wrong =
+                spawn_blocking(move || blobs.check_folder(&place, CheckDepth::Bytes)).await??;
             if let Some(detail) = told(&wrong) {
                 found(
                     FindingKind::Content { hash: hash.clone() },
@@ -174,7 +175,7 @@ impl DoctorService {
                 FindingKind::Unclaimed { kind, name } => {
                     self.orphan_repository.quarantine(vec![(kind, name.clone())]).await?;
                 }
-                FindingKind::Job { id } => self.job_repository.end_orphan(id).await?,
+                FindingKind::Job { id } => self.job_repository.cancel_orphan_job(id).await?,
                 FindingKind::Database
                 | FindingKind::References
                 | FindingKind::Content { .. }

@@ -136,7 +136,7 @@ impl MaintenanceService {
             round.checkpoints().await?,
             quarantine,
         ];
-        if self.blobs.are_copies() {
+        if self.blobs.is_cache() {
             removed.push(round.orphans().await?);
         }
         for RetentionReport { kind, entries, bytes, why } in
@@ -152,9 +152,10 @@ impl RetentionRun<'_> {
     async fn evidence(&mut self) -> Result<RetentionReport, Error> {
         let days = self.service.limits.retention.evidence_days;
         let blobs = self.service.blobs.clone();
-        let old =
-            spawn_blocking(move || blobs.older_than("answers", DAY * days, SystemTime::now()))
-                .await??;
+        let old = spawn_blocking(move || {
+            blobs.list_folders_older_than("answers", DAY * days, SystemTime::now())
+        })
+        .await??;
         let mut gone = RemovedSoFar::default();
         for names in old.chunks(TOGETHER as usize) {
             let folders = names.iter().map(|name| self.service.blobs.answer(name)).collect();
@@ -269,7 +270,7 @@ impl RetentionRun<'_> {
         let Retention { checkpoints_days: days, checkpoints_bytes: most, .. } =
             self.service.limits.retention;
         let blobs = self.service.blobs.clone();
-        let kept = spawn_blocking(move || blobs.kept_checkpoints()).await??;
+        let kept = spawn_blocking(move || blobs.list_checkpoints()).await??;
         let oldest =
             if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
         let mut gone = RemovedSoFar::default();
@@ -296,7 +297,8 @@ impl RetentionRun<'_> {
     }
 
     async fn quarantine(&self) -> Result<RetentionReport, Error> {
-        let (entries, bytes) = self.service.orphan_repository.sweep(self.beside.settled()).await?;
+        let (entries, bytes) =
+            self.service.orphan_repository.collect_orphans(self.beside.settled()).await?;
         Ok(RemovedSoFar { entries, bytes }.because(
             "quarantine",
             format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days"),

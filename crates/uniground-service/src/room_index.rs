@@ -119,7 +119,7 @@ impl RoomSearch {
             (known.collect::<Vec<_>>(), seen)
         })
         .await?;
-        self.room_index_repository.keep_vectors(&room.parse_id, seen.as_ref()).await?;
+        self.room_index_repository.insert_vectors(&room.parse_id, seen.as_ref()).await?;
         Ok(self.room_index_repository.index_room(room, &known).await?)
     }
 
@@ -256,7 +256,7 @@ impl RoomSearch {
             }
         };
         let Some(vector) = vector else { return Ok(Vec::new()) };
-        Ok(self.room_index_repository.rooms_near(&name, &vector, labels, most as u32).await?)
+        Ok(self.room_index_repository.nearest_rooms(&name, &vector, labels, most as u32).await?)
     }
 }
 

@@ -206,7 +206,7 @@ impl StatsService {
     async fn spent_today(&self) -> Result<f64, Error> {
         match &self.vlm {
             Some(vlm) => vlm.spent_today_usd().await,
-            None => Ok(self.spending_repository.spent_on(&today()).await?),
+            None => Ok(self.spending_repository.spending_on_day(&today()).await?),
         }
     }
 

@@ -92,7 +92,7 @@ impl WebhookService {
         if turn.is_none() {
             return Ok(false);
         }
-        let due = self.webhook_repository.due_announcements(TOGETHER).await?;
+        let due = self.webhook_repository.due_deliveries(TOGETHER).await?;
         let any = !due.is_empty();
         join_all(
             due.into_iter()
@@ -109,10 +109,10 @@ impl WebhookService {
     /// [`Error::Store`].
     pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
         match webhook {
-            Some(_) => self.webhook_repository.note_announcements().await?,
+            Some(_) => self.webhook_repository.enable_deliveries().await?,
             // Other processes may have a webhook.
             None if !self.named_locks.was_alone_at_start() => {}
-            None => self.webhook_repository.note_no_announcements().await?,
+            None => self.webhook_repository.disable_deliveries().await?,
         }
         Ok(())
     }
@@ -131,7 +131,7 @@ impl WebhookService {
     async fn announce_job(&self, webhook: &Webhook, job_id: &str, tried: u32) -> Result<(), Error> {
         let job = match self.jobs.get(job_id).await {
             Err(JobsError::NotFound { .. }) => {
-                return Ok(self.webhook_repository.forget_announcement(job_id).await?);
+                return Ok(self.webhook_repository.delete_delivery(job_id).await?);
             }
             job => job?,
         };
@@ -141,7 +141,7 @@ impl WebhookService {
         match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
             // Delivered. Status 410 means that the receiver is gone for good.
             Ok(()) | Err(WebhookError::Refused(410)) => {
-                self.webhook_repository.forget_announcement(job_id).await?;
+                self.webhook_repository.delete_delivery(job_id).await?;
             }
             Err(error) if tried + 1 >= TRIES => {
                 tracing::error!(
@@ -150,7 +150,7 @@ impl WebhookService {
                     error = &error as &dyn std::error::Error,
                     "webhook delivery abandoned after the last attempt"
                 );
-                self.webhook_repository.forget_announcement(job_id).await?;
+                self.webhook_repository.delete_delivery(job_id).await?;
             }
             Err(error) => {
                 let wait = FIRST_WAIT.saturating_mul(1 << tried.min(16)).min(LONGEST_WAIT);
@@ -161,7 +161,7 @@ impl WebhookService {
                     error = &error as &dyn std::error::Error,
                     "webhook delivery failed; retrying"
                 );
-                self.webhook_repository.put_off_announcement(job_id, wait).await?;
+                self.webhook_repository.postpone_delivery(job_id, wait).await?;
             }
         }
         Ok(())

@@ -130,7 +130,7 @@ impl AnswerRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn question_of_key(
+    pub async fn claim_idempotency_key(
         &self,
         key: &str,
         request: &str,
@@ -181,24 +181,24 @@ impl AnswerRepository {
         let mut which = match batch_id {
             // Join through the batch, one page at a time.
             Some(_) => {
-                let join = self.database.engine.in_this_order();
-                SqlFilter::behind(format!(
+                let join = self.database.engine.ordered_join();
+                SqlFilter::new(format!(
                     "{columns} batch_items {join} answers ON answers.id = answer_id WHERE true"
                 ))
             }
-            None => SqlFilter::behind(format!("{columns} answers WHERE true")),
+            None => SqlFilter::new(format!("{columns} answers WHERE true")),
         };
-        which.and("batch_id =", batch_id.as_ref());
-        which.and("answer_id <", cursor.filter(|_| batch_id.is_some()));
-        which.and("answers.id <", cursor);
+        which.and_if_some("batch_id =", batch_id.as_ref());
+        which.and_if_some("answer_id <", cursor.filter(|_| batch_id.is_some()));
+        which.and_if_some("answers.id <", cursor);
         // An item of a batch gets its answer's id long before it is answered, so the order of ids
         // does not tell when an answer was created.
-        which.and("answers.created_at >=", since.map(|time| time.to_string()));
-        which.and("answers.created_at <", until.map(|time| time.to_string()));
-        which.and("answers.scene_id =", scene_id.as_ref());
-        which.and("answers.status =", status.as_ref());
+        which.and_if_some("answers.created_at >=", since.map(|time| time.to_string()));
+        which.and_if_some("answers.created_at <", until.map(|time| time.to_string()));
+        which.and_if_some("answers.scene_id =", scene_id.as_ref());
+        which.and_if_some("answers.status =", status.as_ref());
         which
-            .first(
+            .fetch(
                 if batch_id.is_some() { "answer_id DESC" } else { "answers.id DESC" },
                 limit,
                 &self.database.reader,

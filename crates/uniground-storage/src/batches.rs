@@ -1,6 +1,6 @@
 //! Batches and their items.
 
-use super::database::{Database, number, without_nul};
+use super::database::{Database, replace_nul, to_unsigned};
 use super::{JobLease, JobRow, NewJob, Reserve, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
@@ -32,8 +32,11 @@ impl FromRow<'_, AnyRow> for BatchRow {
             label: row.try_get("label")?,
             state: row.try_get("state")?,
             reason: row.try_get("reason")?,
-            items: number(row.try_get("items")?)?,
-            concurrency: row.try_get::<Option<i64>, _>("concurrency")?.map(number).transpose()?,
+            items: to_unsigned(row.try_get("items")?)?,
+            concurrency: row
+                .try_get::<Option<i64>, _>("concurrency")?
+                .map(to_unsigned)
+                .transpose()?,
             max_cost_usd: row.try_get("max_cost_usd")?,
             job_id: row.try_get("job_id")?,
             request: row.try_get("request")?,
@@ -183,7 +186,7 @@ impl BatchRepository {
             sqlx::query(sql)
                 .bind(batch_id)
                 .bind(i64::from(item))
-                .bind(&*without_nul(scene_id))
+                .bind(&*replace_nul(scene_id))
                 .bind(request)
                 .bind(self.database.new_id())
                 .execute(&mut *tx)
@@ -208,7 +211,7 @@ impl BatchRepository {
             let before: Option<BatchRow> =
                 sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&mut *tx).await?;
             if let Some(before) = before {
-                tx.forget().await?;
+                tx.rollback().await?;
                 let same = before.request.as_deref() == Some(request);
                 return Ok(if same {
                     SubmitOutcome::MadeBefore(before)
@@ -306,7 +309,7 @@ impl BatchRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub(super) async fn forget_half_received_batches(&self) -> Result<(), StoreError> {
+    pub(super) async fn delete_unsubmitted_batches(&self) -> Result<(), StoreError> {
         let sql = "SELECT id FROM batches WHERE state = 'receiving' AND (receiver IS NULL OR receiver NOT IN (SELECT id FROM members))";
         let left: Vec<String> =
             sqlx::query_scalar(sql).fetch_all(self.database.writer.pool()).await?;
@@ -345,7 +348,7 @@ impl BatchRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn batch_figures(
+    pub async fn summarize_batch_items(
         &self,
         id: &str,
     ) -> Result<(BTreeMap<String, u32>, f64), StoreError> {
@@ -353,7 +356,7 @@ impl BatchRepository {
                    WHERE batch_id = $1 AND status IS NOT NULL GROUP BY status";
         let (mut numbers, mut usd) = (BTreeMap::new(), 0.0);
         for row in sqlx::query(sql).bind(id).fetch_all(&self.database.reader).await? {
-            numbers.insert(row.try_get("status")?, number(row.try_get("number")?)?);
+            numbers.insert(row.try_get("status")?, to_unsigned(row.try_get("number")?)?);
             usd += row.try_get::<f64, _>("usd")?;
         }
         Ok((numbers, usd))
@@ -376,7 +379,7 @@ impl BatchRepository {
             .await?;
         let open = |row: &AnyRow| {
             Ok(OpenItem {
-                item: number(row.try_get("item")?)?,
+                item: to_unsigned(row.try_get("item")?)?,
                 scene_id: row.try_get("scene_id")?,
                 request: row.try_get("request")?,
                 answer_id: row.try_get("answer_id")?,
@@ -391,13 +394,13 @@ impl BatchRepository {
     /// [`StoreError::NotHeld`], [`StoreError::Database`].
     pub async fn close_batch_items(
         &self,
-        hold: &JobLease,
+        lease: &JobLease,
         id: &str,
         closed: &[ClosedItem],
     ) -> Result<(), StoreError> {
         let sql = "UPDATE batch_items SET status = $1, cost_usd = $2, error_code = $3, error = $4 WHERE batch_id = $5 AND item = $6";
         let mut tx = self.database.writer.begin().await?;
-        hold.check(&mut tx).await?;
+        lease.check(&mut tx).await?;
         for ClosedItem { item, status, cost_usd, error } in closed {
             let (code, detail) =
                 error.as_ref().map_or((None, None), |(code, detail)| (Some(code), Some(detail)));
@@ -418,7 +421,7 @@ impl BatchRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn move_batch(
+    pub async fn change_batch_state(
         &self,
         id: &str,
         from: &[&str],
@@ -452,7 +455,7 @@ impl BatchRepository {
         let mut tx = self.database.writer.begin().await?;
         let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = $1 AND state IN ('running', 'paused')";
         if sqlx::query(resume).bind(id).execute(&mut *tx).await?.rows_affected() == 0 {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(ResumeOutcome::Over);
         }
         let works = "SELECT count(*) FROM jobs JOIN batches ON jobs.id = job_id
@@ -495,7 +498,7 @@ impl BatchRepository {
             let (code, detail): (Option<String>, Option<String>) =
                 (row.try_get("error_code")?, row.try_get("error")?);
             Ok(ItemRow {
-                item: number(row.try_get("item")?)?,
+                item: to_unsigned(row.try_get("item")?)?,
                 scene_id: row.try_get("scene_id")?,
                 request: row.try_get("request")?,
                 answer_id: row.try_get("answer_id")?,

@@ -57,7 +57,7 @@ pub enum StoreAccess {
 #[derive(Clone)]
 pub(super) struct ClusterMembership {
     member: ProcessLease,
-    turns: LocalLocks,
+    local_locks: LocalLocks,
     /// Present where the database may have other members.
     session: Option<Session>,
     /// No other member was present when this one joined.
@@ -124,13 +124,13 @@ impl ClusterMembership {
     /// [`StoreError::DatabaseInUse`], or the database's error.
     pub async fn join(
         location: &Location,
-        company: StoreAccess,
+        access: StoreAccess,
         lease: Duration,
     ) -> Result<Self, StoreError> {
-        let (member, turns) =
+        let (member, local_locks) =
             (ProcessLease { id: Arc::new(RwLock::new(new_id())), lease }, LocalLocks::default());
         let Location::Postgres(url) = location else {
-            return Ok(Self { member, turns, session: None, was_alone: true });
+            return Ok(Self { member, local_locks, session: None, was_alone: true });
         };
         install_default_drivers();
         let options = AnyConnectOptions::from_str(url.with_password())?;
@@ -138,22 +138,23 @@ impl ClusterMembership {
         let begun = Instant::now();
         let mut waited = false;
         let was_alone = loop {
-            if locked(&mut connection, "pg_try_advisory_lock", MEMBERS).await? {
-                if waited || !is_anybody_expected(&mut connection).await? {
+            if call_lock_function(&mut connection, "pg_try_advisory_lock", MEMBERS).await? {
+                if waited || !has_members(&mut connection).await? {
                     break true;
                 }
                 // They were killed, or are reconnecting to a database that was away itself.
-                locked(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
+                call_lock_function(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
                 sleep(COMING_BACK).await;
                 waited = true;
                 continue;
             }
-            if company == StoreAccess::Welcome
-                && locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await?
+            if access == StoreAccess::Welcome
+                && call_lock_function(&mut connection, "pg_try_advisory_lock_shared", MEMBERS)
+                    .await?
             {
                 break false;
             }
-            let patience = if company == StoreAccess::Welcome { CLEARING } else { HANDOVER };
+            let patience = if access == StoreAccess::Welcome { CLEARING } else { HANDOVER };
             if begun.elapsed() >= patience {
                 return Err(StoreError::DatabaseInUse);
             }
@@ -164,7 +165,7 @@ impl ClusterMembership {
             held: Arc::new(Mutex::new(Some(connection))),
             number: Arc::default(),
         };
-        Ok(Self { member, turns, session: Some(session), was_alone })
+        Ok(Self { member, local_locks, session: Some(session), was_alone })
     }
 
     /// Writes this member's row. A member that was alone deletes all other rows: their processes
@@ -181,15 +182,15 @@ impl ClusterMembership {
     }
 
     /// Releases exclusive access, where this process had it, and starts the heartbeats.
-    pub async fn let_others_in(&self) -> Result<(), StoreError> {
+    pub async fn release_exclusive_access(&self) -> Result<(), StoreError> {
         let Some(session) = &self.session else { return Ok(()) };
         if self.was_alone {
             let mut held = session.held.lock().await;
             let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
-            locked(connection, "pg_try_advisory_lock_shared", MEMBERS).await?;
-            locked(connection, "pg_advisory_unlock", MEMBERS).await?;
+            call_lock_function(connection, "pg_try_advisory_lock_shared", MEMBERS).await?;
+            call_lock_function(connection, "pg_advisory_unlock", MEMBERS).await?;
         }
-        tokio::spawn(self.member.clone().stay(
+        tokio::spawn(self.member.clone().run_heartbeat(
             session.options.clone(),
             Arc::downgrade(&session.held),
             session.number.clone(),
@@ -212,26 +213,27 @@ impl ClusterMembership {
     ///
     /// # Errors
     /// The database's error.
-    pub async fn turn(&self, name: &str) -> Result<NamedLock, StoreError> {
-        let local = self.turns.at(name).await;
+    pub async fn lock(&self, name: &str) -> Result<NamedLock, StoreError> {
+        let local = self.local_locks.lock(name).await;
         let Some(session) = &self.session else {
             return Ok(NamedLock { _local: Some(local), shared: None });
         };
-        let shared = session.clone().take(key_of(name), LockWait::AsLongAsItTakes).await?;
-        Ok(NamedLock { _local: None, shared: shared.map(|shared| shared.with(local)) })
+        let shared = session.clone().acquire(lock_key(name), LockWait::AsLongAsItTakes).await?;
+        Ok(NamedLock { _local: None, shared: shared.map(|shared| shared.with_local_lock(local)) })
     }
 
     /// Takes the lock of this name, if it is free.
     ///
     /// # Errors
     /// The database's error.
-    pub async fn try_turn(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
-        let Some(local) = self.turns.try_at(name) else { return Ok(None) };
+    pub async fn try_lock(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
+        let Some(local) = self.local_locks.try_lock(name) else { return Ok(None) };
         let Some(session) = &self.session else {
             return Ok(Some(NamedLock { _local: Some(local), shared: None }));
         };
-        let shared = session.clone().take(key_of(name), LockWait::NotAtAll).await?;
-        Ok(shared.map(|shared| NamedLock { _local: None, shared: Some(shared.with(local)) }))
+        let shared = session.clone().acquire(lock_key(name), LockWait::NotAtAll).await?;
+        Ok(shared
+            .map(|shared| NamedLock { _local: None, shared: Some(shared.with_local_lock(local)) }))
     }
 
     /// Leaves the cluster. Other members can take over this one's work at once.
@@ -260,7 +262,7 @@ impl ProcessLease {
 
     /// Sends heartbeats as long as the session has an owner. Removes members that are gone, and
     /// reconnects whenever the database was away.
-    async fn stay(
+    async fn run_heartbeat(
         self,
         options: AnyConnectOptions,
         held: Weak<Mutex<Option<AnyConnection>>>,
@@ -286,14 +288,14 @@ impl ProcessLease {
             let seen = timeout(PATIENCE * 2, async {
                 let connection = match &mut *held {
                     Some(connection) => connection,
-                    gone => gone.insert(connect_again(&options).await?),
+                    gone => gone.insert(reconnect(&options).await?),
                 };
-                self.beat(connection).await?;
+                self.send_heartbeat(connection).await?;
                 if *self.id() != *id_before {
                     steady_since = Instant::now();
                 }
                 if steady_since.elapsed() >= self.lease {
-                    self.forget_the_gone(connection).await?;
+                    self.remove_gone_members(connection).await?;
                 }
                 Ok::<_, StoreError>(())
             });
@@ -315,7 +317,7 @@ impl ProcessLease {
     }
 
     /// Sends one heartbeat. Takes a new id where this member was removed.
-    async fn beat(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
+    async fn send_heartbeat(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
         let (clock, id) = (Engine::Postgres.clock(), self.id());
         let sql = format!(
             "UPDATE members SET seen_at = {clock}, session = pg_backend_pid() WHERE id = $1"
@@ -338,7 +340,7 @@ impl ProcessLease {
 
     /// Removes members that are gone, and members without a heartbeat for a lease, whose sessions
     /// it terminates.
-    async fn forget_the_gone(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
+    async fn remove_gone_members(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
         let clock = Engine::Postgres.clock();
         let sql = format!(
             "DELETE FROM members WHERE id <> $1 AND (seen_at < {clock} - $2
@@ -375,7 +377,11 @@ enum LockWait {
 impl Session {
     /// Takes an advisory lock, in a task of its own: a cancelled caller must not leave the
     /// connection in the middle of a statement.
-    async fn take(self, key: i64, waiting: LockWait) -> Result<Option<AdvisoryLock>, StoreError> {
+    async fn acquire(
+        self,
+        key: i64,
+        waiting: LockWait,
+    ) -> Result<Option<AdvisoryLock>, StoreError> {
         let wanted = CancellationToken::new();
         let _wants = wanted.clone().drop_guard();
         let taking = tokio::spawn(async move {
@@ -411,7 +417,7 @@ impl Session {
         key: i64,
     ) -> Result<bool, StoreError> {
         let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
-        let called = timeout(PATIENCE, locked(connection, function, key)).await;
+        let called = timeout(PATIENCE, call_lock_function(connection, function, key)).await;
         let called = called.unwrap_or_else(|_| Err(sqlx::Error::PoolTimedOut.into()));
         if called.is_err() {
             *held = None;
@@ -422,7 +428,7 @@ impl Session {
 }
 
 impl AdvisoryLock {
-    fn with(mut self, local: LocalLock) -> Self {
+    fn with_local_lock(mut self, local: LocalLock) -> Self {
         self.local = Some(local);
         self
     }
@@ -452,7 +458,7 @@ async fn connect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreErro
 }
 
 /// Returns whether any member has not left. Before the first member the table does not exist.
-async fn is_anybody_expected(connection: &mut AnyConnection) -> Result<bool, StoreError> {
+async fn has_members(connection: &mut AnyConnection) -> Result<bool, StoreError> {
     let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL")
         .fetch_one(&mut *connection)
         .await?;
@@ -464,16 +470,16 @@ async fn is_anybody_expected(connection: &mut AnyConnection) -> Result<bool, Sto
     Ok(here > 0)
 }
 
-async fn connect_again(options: &AnyConnectOptions) -> Result<AnyConnection, StoreError> {
+async fn reconnect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreError> {
     let mut connection = connect(options).await?;
-    match locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await? {
+    match call_lock_function(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await? {
         true => Ok(connection),
         false => Err(StoreError::DatabaseInUse),
     }
 }
 
 /// Calls one of PostgreSQL's advisory lock functions.
-async fn locked(
+async fn call_lock_function(
     connection: &mut AnyConnection,
     function: &'static str,
     key: i64,
@@ -487,7 +493,7 @@ fn new_id() -> Arc<str> {
 }
 
 /// Returns the number of a named lock. PostgreSQL's advisory locks are numbered.
-fn key_of(name: &str) -> i64 {
+fn lock_key(name: &str) -> i64 {
     let digest = Sha256::digest(name);
     i64::from_be_bytes(std::array::from_fn(|i| digest[i]))
 }

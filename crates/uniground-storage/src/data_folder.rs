@@ -54,8 +54,8 @@ impl DataFolder {
     ///
     /// # Errors
     /// [`StoreError::OtherDatabase`], [`StoreError::HalfMoved`], or an error of the file system.
-    pub fn goes_with(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
-        Self::is_whole(path)?;
+    pub fn check_engine(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
+        Self::check_complete(path)?;
         let kept_in = match fs::read(path.join(MARKER)) {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.database,
             Err(error)
@@ -74,7 +74,7 @@ impl DataFolder {
     }
 
     /// Checks that no unfinished data migration has this folder as its target.
-    fn is_whole(path: &Utf8Path) -> Result<(), StoreError> {
+    fn check_complete(path: &Utf8Path) -> Result<(), StoreError> {
         match path.join(MOVING).exists() && !path.join(MARKER).exists() {
             true => Err(StoreError::HalfMoved),
             false => Ok(()),
@@ -113,7 +113,7 @@ impl DataFolder {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 let id = Uuid::new_v4().to_string();
-                mark(path, &id, engine)?;
+                write_marker(path, &id, engine)?;
                 id
             }
             Err(error) => return Err(error.into()),
@@ -140,8 +140,8 @@ impl DataFolder {
     /// # Errors
     /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or an
     /// error of the file system.
-    pub fn look(path: &Utf8Path) -> Result<Self, StoreError> {
-        let (id, engine) = Self::identity(path)?;
+    pub fn open_read_only(path: &Utf8Path) -> Result<Self, StoreError> {
+        let (id, engine) = Self::read_identity(path)?;
         if engine != Engine::Sqlite {
             return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() });
         }
@@ -159,8 +159,8 @@ impl DataFolder {
 
     /// Returns id and database engine of a data folder, without locking it. Returns a new id for a
     /// folder from before folders had ids.
-    pub fn identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
-        Self::is_whole(path)?;
+    pub fn read_identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
+        Self::check_complete(path)?;
         match fs::read(path.join(MARKER)) {
             Ok(bytes) => {
                 let Marker { id, database, .. } = serde_json::from_slice(&bytes)?;
@@ -203,7 +203,7 @@ impl DataFolder {
 }
 
 /// Marks a folder as a data folder with this id.
-pub(super) fn mark(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<()> {
+pub(super) fn write_marker(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<()> {
     let text = serde_json::to_vec_pretty(&Marker {
         format: 1,
         id: id.to_owned(),

@@ -89,7 +89,7 @@ pub enum InsertOutcome {
     KeyReused,
 }
 
-pub(super) async fn made_by_key(
+pub(super) async fn scene_of_key(
     connection: &mut AnyConnection,
     key: &str,
 ) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
@@ -116,9 +116,9 @@ impl SceneRepository {
         let time = now();
         let mut tx = self.database.writer.begin().await?;
         if let Some((key, request)) = key
-            && let Some((scene, before)) = made_by_key(&mut tx, key).await?
+            && let Some((scene, before)) = scene_of_key(&mut tx, key).await?
         {
-            tx.forget().await?;
+            tx.rollback().await?;
             // Old servers did not store the request: accept the key.
             let same = before.is_none_or(|before| before == request);
             return Ok(if same {
@@ -147,7 +147,7 @@ impl SceneRepository {
             sqlx::query(sql).bind(key).bind(id).bind(&time).bind(request).execute(&mut *tx).await?;
         }
         let job = match job {
-            Some(job) => Some(add_job(&mut tx, id, &self.database.new_id(), job).await?),
+            Some(job) => Some(insert_queued_job(&mut tx, id, &self.database.new_id(), job).await?),
             None => None,
         };
         let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
@@ -174,10 +174,10 @@ impl SceneRepository {
             .fetch_optional(&mut *tx)
             .await?;
         if found.is_none() {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(None);
         }
-        let job = add_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
+        let job = insert_queued_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -200,7 +200,7 @@ impl SceneRepository {
         &self,
         key: &str,
     ) -> Result<Option<(SceneRow, Option<String>)>, StoreError> {
-        Ok(made_by_key(&mut *self.database.reader.acquire().await?, key).await?)
+        Ok(scene_of_key(&mut *self.database.reader.acquire().await?, key).await?)
     }
 
     /// Returns scenes, newest first; with a `cursor` (an id) only those before it.
@@ -214,8 +214,8 @@ impl SceneRepository {
         filter: &SceneFilter,
     ) -> Result<Vec<SceneRow>, StoreError> {
         let (among, is_filed_so) = (
-            self.database.engine.values_of("$3"),
-            self.database.engine.contains("scenes.labels", "$4"),
+            self.database.engine.json_texts("$3"),
+            self.database.engine.json_contains("scenes.labels", "$4"),
         );
         let sql = format!(
             "SELECT * FROM scenes WHERE ($1 IS NULL OR id < $1) AND ($3 IS NULL OR id IN {among}) AND {is_filed_so}
@@ -302,7 +302,7 @@ impl SceneRepository {
                 .fetch_optional(&mut *tx)
                 .await?;
         let Some(content) = content else {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(None);
         };
         let mut folders: Vec<Utf8PathBuf> =
@@ -314,7 +314,7 @@ impl SceneRepository {
 }
 
 /// Inserts a job on a scene, in the caller's transaction.
-pub(super) async fn add_job(
+pub(super) async fn insert_queued_job(
     tx: &mut Transaction,
     scene_id: &str,
     id: &str,

@@ -204,7 +204,7 @@ impl ChatClient {
     ///
     /// # Errors
     /// Why it cannot be reached.
-    pub async fn reach(&self) -> Result<(), reqwest::Error> {
+    pub async fn check_reachable(&self) -> Result<(), reqwest::Error> {
         let url = format!("{}/models", self.endpoint.base_url.trim_end_matches('/'));
         let request = self.http.get(url).timeout(LONGEST_LOOK);
         let request =

@@ -186,7 +186,9 @@ async fn a_job_has_one_holder() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
-    let first = JobLease::of(&jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap());
+    let first = JobLease::from_claimed_row(
+        &jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap(),
+    );
     jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Running, "its holder is there");
     jobs.repository.enter_as_new_process().await.unwrap();
@@ -213,7 +215,10 @@ async fn interruptions_count_only_while_a_job_gets_no_further() {
     let id = submit(&jobs, "this").await;
     let interrupted = async |progress| {
         let job = jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
-        jobs.repository.save_job_progress(&JobLease::of(&job), "stage", progress).await.unwrap();
+        jobs.repository
+            .save_job_progress(&JobLease::from_claimed_row(&job), "stage", progress)
+            .await
+            .unwrap();
         jobs.repository.enter_as_new_process().await.unwrap();
         jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
         jobs.get(&id).await.unwrap().state

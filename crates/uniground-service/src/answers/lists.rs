@@ -7,7 +7,7 @@ use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
 use serde::Deserialize;
 use std::sync::Arc;
-use uniground_storage::{AnswerFilter, AnswerRepository, AnswerRow, page};
+use uniground_storage::{AnswerFilter, AnswerRepository, AnswerRow, split_page};
 use uniground_types::answer::Answer;
 
 /// How many things are written, one after the other.
@@ -45,10 +45,11 @@ impl AnswerService {
         limit: u32,
         cursor: Option<&str>,
     ) -> Result<String, Error> {
-        let (rows, next) =
-            page(self.answer_repository.answers(filter, limit + 1, cursor).await?, limit, |row| {
-                &row.id
-            });
+        let (rows, next) = split_page(
+            self.answer_repository.answers(filter, limit + 1, cursor).await?,
+            limit,
+            |row| &row.id,
+        );
         let answers: Vec<&str> = rows.iter().map(|row| row.body.as_str()).collect();
         Ok(format!(
             "{{\"answers\":[{}],\"next_cursor\":{}}}",

@@ -44,20 +44,23 @@ impl GroundingService {
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         // The answer's id is chosen before the question is asked. An answer that was stored before
         // a crash is found again by it.
-        let (known, answer_id) =
-            match self.answer_repository.question_of_key(&key, &asked, &self.ids.new_id()).await {
-                Ok(known) => known,
-                // No model is paid for this question, so answering it without storing its key is
-                // better than failing.
-                Err(error) if self.vlm.is_none() || !wants_model(&request) => {
-                    tracing::warn!(
-                        error = &error as &dyn std::error::Error,
-                        "idempotency key could not be stored; answering without it"
-                    );
-                    (asked.clone(), self.ids.new_id())
-                }
-                Err(error) => return Err(error.into()),
-            };
+        let (known, answer_id) = match self
+            .answer_repository
+            .claim_idempotency_key(&key, &asked, &self.ids.new_id())
+            .await
+        {
+            Ok(known) => known,
+            // No model is paid for this question, so answering it without storing its key is
+            // better than failing.
+            Err(error) if self.vlm.is_none() || !wants_model(&request) => {
+                tracing::warn!(
+                    error = &error as &dyn std::error::Error,
+                    "idempotency key could not be stored; answering without it"
+                );
+                (asked.clone(), self.ids.new_id())
+            }
+            Err(error) => return Err(error.into()),
+        };
         if known != asked {
             return Err(Error::IdempotencyKeyReused);
         }

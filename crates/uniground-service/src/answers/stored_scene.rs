@@ -171,7 +171,7 @@ impl SceneSource for StoredScene {
             return Ok(None);
         };
         // Pins the whole scan, because any of its frames may show the place.
-        let _scan = blobs.whole(&self.parse.content)?;
+        let _scan = blobs.pin_folder(&self.parse.content)?;
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         // Uses the masks of the parse: the same model, or the built-in ones.
         let models = &self.scenes.models;
@@ -207,8 +207,11 @@ impl SceneSource for StoredScene {
         // In a growing scene, the instance is stored before the next parse continues from this one,
         // or not at all. Otherwise another instance could get the same id.
         let _turn = self.scenes.service_locks.correcting(&self.parse.id).await?;
-        let Some(id) =
-            self.scenes.parse_repository.insert_found(&self.parse.id, &found, MOST_FOUND).await?
+        let Some(id) = self
+            .scenes
+            .parse_repository
+            .insert_pointed_instance(&self.parse.id, &found, MOST_FOUND)
+            .await?
         else {
             // The instance is used for this question only.
             let (mut parse, id) = (
@@ -238,7 +241,7 @@ impl SceneSource for StoredScene {
 fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
     let read = |file: Utf8PathBuf| {
         let decoded = blobs
-            .file(parse, &file)
+            .pin_file(parse, &file)
             .and_then(fs::read)
             .map_err(|e| e.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));

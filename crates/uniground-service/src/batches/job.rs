@@ -83,7 +83,7 @@ struct BatchRun {
     /// Items that were answered or failed, including those of earlier runs.
     done: u32,
     progress: Progress,
-    hold: JobLease,
+    lease: JobLease,
     lost: CancellationToken,
 }
 
@@ -102,7 +102,7 @@ pub struct BatchRunner {
 impl BatchRunner {
     async fn run_batch(
         &self,
-        JobContext { hold, lost, payload, progress }: JobContext<Payload>,
+        JobContext { lease, lost, payload, progress }: JobContext<Payload>,
     ) -> Result<String, Error> {
         // Deleted in the meantime, or submitted to a server that was stopped before it had received
         // all of it.
@@ -112,11 +112,19 @@ impl BatchRunner {
         let defaults = Arc::new(BatchDefaults::from_stored(
             self.batch_repository.batch_defaults(&batch.id).await?.as_deref(),
         )?);
-        let (numbers, spent) = self.batch_repository.batch_figures(&batch.id).await?;
+        let (numbers, spent) = self.batch_repository.summarize_batch_items(&batch.id).await?;
         let done = numbers.values().sum();
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
-        let mut run =
-            BatchRun { service: self.clone(), batch, defaults, budget, done, progress, hold, lost };
+        let mut run = BatchRun {
+            service: self.clone(),
+            batch,
+            defaults,
+            budget,
+            done,
+            progress,
+            lease,
+            lost,
+        };
         loop {
             if !run.is_wanted().await? {
                 return Ok(run.told("stopped"));
@@ -129,7 +137,7 @@ impl BatchRunner {
             let items = self.batch_repository.open_batch_items(&run.batch.id, WINDOW).await?;
             if items.is_empty() {
                 self.batch_repository
-                    .move_batch(&run.batch.id, &["running"], "succeeded", None)
+                    .change_batch_state(&run.batch.id, &["running"], "succeeded", None)
                     .await?;
                 return Ok(run.told("done"));
             }
@@ -219,7 +227,10 @@ impl BatchRun {
 
     /// Writes the results of items. Returns whether the batch goes on.
     async fn write(&mut self, closed: &mut Vec<ClosedItem>) -> Result<bool, Error> {
-        self.service.batch_repository.close_batch_items(&self.hold, &self.batch.id, closed).await?;
+        self.service
+            .batch_repository
+            .close_batch_items(&self.lease, &self.batch.id, closed)
+            .await?;
         for item in closed.drain(..) {
             self.service.metrics.questions.item(&item.status);
             self.done += 1;
@@ -242,7 +253,7 @@ impl BatchRun {
     async fn pause(&self, reason: &str, why: &str) -> Result<String, Error> {
         self.service
             .batch_repository
-            .move_batch(&self.batch.id, &["running"], "paused", Some(reason))
+            .change_batch_state(&self.batch.id, &["running"], "paused", Some(reason))
             .await?;
         Ok(self.told(why))
     }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::{sleep, timeout};
 use uniground_models::with_causes;
-use uniground_storage::{AuditWriter, StoreError, now, page};
+use uniground_storage::{AuditWriter, StoreError, now, split_page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{AuditEntry, AuditList};
 
@@ -172,7 +172,7 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, Error> {
         let (entries, next_cursor) =
-            page(self.keys.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
+            split_page(self.keys.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
         Ok(AuditList { entries, next_cursor })
     }
 }

@@ -22,7 +22,7 @@ use std::collections::HashMap;
 use std::num::NonZeroU32;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use uniground_storage::{IdGenerator, KeyRepository, KeyRow, LockTable, Store, now, page};
+use uniground_storage::{IdGenerator, KeyRepository, KeyRow, LockTable, Store, now, split_page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
 use uniground_types::numbers::zero_or_more;
@@ -356,7 +356,7 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn list(&self, limit: u32, cursor: Option<&str>) -> Result<KeyList, Error> {
         let (rows, next_cursor) =
-            page(self.keys.keys(limit + 1, cursor).await?, limit, |row| &row.id);
+            split_page(self.keys.keys(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut keys = Vec::with_capacity(rows.len());
         for row in rows {
             keys.push(self.present(row).await?);
@@ -388,7 +388,7 @@ impl Keyring {
     }
 
     async fn present(&self, row: KeyRow) -> Result<Key, Error> {
-        let spent_today_usd = self.keys.spent_by_key(&row.id, &now()[..10]).await?;
+        let spent_today_usd = self.keys.spending_of_key(&row.id, &now()[..10]).await?;
         Ok(told(row, spent_today_usd))
     }
 }

@@ -80,7 +80,7 @@ pub fn read_photograph(
     frame: FrameIndex,
 ) -> Option<RgbImage> {
     let kept = photograph(parse, frame);
-    let picture = match if_kept(blobs.file(parse, &kept)) {
+    let picture = match if_kept(blobs.pin_file(parse, &kept)) {
         Ok(Some(file)) if file.exists() => fs::read(&file)
             .map_err(|error| error.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()))
@@ -88,7 +88,7 @@ pub fn read_photograph(
         Ok(_) => {
             let frames = read_frames(blobs, parse, content).ok()??;
             let frame = frames.into_iter().find(|of| of.index == frame)?;
-            let colour = blobs.file(content, &frame.colour).map_err(|error| error.to_string());
+            let colour = blobs.pin_file(content, &frame.colour).map_err(|error| error.to_string());
             colour.and_then(|_colour| frame.decode_colour().map_err(|error| error.to_string()))
         }
         Err(error) => Err(error.to_string()),
@@ -125,7 +125,7 @@ fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Re
 /// Unreadable files.
 pub fn read_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<Embeddings>, Error> {
     let Some(rows) = read(blobs, parse, ParseFile::Embeddings.of(parse))? else { return Ok(None) };
-    Ok(Some(Embeddings::read(&rows, &fs::read(blobs.file(parse, NORMS.into())?)?)?))
+    Ok(Some(Embeddings::read(&rows, &fs::read(blobs.pin_file(parse, NORMS.into())?)?)?))
 }
 
 /// Reads the encoder's embeddings of whole frames. Also returns `None` for parses of versions that
@@ -139,7 +139,7 @@ pub fn read_frame_embeddings(
 ) -> Result<Option<FrameEmbeddings>, Error> {
     let [rows, frames] = FRAME_EMBEDDINGS;
     let Some(rows) = read(blobs, parse, rows)? else { return Ok(None) };
-    Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.file(parse, frames.into())?)?)?))
+    Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.pin_file(parse, frames.into())?)?)?))
 }
 
 /// Reads a file of a published folder. Returns `None` if the folder was published without it.
@@ -152,7 +152,7 @@ pub fn read(
     folder: &Utf8Path,
     file: impl AsRef<Utf8Path>,
 ) -> io::Result<Option<Vec<u8>>> {
-    if_kept(blobs.file(folder, file.as_ref()).and_then(fs::read))
+    if_kept(blobs.pin_file(folder, file.as_ref()).and_then(fs::read))
 }
 
 fn if_kept<T>(got: io::Result<T>) -> io::Result<Option<T>> {

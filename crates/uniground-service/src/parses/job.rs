@@ -150,10 +150,10 @@ impl ParseRunner {
 
     async fn run_parse(
         &self,
-        JobContext { hold, payload, progress, .. }: &JobContext<Payload>,
+        JobContext { lease, payload, progress, .. }: &JobContext<Payload>,
     ) -> Result<String, Error> {
         let (Payload { scene_id, settings }, job_id, progress) =
-            (payload, hold.job_id.as_str(), progress.clone());
+            (payload, lease.job_id.as_str(), progress.clone());
         let scene = self.scene_lookup.scene_row(scene_id).await?;
         if self.take_stored_parse(&scene, settings, job_id).await? {
             return Ok(STORED_PARSE_USED.into());
@@ -164,7 +164,7 @@ impl ParseRunner {
             scene.content_hash.clone(),
         );
         // Pinned from the import until the pictures of the report are done.
-        let content = Arc::new(spawn_blocking(move || blobs.whole(&content)).await??);
+        let content = Arc::new(spawn_blocking(move || blobs.pin_folder(&content)).await??);
         // All stages depend on the import of the content. The stages of a grown scan depend on the
         // import of its first upload.
         let grown_from = first_upload(&content).await?;
@@ -182,7 +182,7 @@ impl ParseRunner {
             (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
         let work = move || {
             let _entered = entered.enter();
-            let folder = blobs.use_checkpoints(&hash)?;
+            let folder = blobs.open_checkpoints(&hash)?;
             let checkpoints = Checkpoints::kept_in(&folder, &origin);
             let imported = share_of_import(&chosen(job_settings.models, &models));
             let scan = if let Some(scan) =
@@ -206,7 +206,7 @@ impl ParseRunner {
                 )?)
             })
         };
-        let stages = self.blobs.keep_stages(&scene.content_hash);
+        let stages = self.blobs.upload_stages(&scene.content_hash);
         let cut = spawn_blocking(work).await?;
         stages.finish().await;
         let mut scan = cut?;
@@ -259,7 +259,7 @@ impl ParseRunner {
                 report: &parsed.report,
                 extent: &parsed.extent,
                 instances: &parsed.instances,
-                hold,
+                lease,
                 continued: inherited.as_ref().map(|inherited| ContinuedParse {
                     scene_id,
                     from_parse: &inherited.parse_id,

@@ -58,7 +58,7 @@ impl ParsedScenes {
         settings: &ParseSettings,
     ) -> Result<Option<String>, Error> {
         let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
-        let Some(parse) = self.parse_repository.parse_of(content_hash, &hash).await? else {
+        let Some(parse) = self.parse_repository.find_parse(content_hash, &hash).await? else {
             return Ok(None);
         };
         let wrong = self.look_at_parse(&parse.id, CheckDepth::Names).await?;
@@ -128,13 +128,15 @@ impl ParsedScenes {
         };
         let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
         let folder = self.blobs.parse(parse_id);
-        let kept = self.blobs.file(&folder, file).map_err(of)?;
+        let kept = self.blobs.pin_file(&folder, file).map_err(of)?;
         let now = stamp(file).map_err(of)?;
         if self.parse_cache.sound.get(file.as_str()) == Some(now) {
             return Ok(kept);
         }
         let name = file.strip_prefix(&folder).unwrap_or(file);
-        if let Some(DamagedFile { file, what }) = self.blobs.look_at(&folder, name).map_err(of)? {
+        if let Some(DamagedFile { file, what }) =
+            self.blobs.check_file(&folder, name).map_err(of)?
+        {
             return Err(damaged(format!("{file}: {what}")));
         }
         self.parse_cache.sound.put(file.to_string(), stamp(file).map_err(of)?, 1);
@@ -234,7 +236,7 @@ impl ParsedScenes {
         closely: CheckDepth,
     ) -> Result<Vec<DamagedFile>, Error> {
         let (blobs, place) = (self.blobs.clone(), self.blobs.parse(parse_id));
-        Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
+        Ok(spawn_blocking(move || blobs.check_folder(&place, closely)).await??)
     }
 
     /// Returns the names that the configured model gave to the instances of a parse.
@@ -278,7 +280,7 @@ impl ParsedScenes {
     ) -> Result<(), Error> {
         if let Some(vlm) = &self.vlm {
             self.name_repository
-                .keep_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
+                .insert_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
                 .await?;
         }
         Ok(())

@@ -45,8 +45,9 @@ impl ParseRunner {
         let loaded = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let (blobs, folder, content) =
             (self.blobs.clone(), self.blobs.parse(&parse_id), loaded.content.clone());
-        let brought =
-            spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
+        let brought = spawn_blocking(move || {
+            Ok::<_, Error>((blobs.pin_folder(&folder)?, blobs.pin_folder(&content)?))
+        });
         let (folder, content) = brought.await??;
         Ok(PreviousParse {
             found: self.parse_repository.instances(&parse_id).await?,

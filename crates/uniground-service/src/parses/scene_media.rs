@@ -112,7 +112,7 @@ impl MediaService {
         path: Utf8PathBuf,
     ) -> Result<Option<PinnedPath>, Error> {
         let (blobs, folder, file) = (self.blobs.clone(), scene.folder(), path.clone());
-        let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
+        let is_kept = spawn_blocking(move || blobs.has_file(&folder, &file)).await??;
         Ok(if is_kept {
             Some(self.parsed_scenes.sound_file(&scene.parse.id, path).await?)
         } else {
@@ -151,7 +151,7 @@ impl MediaService {
             }
             let (parse, folder) = (&scene.parse, scene.folder());
             let kept = photograph(&folder, seen.frame);
-            let _kept = match service.blobs.holds(&folder, &kept)? {
+            let _kept = match service.blobs.has_file(&folder, &kept)? {
                 true => Some(scene.check(&kept)?),
                 false => None,
             };
@@ -212,7 +212,7 @@ impl MediaService {
                 .into_iter()
                 .find(|frame| frame.index.0 == index)
                 .ok_or(Error::FrameNotFound { index })?;
-            let colour = blobs.file(&content, &frame.colour)?;
+            let colour = blobs.pin_file(&content, &frame.colour)?;
             Ok::<_, Error>((frame, colour))
         });
         let (frame, colour) = found.await??;

@@ -222,7 +222,7 @@ impl ComparedParse {
             .map(|(found, p)| owners.of_point(*found, p));
         let owner_of_point = owned.collect();
         let blobs = scene.blobs();
-        let scan = blobs.whole(&scene.parse.content)?;
+        let scan = blobs.pin_folder(&scene.parse.content)?;
         let frames = read_frames(blobs, &scene.folder(), &scene.parse.content)?.unwrap_or_default();
         Ok(Self { scene: render_scene, owner_of_point, frames, _scan: scan })
     }

@@ -166,7 +166,7 @@ impl GrowthService {
         let blobs = self.blobs.clone();
         let content_hash = scene.content_hash.clone();
         let prepared = spawn_blocking(move || {
-            let content = blobs.whole(&blobs.content(&content_hash))?;
+            let content = blobs.pin_folder(&blobs.content(&content_hash))?;
             let so_far = GrownScan::read(&content)?;
             let parts = so_far.as_ref().map_or(1, |grown| grown.parts.len());
             if parts > MOST_PARTS {
@@ -190,7 +190,7 @@ impl GrowthService {
             } else {
                 part_folder(Utf8Path::new(""), 0)
             };
-            let mut sums = blobs.share(&content, &scratch, &below)?;
+            let mut sums = blobs.link_files(&content, &scratch, &below)?;
             grown.parts.push(part);
             let list = scratch.path().join(uniground_ingest::GROWN);
             // This file is a hard link to the previous list. The previous list must never change.
@@ -202,8 +202,8 @@ impl GrowthService {
             // The content of a grown scene belongs to that scene alone: its instance ids depend on
             // its history. The scene's id is part of the hash for this reason.
             let hash = hash_of(&(&scene.id, &scene.content_hash, &grown))?;
-            blobs.publish_knowing(scratch, &blobs.content(&hash), &sums)?;
-            blobs.inherit_checkpoints(&scene.content_hash, &hash)?;
+            blobs.publish_with_checksums(scratch, &blobs.content(&hash), &sums)?;
+            blobs.copy_checkpoints(&scene.content_hash, &hash)?;
             Ok(hash)
         };
         spawn_blocking(publish).await?

@@ -61,10 +61,11 @@ impl SceneService {
         labels: Labels,
     ) -> Result<SceneList, Error> {
         let filter = SceneFilter { ids: None, labels };
-        let (rows, next_cursor) =
-            page(self.scene_repository.scenes(limit + 1, cursor, &filter).await?, limit, |row| {
-                &row.id
-            });
+        let (rows, next_cursor) = split_page(
+            self.scene_repository.scenes(limit + 1, cursor, &filter).await?,
+            limit,
+            |row| &row.id,
+        );
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
             // Lists leave out the settings and the report of a parse. Callers get them from the

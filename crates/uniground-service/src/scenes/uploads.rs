@@ -282,7 +282,8 @@ impl ImportService {
     ) -> Result<(), Error> {
         let Some(key) = &caller.key else { return Ok(()) };
         let Some(most) = key.row.max_scenes else { return Ok(()) };
-        let scenes = self.key_repository.scenes_of_key(&key.row.id).await?.saturating_add(coming);
+        let scenes =
+            self.key_repository.count_scenes_of_key(&key.row.id).await?.saturating_add(coming);
         if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
@@ -309,7 +310,8 @@ impl ImportService {
             return Ok(false);
         }
         let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
-        let wrong = spawn_blocking(move || blobs.look(&content, CheckDepth::Names)).await??;
+        let wrong =
+            spawn_blocking(move || blobs.check_folder(&content, CheckDepth::Names)).await??;
         if !wrong.is_empty() {
             tracing::warn!(
                 hash,
@@ -383,7 +385,7 @@ impl ImportService {
     /// Returns the name of a stored archive.
     async fn archive_name(&self, hash: &str) -> Result<String, Error> {
         let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
-        let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else {
+        let Ok(scan) = spawn_blocking(move || blobs.pin_folder(&content)).await? else {
             return Ok(name_or_scene(None));
         };
         // If the content was removed in the meantime, it is unpacked again, and the scene gets the

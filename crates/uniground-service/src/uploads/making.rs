@@ -23,7 +23,7 @@ impl UploadService {
     /// # Errors
     /// [`Error::Store`].
     pub async fn make_left_uploads(&self) -> Result<(), Error> {
-        for id in self.upload_repository.unmade_uploads().await? {
+        for id in self.upload_repository.complete_uploads_without_scene().await? {
             let Ok(_turn) = self.service_locks.at_upload(&id).await else { continue };
             let Some(row) =
                 self.upload_repository.upload(&id).await?.filter(|row| row.came_of.is_none())

@@ -116,7 +116,7 @@ impl UploadService {
             // The first bytes are saved at once, so that an invalid file is rejected before the
             // client sends all of it.
             let is_beginning = row.received < HEAD_BYTES && file.bytes() >= HEAD_BYTES;
-            if checking.is_none() && (is_beginning || file.unsaved() >= SAVE_BYTES) {
+            if checking.is_none() && (is_beginning || file.unsaved_bytes() >= SAVE_BYTES) {
                 (row, file) = self.save_part(row, file).await?;
             }
         };
@@ -128,7 +128,7 @@ impl UploadService {
                 false => Err(Error::ChecksumMismatch),
             };
         }
-        if file.unsaved() > 0 {
+        if file.unsaved_bytes() > 0 {
             row = self.save_part(row, file).await?.0;
         }
         end.map(|()| row)
@@ -142,7 +142,7 @@ impl UploadService {
     ) -> Result<(UploadRow, GrowingFile), Error> {
         let (file, head) = spawn_blocking(move || {
             file.save()?;
-            file.head(ArchiveFormat::HEAD_BYTES).map(|head| (file, head))
+            file.read_head(ArchiveFormat::HEAD_BYTES).map(|head| (file, head))
         })
         .await??;
         let noted = self.upload_repository.note_received(&row.id, file.bytes()).await?;

@@ -113,7 +113,7 @@ impl Vlm {
 
     /// Returns today's spending in US dollars, without calls in progress.
     pub(super) async fn spent_today_usd(&self) -> Result<f64, Error> {
-        Ok(self.spending.spent_on(&today()).await?)
+        Ok(self.spending.spending_on_day(&today()).await?)
     }
 
     /// Returns the budgets of a single question. The daily budgets of the server and of its keys

@@ -1,6 +1,6 @@
 //! Reads published folders, and checks every file against its checksum.
 
-use super::super::blobs::checksums::{SUMS, files_below};
+use super::super::blobs::checksums::{SUMS, list_files};
 use super::manifest::hex;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
@@ -28,7 +28,7 @@ pub struct CopiedFolder {
 }
 
 /// Returns the stored checksums of a folder, or `None` for folders from before there were any.
-pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
+pub fn read_checksum_file(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
     match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => Ok(Some(sums)),
         Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => Ok(None),
@@ -38,7 +38,7 @@ pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
 }
 
 /// Parses a list of checksums into files and their checksums.
-pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailure> {
+pub fn parse_checksums(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailure> {
     let entries = sums
         .lines()
         .filter_map(|line| line.split_once("  "))
@@ -59,11 +59,11 @@ pub fn read_folder(
     folder: &Utf8Path,
     mut take: impl FnMut(&Utf8Path, u64, &mut dyn Read) -> io::Result<()>,
 ) -> Result<CopiedFolder, CopyFailure> {
-    let known = sums_of(folder)?;
+    let known = read_checksum_file(folder)?;
     let files: Vec<(Utf8PathBuf, Option<String>)> = if let Some(sums) = &known {
-        listed(sums)?.into_iter().map(|(file, sum)| (file, Some(sum.to_owned()))).collect()
+        parse_checksums(sums)?.into_iter().map(|(file, sum)| (file, Some(sum.to_owned()))).collect()
     } else {
-        let files = files_below(folder).map_err(|error| lost_or(folder, &error))?;
+        let files = list_files(folder).map_err(|error| to_copy_failure(folder, &error))?;
         files.into_iter().map(|file| (file, None)).collect()
     };
     let (mut sums, mut bytes) = (String::new(), 0);
@@ -107,7 +107,7 @@ pub fn read_file(
     }
 }
 
-fn lost_or(folder: &Utf8Path, error: &io::Error) -> CopyFailure {
+fn to_copy_failure(folder: &Utf8Path, error: &io::Error) -> CopyFailure {
     match error.kind() {
         io::ErrorKind::NotFound if !folder.is_dir() => CopyFailure::Gone,
         _ => CopyFailure::Damaged(error.to_string()),

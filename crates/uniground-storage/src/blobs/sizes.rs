@@ -44,7 +44,7 @@ impl Blobs {
                         total += bytes;
                         known.insert(key, *bytes);
                     }
-                    None => unknown.push((key, self.place(kind, &name))),
+                    None => unknown.push((key, self.folder_path(kind, &name))),
                 }
             }
             let mut unknown = unknown.into_iter().peekable();

@@ -133,9 +133,9 @@ enum FileTransfer {
 pub async fn migrate_data(
     from: &StoreLocation,
     to: &StoreLocation,
-    tell: OnProgress,
+    on_progress: OnProgress,
 ) -> Result<MigrationReport, MigrationError> {
-    let files = way(from, to)?;
+    let files = choose_file_transfer(from, to)?;
     let source = Store::open_known(&from.data_dir, &from.database, &BlobHome::Folder)
         .await
         .map_err(|source| match source {
@@ -147,21 +147,21 @@ pub async fn migrate_data(
             }
             source => MigrationError::From { data_dir: from.data_dir.clone(), source },
         })?;
-    let brought = bring(&source, to, files, &tell).await;
+    let brought = copy_store(&source, to, files, &on_progress).await;
     source.close().await;
     let (folder, moved) = brought?;
-    let set_aside = spawn_blocking(move || folder.settle()).await.map_err(io::Error::other)??;
+    let set_aside = spawn_blocking(move || folder.complete()).await.map_err(io::Error::other)??;
     // Keep the source's lock until here.
     drop(source);
     Ok(MigrationReport { set_aside, ..moved })
 }
 
 /// Copies everything that the target lacks.
-async fn bring(
+async fn copy_store(
     source: &Store,
     to: &StoreLocation,
     files: FileTransfer,
-    tell: &OnProgress,
+    on_progress: &OnProgress,
 ) -> Result<(TargetFolder, MigrationReport), MigrationError> {
     let (path, engine) = (to.data_dir.clone(), to.database.engine()?);
     let current =
@@ -172,7 +172,7 @@ async fn bring(
     });
     let mut folder = opening.await.map_err(io::Error::other)??;
     let database = TargetDatabase::open(&to.database, &mut folder).await?;
-    let rows = rows::move_rows(source, &database, &folder.id, tell).await;
+    let rows = rows::move_rows(source, &database, &folder.id, on_progress).await;
     database.close().await;
     let rows::MigratedRows { moved: rows, texts_changed } = rows?;
     let mut moved = MigrationReport {
@@ -183,15 +183,18 @@ async fn bring(
         set_aside: None,
     };
     if files == FileTransfer::Move {
-        let (from, to, tell) = (source.blobs.clone(), folder.clone(), tell.clone());
-        let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &tell));
+        let (from, to, on_progress) = (source.blobs.clone(), folder.clone(), on_progress.clone());
+        let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &on_progress));
         (moved.files, moved.damaged) = moving.await.map_err(io::Error::other)??;
     }
     Ok((folder, moved))
 }
 
 /// Returns whether the folder stays, or an error if there is nothing to migrate.
-fn way(from: &StoreLocation, to: &StoreLocation) -> Result<FileTransfer, MigrationError> {
+fn choose_file_transfer(
+    from: &StoreLocation,
+    to: &StoreLocation,
+) -> Result<FileTransfer, MigrationError> {
     let no_folder = |_| {
         let (data_dir, folder) = (from.data_dir.clone(), from.data_dir.clone());
         MigrationError::From { data_dir, source: StoreError::NoDataFolder { folder } }

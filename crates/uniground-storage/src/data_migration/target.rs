@@ -4,7 +4,7 @@ use super::MigrationError;
 use crate::StoreError;
 use crate::blobs::checksums::sync_everything;
 use crate::blobs::{BlobHome, Blobs, FileAccess};
-use crate::data_folder::{DATABASE, LOCK, MARKER, MOVING, is_harmless, mark, write_synced};
+use crate::data_folder::{DATABASE, LOCK, MARKER, MOVING, is_harmless, write_marker, write_synced};
 use crate::database::Engine;
 use camino::{Utf8Path, Utf8PathBuf};
 use jiff::Timestamp;
@@ -100,7 +100,7 @@ impl TargetFolder {
         let note = serde_json::to_vec_pretty(&TargetMarker { id: self.id.clone() })
             .map_err(StoreError::from)?;
         write_synced(&self.path.join(MOVING), &note)?;
-        drop(self.blobs()?.left_behind(Duration::ZERO)?);
+        drop(self.blobs()?.list_leftovers(Duration::ZERO)?);
         Ok(())
     }
 
@@ -116,7 +116,7 @@ impl TargetFolder {
     /// Turns the target into a data folder, now that everything is there. Returns the new name of a
     /// database file that is not used any more. If it is interrupted, the folder is a data folder
     /// already, or the migration can be repeated.
-    pub fn settle(self) -> Result<Option<Utf8PathBuf>, MigrationError> {
+    pub fn complete(self) -> Result<Option<Utf8PathBuf>, MigrationError> {
         sync_everything(&self.path)?;
         let mut aside = None;
         if self.engine == Engine::Sqlite {
@@ -126,7 +126,7 @@ impl TargetFolder {
             }
             fs::rename(self.unfinished_database(), self.path.join(DATABASE))?;
         }
-        mark(&self.path, &self.id, self.engine)?;
+        write_marker(&self.path, &self.id, self.engine)?;
         if self.engine_before == Some(Engine::Sqlite) {
             aside = set_aside(&self.path)?;
         }

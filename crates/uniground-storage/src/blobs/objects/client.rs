@@ -118,7 +118,7 @@ impl Bucket {
         let objects = Objects::new(store.clone(), &self.prefix, grace);
         Ok(match links {
             Links::None => objects,
-            Links::ToObjects => objects.linked_by(store),
+            Links::ToObjects => objects.with_signer(store),
         })
     }
 }
@@ -129,9 +129,9 @@ mod tests {
 
     #[test]
     fn a_bucket_is_told_by_its_name_and_where_in_it() {
-        let told = |text: &str| text.parse::<Bucket>().map(|bucket| bucket.to_string());
-        assert_eq!(told("s3://rooms/a/b/"), Ok("s3://rooms/a/b".into()));
-        assert_eq!(told("s3://rooms"), Ok("s3://rooms/".into()));
+        let parse_and_format = |text: &str| text.parse::<Bucket>().map(|bucket| bucket.to_string());
+        assert_eq!(parse_and_format("s3://rooms/a/b/"), Ok("s3://rooms/a/b".into()));
+        assert_eq!(parse_and_format("s3://rooms"), Ok("s3://rooms/".into()));
         for wrong in [
             "rooms",
             "s3://",
@@ -141,7 +141,7 @@ mod tests {
             "s3://user:pass@rooms/x",
             "gs://rooms/x",
         ] {
-            assert!(told(wrong).is_err(), "{wrong}");
+            assert!(parse_and_format(wrong).is_err(), "{wrong}");
         }
     }
 }
