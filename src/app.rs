@@ -76,7 +76,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         keys = keys.with_link_secret(secret);
     }
     ensure!(
-        keys.is_wanted() || !config.wants_keys(),
+        keys.has_keys() || !config.wants_keys(),
         "{} can be reached from other machines: make a key (uniground key create), set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
         config.listen
     );
@@ -84,7 +84,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     let is_private = config.listen.ip().is_loopback();
     let metrics = Arc::<Metrics>::default();
     let jobs =
-        Jobs::new(store.jobs.clone(), config.limits.max_queued_jobs).counted_by(metrics.clone());
+        Jobs::new(store.jobs.clone(), config.limits.max_queued_jobs).with_metrics(metrics.clone());
     let models = tokio::task::spawn_blocking({
         let config = config.models.clone();
         move || config.load()
@@ -131,10 +131,10 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
-    services.webhooks.note_announcements(webhook.as_ref()).await?;
+    services.webhooks.set_deliveries_enabled(webhook.as_ref()).await?;
     // Other running processes may be of a newer version, with job kinds unknown here.
     if store.locks.was_alone_at_start() {
-        jobs.refuse_unknown_kinds(&JobType::ALL.map(JobType::kind)).await?;
+        jobs.fail_unknown_kinds(&JobType::ALL.map(JobType::kind)).await?;
     }
     let start = |work: &JobType| match work {
         JobType::Parse => start_lane(
@@ -155,7 +155,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     tokio::spawn(keep_index(services.clone(), shutdown.clone()));
     tokio::spawn(keep_reserve(store.clone(), shutdown.clone()));
     if part.serves {
-        tokio::spawn(make_left_uploads(services.clone(), shutdown.clone()));
+        tokio::spawn(complete_pending_uploads(services.clone(), shutdown.clone()));
     }
     if let Some(listen) = store.notifications.listen().await? {
         tokio::spawn(handle_notifications(
@@ -169,7 +169,9 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         tokio::spawn(look_for_model(chat, services.clone()));
     }
     if let Some(webhook) = webhook {
-        tokio::spawn(services.webhooks.clone().announce(Arc::new(webhook), shutdown.clone()));
+        tokio::spawn(
+            services.webhooks.clone().deliver_webhooks(Arc::new(webhook), shutdown.clone()),
+        );
     }
     let most = most_connections(config.limits.max_connections);
     let app = App {
@@ -226,9 +228,9 @@ async fn handle_notifications(
     let mut news = DbNotification::Missed;
     loop {
         match &news {
-            DbNotification::JobWaits { kind } => jobs.ring(Some(kind)),
+            DbNotification::JobWaits { kind } => jobs.wake_lanes(Some(kind)),
             DbNotification::KeysChanged => {}
-            DbNotification::Missed => jobs.ring(None),
+            DbNotification::Missed => jobs.wake_lanes(None),
         }
         if !matches!(news, DbNotification::JobWaits { .. })
             && let Err(error) = keys.reload().await
@@ -264,7 +266,7 @@ async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
             error = &error as &dyn std::error::Error,
             "vision-language model server unreachable; the built-in reasoner answers until it returns"
         );
-        return vlm.found_gone();
+        return vlm.record_unreachable();
     }
     for limit in chat.limits().await {
         tracing::warn!(limit, "vision-language model server has a limit that requests will exceed");
@@ -309,9 +311,10 @@ async fn keep_reserve(store: Store, shutdown: CancellationToken) {
 
 /// Continues uploads that were complete when their server stopped, or that waited because of a full
 /// queue or disk.
-async fn make_left_uploads(services: Services, shutdown: CancellationToken) {
+async fn complete_pending_uploads(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(10);
-    while let Some(made) = shutdown.run_until_cancelled(services.uploads.make_left_uploads()).await
+    while let Some(made) =
+        shutdown.run_until_cancelled(services.uploads.complete_pending_uploads()).await
     {
         if let Err(error) = made {
             tracing::warn!(

@@ -35,8 +35,8 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     let store = Store::open_without_recovery(data_dir, &database.location, &blobs.home()?).await;
     let store = store.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig::default().service_limits();
-    let services = Services::new(Dependencies::at_rest(store.clone(), limits).await?);
-    let findings = services.doctor.examine().await?;
+    let services = Services::new(Dependencies::offline(store.clone(), limits).await?);
+    let findings = services.doctor.check_all_data().await?;
     if findings.is_empty() {
         match as_json {
             true => print_json(&as_value(data_dir, &findings, None))?,

@@ -41,7 +41,7 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     };
     let store = opened.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
-    let dependencies = Dependencies::at_rest(store.clone(), limits.service_limits()).await?;
+    let dependencies = Dependencies::offline(store.clone(), limits.service_limits()).await?;
     let services = Services::new(dependencies);
     let removed = services.maintenance.apply_retention(RunMode::Nobody).await?;
     let (entries, bytes) = removed

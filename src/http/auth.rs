@@ -25,7 +25,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     let (keys, shown) = (&app.services.keyring, bearer(request.headers()));
     // A link stands in for a key where none is shown, to read what is there: asking may cost money.
     let caller = match &link {
-        Some(link) if shown.is_none() && keys.is_wanted() && request.method().is_safe() => {
+        Some(link) if shown.is_none() && keys.has_keys() && request.method().is_safe() => {
             keys.caller_of_link(link, request.uri().path(), Timestamp::now())
         }
         _ => keys.caller(shown),
@@ -37,7 +37,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     let allowance = match &caller.key {
         Some(key) => {
             app.services.keyring.note_use(key);
-            match app.services.keyring.count(key).await {
+            match app.services.keyring.count_request(key).await {
                 Ok(allowance) => allowance,
                 Err((wait_s, allowance)) => return limited(too_fast(wait_s), Some(allowance)),
             }
@@ -58,16 +58,16 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     // Whatever needs more than reading changes something, or looks at what only admins see. Links
     // are handed to others.
     let is_noted = wanted > Scope::Read || request.uri().path() == "/v1/links";
-    let noting = (is_noted && !request.method().is_safe()).then(|| {
+    let begin_audit = (is_noted && !request.method().is_safe()).then(|| {
         let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
         let done =
             AuditedRequest { method, path, status: 0, request_id: request_id(request.headers()) };
-        app.services.keyring.noting(caller.clone(), done)
+        app.services.keyring.begin_audit(caller.clone(), done)
     });
     request.extensions_mut().insert(caller);
     let response = next.run(request).await;
-    if let Some(noting) = noting {
-        noting.answered(response.status().as_u16()).await;
+    if let Some(begin_audit) = begin_audit {
+        begin_audit.record_status(response.status().as_u16()).await;
     }
     limited(response, allowance)
 }

@@ -100,7 +100,7 @@ pub async fn create(
                 ));
             }
             let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
-            let (submission, items) = Submission::of(request, idempotency_key);
+            let (submission, items) = Submission::from_request(request, idempotency_key);
             app.services
                 .batches
                 .create_batch(submission, BatchBody::<BodyDataStream>::Items(items), &caller)

@@ -31,7 +31,7 @@ pub async fn create(
     Json(new): Json<NewKey>,
 ) -> Result<(StatusCode, axum::Json<CreatedKey>), ProblemResponse> {
     // Where anybody may ask, a stranger would lock everybody else out.
-    if app.allowed_hosts.is_none() && !app.services.keyring.is_wanted() {
+    if app.allowed_hosts.is_none() && !app.services.keyring.has_keys() {
         let detail = "the first key of a server that others can reach is made by hand: uniground key create --data-dir";
         return Err(ProblemResponse::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
     }

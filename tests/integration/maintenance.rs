@@ -175,7 +175,7 @@ async fn old_answers_go_and_new_ones_stay() {
         retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() },
         ..LimitsConfig::default()
     };
-    let dependencies = Dependencies::at_rest(store.clone(), limits.service_limits()).await.unwrap();
+    let dependencies = Dependencies::offline(store.clone(), limits.service_limits()).await.unwrap();
     let services = Services::new(dependencies);
     services.maintenance.run_maintenance().await.unwrap();
     let left: Vec<String> =

@@ -18,7 +18,7 @@ use uniground_ingest::{IngestError, IngestErrorKind};
 /// The subcommand that runs the child.
 pub const SUBCOMMAND: &str = "isolated-reader";
 /// Polling interval for cancellation and timeout.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// The last bytes of a child's stderr that are stored.
 const STDERR_BYTES: usize = 4 << 10;
 /// Longest message of a child.
@@ -127,7 +127,7 @@ fn follow(
         let _ = stdin.as_mut().map(|stdin| stdin.write_all(request));
         let (mut last, mut stopped) = (None, None);
         loop {
-            match messages.recv_timeout(LOOK_EVERY) {
+            match messages.recv_timeout(POLL_INTERVAL) {
                 Ok(Message::Progress { stage, done }) => {
                     let stage =
                         STAGES.into_iter().find(|known| *known == stage).unwrap_or(STAGES[0]);

@@ -1,7 +1,7 @@
 //! Submitting, watching and cancelling jobs.
 
 use super::watchers::JobWatchers;
-use super::{Job, JobKind, JobList, job_of};
+use super::{Job, JobKind, JobList, to_job};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -24,11 +24,11 @@ pub enum JobsError {
 }
 
 /// Period over which the throughput of a queue is measured.
-const LATELY: Duration = Duration::from_mins(10);
+const THROUGHPUT_WINDOW: Duration = Duration::from_mins(10);
 /// Shortest retry delay for callers that find a queue full, seconds.
-const SOONEST_S: u32 = 2;
+const MIN_RETRY_AFTER_S: u32 = 2;
 /// Longest retry delay, seconds.
-const LATEST_S: u32 = 120;
+const MAX_RETRY_AFTER_S: u32 = 120;
 
 /// The progress of a running job.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -40,19 +40,19 @@ pub(super) struct JobProgress {
 /// A job that a worker of this process runs.
 #[derive(Clone)]
 pub(super) struct RunningJob {
-    pub pulse: Arc<Mutex<JobProgress>>,
+    pub progress: Arc<Mutex<JobProgress>>,
     pub cancel: CancellationToken,
     /// The row at the time the worker claimed it.
     pub row: Arc<JobRow>,
 }
 
 impl RunningJob {
-    pub fn pulse(&self) -> JobProgress {
-        *self.pulse.lock().unwrap_or_else(PoisonError::into_inner)
+    pub fn progress_snapshot(&self) -> JobProgress {
+        *self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub fn beat(&self, pulse: JobProgress) {
-        *self.pulse.lock().unwrap_or_else(PoisonError::into_inner) = pulse;
+    pub fn update_progress(&self, progress: JobProgress) {
+        *self.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
     }
 }
 
@@ -87,7 +87,7 @@ impl Jobs {
 
     /// Sets the metrics that count jobs.
     #[must_use]
-    pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
+    pub fn with_metrics(self, metrics: Arc<Metrics>) -> Self {
         Self { metrics, ..self }
     }
 
@@ -99,12 +99,12 @@ impl Jobs {
 
     /// Returns the kinds with a lane in this process, and whether the lane is running.
     #[must_use]
-    pub fn lanes(&self) -> BTreeMap<&'static str, bool> {
+    pub fn lane_states(&self) -> BTreeMap<&'static str, bool> {
         self.lanes.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Records whether a lane is running.
-    pub(super) fn note_lane(&self, kind: &'static str, up: bool) {
+    pub(super) fn set_lane_running(&self, kind: &'static str, up: bool) {
         self.lanes.lock().unwrap_or_else(PoisonError::into_inner).insert(kind, up);
         self.metrics.jobs.lane(kind, up);
     }
@@ -146,9 +146,13 @@ impl Jobs {
         if queued < self.max_queued - kept_free {
             return Ok(());
         }
-        let done = self.repository.count_recently_finished(K::NAME, LATELY).await?;
-        let again_in_s = u32::try_from(LATELY.as_secs()).unwrap_or(u32::MAX) / done.max(1);
-        Err(JobsError::QueueFull { queued, again_in_s: again_in_s.clamp(SOONEST_S, LATEST_S) })
+        let done = self.repository.count_recently_finished(K::NAME, THROUGHPUT_WINDOW).await?;
+        let again_in_s =
+            u32::try_from(THROUGHPUT_WINDOW.as_secs()).unwrap_or(u32::MAX) / done.max(1);
+        Err(JobsError::QueueFull {
+            queued,
+            again_in_s: again_in_s.clamp(MIN_RETRY_AFTER_S, MAX_RETRY_AFTER_S),
+        })
     }
 
     /// Requests cancellation of every job on a subject.
@@ -166,11 +170,11 @@ impl Jobs {
     #[allow(clippy::must_use_candidate)] // It also wakes the lane.
     pub fn notify_worker<K: JobKind>(&self, row: JobRow) -> Job {
         match row.state {
-            JobState::Queued => self.bell(K::NAME).notify_one(),
+            JobState::Queued => self.notifier(K::NAME).notify_one(),
             state if state.is_final() => self.metrics.jobs.finished(K::NAME, state.word(), None),
             _ => {}
         }
-        job_of(row, Timestamp::now())
+        to_job(row, Timestamp::now())
     }
 
     /// Returns the current state of a job.
@@ -184,7 +188,7 @@ impl Jobs {
             JobState::Queued => Some(self.repository.jobs_ahead(&row.kind, id).await?),
             _ => None,
         };
-        Ok(Job { ahead, ..self.as_it_stands(row) })
+        Ok(Job { ahead, ..self.with_live_progress(row) })
     }
 
     /// Returns jobs, newest first; with a `cursor` (an id) only those before it.
@@ -202,21 +206,21 @@ impl Jobs {
                 &row.id
             });
         Ok(JobList {
-            jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(),
+            jobs: rows.into_iter().map(|row| self.with_live_progress(row)).collect(),
             next_cursor,
         })
     }
 
     /// Merges in the progress from memory, which is newer than the row.
-    pub(super) fn as_it_stands(&self, mut row: JobRow) -> Job {
+    pub(super) fn with_live_progress(&self, mut row: JobRow) -> Job {
         if row.state == JobState::Running
             && let Some(running) = self.running().get(&row.id)
         {
-            let JobProgress { stage, progress } = running.pulse();
+            let JobProgress { stage, progress } = running.progress_snapshot();
             row.progress = f64::from(progress);
             row.stage = (!stage.is_empty()).then(|| stage.to_owned());
         }
-        job_of(row, Timestamp::now())
+        to_job(row, Timestamp::now())
     }
 
     /// Cancels a job. Queued jobs stop at once, running ones at their next check; finished ones
@@ -234,14 +238,16 @@ impl Jobs {
             }
         }
         let job = self.get(id).await?;
-        if was_queued && let Some(kind) = self.lanes().into_keys().find(|kind| *kind == job.kind) {
+        if was_queued
+            && let Some(kind) = self.lane_states().into_keys().find(|kind| *kind == job.kind)
+        {
             self.metrics.jobs.finished(kind, job.state.word(), None);
         }
         Ok(job)
     }
 
     /// Wakes the lane of a kind, or all lanes, after another process has queued a job.
-    pub fn ring(&self, kind: Option<&str>) {
+    pub fn wake_lanes(&self, kind: Option<&str>) {
         let bells = self.bells.lock().unwrap_or_else(PoisonError::into_inner);
         bells
             .iter()
@@ -250,7 +256,7 @@ impl Jobs {
     }
 
     /// Returns the notifier for queued jobs of this kind.
-    pub(super) fn bell(&self, kind: &'static str) -> Arc<Notify> {
+    pub(super) fn notifier(&self, kind: &'static str) -> Arc<Notify> {
         self.bells.lock().unwrap_or_else(PoisonError::into_inner).entry(kind).or_default().clone()
     }
 
@@ -315,21 +321,24 @@ mod tests {
     }
 
     /// Takes the next job, as a worker does.
-    async fn take(jobs: &Jobs) -> (JobLease, RunningJob) {
+    async fn claim_next(jobs: &Jobs) -> (JobLease, RunningJob) {
         let row = jobs.repository.claim_job(Parsing::NAME).await.unwrap().unwrap();
         let lease = JobLease::from_claimed_row(&row);
-        let running =
-            RunningJob { pulse: Arc::default(), cancel: CancellationToken::new(), row: row.into() };
+        let running = RunningJob {
+            progress: Arc::default(),
+            cancel: CancellationToken::new(),
+            row: row.into(),
+        };
         jobs.running().insert(lease.job_id.clone(), running.clone());
         (lease, running)
     }
 
     /// Whether a bell was rung since it was last looked at.
-    fn rang(jobs: &Jobs, kind: &'static str) -> bool {
-        jobs.bell(kind).notified().now_or_never().is_some()
+    fn was_notified(jobs: &Jobs, kind: &'static str) -> bool {
+        jobs.notifier(kind).notified().now_or_never().is_some()
     }
 
-    async fn has_room(jobs: &Jobs, key_id: Option<&str>) -> bool {
+    async fn has_queue_capacity(jobs: &Jobs, key_id: Option<&str>) -> bool {
         match jobs.check_queue_capacity::<Parsing>(key_id).await {
             Ok(()) => true,
             Err(JobsError::QueueFull { .. }) => false,
@@ -341,13 +350,13 @@ mod tests {
     async fn a_submitted_job_waits_and_its_lane_is_told() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
-        assert!(!rang(&jobs, Parsing::NAME));
+        assert!(!was_notified(&jobs, Parsing::NAME));
         let job = jobs.submit::<Parsing>("scene", &vec![7, 9], Some("k")).await.unwrap();
         assert_eq!((job.kind.as_str(), job.subject.as_str()), ("parsing", "scene"));
         assert_eq!((job.state, job.attempts, job.progress), (JobState::Queued, 0, 0.0));
-        assert!(rang(&jobs, Parsing::NAME));
-        assert!(!rang(&jobs, Parsing::NAME), "once for each job");
-        assert!(!rang(&jobs, Naming::NAME));
+        assert!(was_notified(&jobs, Parsing::NAME));
+        assert!(!was_notified(&jobs, Parsing::NAME), "once for each job");
+        assert!(!was_notified(&jobs, Naming::NAME));
         let row = jobs.repository.job(&job.id).await.unwrap().unwrap();
         assert_eq!(row.payload, "[7,9]");
         let queued = jobs.repository.queued_jobs(Parsing::NAME, Some("k")).await.unwrap();
@@ -359,7 +368,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 20).await;
         fill(&jobs, 19, Some("many")).await;
-        assert!(has_room(&jobs, None).await);
+        assert!(has_queue_capacity(&jobs, None).await);
         submit(&jobs, "s").await;
         let full = jobs.submit::<Parsing>("s", &vec![], None).await;
         assert!(
@@ -370,8 +379,8 @@ mod tests {
         // Every kind has a queue of its own.
         jobs.submit::<Naming>("s", &(), None).await.unwrap();
         // A place is free once somebody has taken a job.
-        take(&jobs).await;
-        assert!(has_room(&jobs, None).await);
+        claim_next(&jobs).await;
+        assert!(has_queue_capacity(&jobs, None).await);
     }
 
     #[tokio::test]
@@ -386,7 +395,7 @@ mod tests {
         let room = async || {
             let mut room = Vec::new();
             for key_id in keys {
-                room.push(has_room(&jobs, key_id).await);
+                room.push(has_queue_capacity(&jobs, key_id).await);
             }
             room
         };
@@ -404,9 +413,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 9).await;
         fill(&jobs, 8, Some("many")).await;
-        assert!(has_room(&jobs, Some("many")).await);
+        assert!(has_queue_capacity(&jobs, Some("many")).await);
         fill(&jobs, 1, Some("many")).await;
-        assert!(!has_room(&jobs, Some("many")).await);
+        assert!(!has_queue_capacity(&jobs, Some("many")).await);
     }
 
     #[tokio::test]
@@ -422,7 +431,7 @@ mod tests {
         for (more, again_in_s) in [(8, 75), (4, 50)] {
             for _ in 0..more {
                 fill(&jobs, 1, None).await;
-                let (lease, _) = take(&jobs).await;
+                let (lease, _) = claim_next(&jobs).await;
                 let done = jobs.repository.finish_job(&lease, JobState::Succeeded, None, None);
                 done.await.unwrap();
             }
@@ -435,7 +444,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         fill(&jobs, 1, None).await;
-        let (lease, _) = take(&jobs).await;
+        let (lease, _) = claim_next(&jobs).await;
         let row = async || jobs.repository.job(&lease.job_id).await.unwrap().unwrap();
         assert_eq!(jobs.notify_worker::<Parsing>(row().await).state, JobState::Running);
         let told = jobs.metrics().text();
@@ -446,7 +455,7 @@ mod tests {
         let told = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"succeeded\"} 1";
         assert!(told.contains(counted), "{told}");
-        assert!(!rang(&jobs, Parsing::NAME), "neither waits");
+        assert!(!was_notified(&jobs, Parsing::NAME), "neither waits");
     }
 
     #[tokio::test]
@@ -455,7 +464,7 @@ mod tests {
         let jobs = jobs(&folder, 10).await;
         let metrics = Arc::new(Metrics::default());
         assert!(!Arc::ptr_eq(jobs.metrics(), &metrics));
-        let jobs = jobs.counted_by(metrics.clone());
+        let jobs = jobs.with_metrics(metrics.clone());
         assert!(Arc::ptr_eq(jobs.metrics(), &metrics));
         assert_eq!(jobs.max_queued, 10);
     }
@@ -468,7 +477,7 @@ mod tests {
         for _ in 0..3 {
             ids.push(submit(&jobs, "s").await);
         }
-        take(&jobs).await;
+        claim_next(&jobs).await;
         let mut ahead = Vec::new();
         for id in &ids {
             let job = jobs.get(id).await.unwrap();
@@ -508,10 +517,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let id = submit(&jobs, "s").await;
-        let (lease, running) = take(&jobs).await;
+        let (lease, running) = claim_next(&jobs).await;
         jobs.repository.save_job_progress(&lease, "masks", 0.25).await.unwrap();
-        running.beat(JobProgress { stage: "merge", progress: 0.5 });
-        assert_eq!(running.pulse(), JobProgress { stage: "merge", progress: 0.5 });
+        running.update_progress(JobProgress { stage: "merge", progress: 0.5 });
+        assert_eq!(running.progress_snapshot(), JobProgress { stage: "merge", progress: 0.5 });
         let stands = async || {
             let job = jobs.get(&id).await.unwrap();
             (job.state, job.stage, job.progress)
@@ -519,14 +528,14 @@ mod tests {
         assert_eq!(stands().await, (JobState::Running, Some("merge".into()), 0.5));
         let listed = jobs.list(&JobFilter::default(), 1, None).await.unwrap().jobs;
         assert_eq!((listed[0].stage.as_deref(), listed[0].progress), (Some("merge"), 0.5));
-        running.beat(JobProgress { stage: "", progress: 0.75 });
+        running.update_progress(JobProgress { stage: "", progress: 0.75 });
         assert_eq!(stands().await, (JobState::Running, None, 0.75), "no stage has a name yet");
         // One that is over stands as it was written down, though its worker is still there.
         jobs.repository.finish_job(&lease, JobState::Failed, None, None).await.unwrap();
         assert_eq!(stands().await, (JobState::Failed, Some("masks".into()), 0.25));
         // Of one that runs elsewhere only its row is known.
         let elsewhere = submit(&jobs, "s").await;
-        let (lease, _) = take(&jobs).await;
+        let (lease, _) = claim_next(&jobs).await;
         jobs.running().remove(&elsewhere);
         jobs.repository.save_job_progress(&lease, "masks", 0.125).await.unwrap();
         let job = jobs.get(&elsewhere).await.unwrap();
@@ -541,8 +550,8 @@ mod tests {
         // Without a lane here nobody counts.
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
         assert!(!jobs.metrics().text().contains("state=\"cancelled\""));
-        jobs.note_lane(Naming::NAME, true);
-        jobs.note_lane(Parsing::NAME, true);
+        jobs.set_lane_running(Naming::NAME, true);
+        jobs.set_lane_running(Parsing::NAME, true);
         let id = submit(&jobs, "s").await;
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
         // Again: it stays, and is not counted twice.
@@ -558,9 +567,9 @@ mod tests {
     async fn a_running_job_is_asked_to_stop_and_the_wish_is_written_down() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
-        jobs.note_lane(Parsing::NAME, true);
+        jobs.set_lane_running(Parsing::NAME, true);
         let (id, other) = (submit(&jobs, "s").await, submit(&jobs, "s").await);
-        let ((lease, running), (_, beside)) = (take(&jobs).await, take(&jobs).await);
+        let ((lease, running), (_, beside)) = (claim_next(&jobs).await, claim_next(&jobs).await);
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "until its next look");
         assert!(running.cancel.is_cancelled() && !beside.cancel.is_cancelled());
         assert!(jobs.repository.is_cancel_requested(&id).await.unwrap());
@@ -579,7 +588,7 @@ mod tests {
         for subject in ["a", "b", "a"] {
             ids.push(submit(&jobs, subject).await);
         }
-        let (_, running) = take(&jobs).await;
+        let (_, running) = claim_next(&jobs).await;
         jobs.cancel_all_of("a").await.unwrap();
         let mut states = Vec::new();
         for id in &ids {
@@ -596,9 +605,9 @@ mod tests {
         let jobs = jobs(&folder, 10).await;
         let rung = |kind| {
             // Who listens has a bell.
-            let _bells = [jobs.bell(Parsing::NAME), jobs.bell(Naming::NAME)];
-            jobs.ring(kind);
-            [rang(&jobs, Parsing::NAME), rang(&jobs, Naming::NAME)]
+            let _bells = [jobs.notifier(Parsing::NAME), jobs.notifier(Naming::NAME)];
+            jobs.wake_lanes(kind);
+            [was_notified(&jobs, Parsing::NAME), was_notified(&jobs, Naming::NAME)]
         };
         assert_eq!(rung(Some("parsing")), [true, false]);
         assert_eq!(rung(Some("naming")), [false, true]);
@@ -610,14 +619,14 @@ mod tests {
     async fn lanes_are_told_by_kind_with_whether_they_are_at_work() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
-        assert!(jobs.lanes().is_empty());
-        jobs.note_lane(Parsing::NAME, true);
-        jobs.note_lane(Naming::NAME, false);
-        assert_eq!(jobs.lanes(), BTreeMap::from([("naming", false), ("parsing", true)]));
+        assert!(jobs.lane_states().is_empty());
+        jobs.set_lane_running(Parsing::NAME, true);
+        jobs.set_lane_running(Naming::NAME, false);
+        assert_eq!(jobs.lane_states(), BTreeMap::from([("naming", false), ("parsing", true)]));
         let told = jobs.metrics().text();
         assert!(told.contains("uniground_lane_up{kind=\"parsing\"} 1"), "{told}");
         assert!(told.contains("uniground_lane_up{kind=\"naming\"} 0"), "{told}");
-        jobs.note_lane(Parsing::NAME, false);
-        assert!(!jobs.lanes()["parsing"]);
+        jobs.set_lane_running(Parsing::NAME, false);
+        assert!(!jobs.lane_states()["parsing"]);
     }
 }

@@ -10,16 +10,16 @@ use tokio::time::sleep;
 use uniground_storage::JobRow;
 
 /// Polling interval of a watched job.
-const LOOK_EVERY: Duration = Duration::from_millis(150);
+const POLL_INTERVAL: Duration = Duration::from_millis(150);
 /// Polling interval after an error of the database.
-const TROUBLE: Duration = Duration::from_millis(1500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(1500);
 
 /// The watched jobs by id.
 #[derive(Clone, Default)]
 pub(super) struct JobWatchers(Arc<Mutex<HashMap<String, watch::Sender<Job>>>>);
 
 impl JobWatchers {
-    fn all(&self) -> MutexGuard<'_, HashMap<String, watch::Sender<Job>>> {
+    fn lock_channels(&self) -> MutexGuard<'_, HashMap<String, watch::Sender<Job>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -39,11 +39,11 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn follow(&self, id: &str) -> Result<watch::Receiver<Job>, JobsError> {
-        if let Some(followed) = self.followed.all().get(id) {
+        if let Some(followed) = self.followed.lock_channels().get(id) {
             return Ok(followed.subscribe());
         }
         let job = self.get(id).await?;
-        let mut all = self.followed.all();
+        let mut all = self.followed.lock_channels();
         // Another caller may have started watching meanwhile.
         if let Some(followed) = all.get(id) {
             return Ok(followed.subscribe());
@@ -52,41 +52,41 @@ impl Jobs {
         let (sender, receiver) = watch::channel(job);
         if !is_over {
             all.insert(id.to_owned(), sender);
-            tokio::spawn(self.clone().look_after(id.to_owned()));
+            tokio::spawn(self.clone().poll_until_finished(id.to_owned()));
         }
         Ok(receiver)
     }
 
     /// Reads a job. The state of a running one comes from memory.
-    async fn look(&self, id: &str) -> Result<Job, JobsError> {
+    async fn read_job(&self, id: &str) -> Result<Job, JobsError> {
         let running = self.running().get(id).map(|running| running.row.clone());
         match running {
-            Some(row) => Ok(self.as_it_stands(JobRow::clone(&row))),
+            Some(row) => Ok(self.with_live_progress(JobRow::clone(&row))),
             None => self.get(id).await,
         }
     }
 
     /// Polls a job as long as it is watched and not finished.
-    async fn look_after(self, id: String) {
-        let mut wait = LOOK_EVERY;
+    async fn poll_until_finished(self, id: String) {
+        let mut wait = POLL_INTERVAL;
         loop {
             sleep(wait).await;
             // Under the lock, so that no new watcher can subscribe between the check and the
             // removal.
             {
-                let mut all = self.followed.all();
+                let mut all = self.followed.lock_channels();
                 if all.get(&id).is_none_or(watch::Sender::is_closed) {
                     all.remove(&id);
                     return;
                 }
             }
-            let job = self.look(&id).await;
+            let job = self.read_job(&id).await;
             wait = if matches!(job, Err(JobsError::Store(_) | JobsError::QueueFull { .. })) {
-                TROUBLE
+                RETRY_INTERVAL
             } else {
-                LOOK_EVERY
+                POLL_INTERVAL
             };
-            let mut all = self.followed.all();
+            let mut all = self.followed.lock_channels();
             let is_over = match (job, all.get(&id)) {
                 (Ok(job), Some(followed)) => {
                     let is_over = job.state.is_final();

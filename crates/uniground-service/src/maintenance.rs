@@ -42,17 +42,17 @@ impl MaintenanceService {
         self.recovery.recover_while_shared().await;
         // Every process has its own local copies of blobs.
         if self.blobs.is_cache() {
-            self.orphan_repository.collect_orphans(RunMode::TheServer.settled()).await?;
+            self.orphan_repository.collect_orphans(RunMode::TheServer.min_age()).await?;
         }
         // One process does the rest for all.
-        let Some(_turn) = self.service_locks.keeping_house().await? else { return Ok(()) };
+        let Some(_turn) = self.service_locks.try_lock_maintenance().await? else { return Ok(()) };
         self.apply_retention(RunMode::TheServer).await?;
         self.room_index_repository.delete_unused_names().await?;
         // A retired parse is known to be damaged. It is stored only for its answers.
         for parse in
             self.parse_repository.all_parses().await?.iter().filter(|parse| !parse.is_retired())
         {
-            let wrong = self.parsed_scenes.look_at_parse(&parse.id, CheckDepth::Bytes).await?;
+            let wrong = self.parsed_scenes.check_parse_files(&parse.id, CheckDepth::Bytes).await?;
             if let Some(DamagedFile { file, what }) =
                 wrong.iter().find(|damage| damage.what != "stray")
             {

@@ -40,7 +40,7 @@ struct RemovedSoFar {
 }
 
 impl RemovedSoFar {
-    fn because(self, kind: &'static str, why: String) -> RetentionReport {
+    fn into_report(self, kind: &'static str, why: String) -> RetentionReport {
         RetentionReport { kind, entries: self.entries, bytes: self.bytes, why }
     }
 }
@@ -56,14 +56,14 @@ pub enum RunMode {
 impl RunMode {
     /// Pauses between two steps.
     async fn pause(self) {
-        const BREATH: Duration = Duration::from_millis(50);
+        const STEP_PAUSE: Duration = Duration::from_millis(50);
         if self == Self::TheServer {
-            sleep(BREATH).await;
+            sleep(STEP_PAUSE).await;
         }
     }
 
     /// Returns the age below which data may be incomplete.
-    pub(super) fn settled(self) -> Duration {
+    pub(super) fn min_age(self) -> Duration {
         match self {
             Self::Nobody => Duration::ZERO,
             Self::TheServer => Duration::from_hours(1),
@@ -74,7 +74,7 @@ impl RunMode {
 /// A retention run.
 struct RetentionRun<'a> {
     service: &'a MaintenanceService,
-    beside: RunMode,
+    mode: RunMode,
     now: Timestamp,
     /// Folders that were removed, or would be. None is counted twice.
     folders: HashSet<Utf8PathBuf>,
@@ -86,10 +86,10 @@ impl MaintenanceService {
     ///
     /// # Errors
     /// [`Error`] of the store. What was removed stays removed.
-    pub async fn apply_retention(&self, beside: RunMode) -> Result<Vec<RetentionReport>, Error> {
-        let removed = match self.try_to_apply_retention(beside).await {
+    pub async fn apply_retention(&self, mode: RunMode) -> Result<Vec<RetentionReport>, Error> {
+        let removed = match self.try_to_apply_retention(mode).await {
             Err(error) if error.is_disk_full() && self.reserve.release_reserve() => {
-                self.try_to_apply_retention(beside).await
+                self.try_to_apply_retention(mode).await
             }
             done => done,
         }?;
@@ -97,9 +97,9 @@ impl MaintenanceService {
         Ok(removed)
     }
 
-    async fn try_to_apply_retention(&self, beside: RunMode) -> Result<Vec<RetentionReport>, Error> {
+    async fn try_to_apply_retention(&self, mode: RunMode) -> Result<Vec<RetentionReport>, Error> {
         let mut round =
-            RetentionRun { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
+            RetentionRun { service: self, mode, now: Timestamp::now(), folders: HashSet::new() };
         let Retention {
             answers_days,
             jobs_days,
@@ -111,33 +111,33 @@ impl MaintenanceService {
             ..
         } = self.limits.retention;
         // First, because it looks for folders without rows, and a dry run leaves some.
-        let quarantine = round.quarantine().await?;
+        let quarantine = round.collect_orphan_folders().await?;
         let mut removed = vec![
-            round.evidence().await?,
-            round.rows(RetentionKind::Answers, answers_days, "answers").await?,
-            round.rows(RetentionKind::Batches, batches_days, "batches").await?,
+            round.remove_transcripts().await?,
+            round.remove_rows(RetentionKind::Answers, answers_days, "answers").await?,
+            round.remove_rows(RetentionKind::Batches, batches_days, "batches").await?,
             // After batches and answers, which refer to jobs and parses.
-            round.rows(RetentionKind::Jobs, jobs_days, "jobs").await?,
+            round.remove_rows(RetentionKind::Jobs, jobs_days, "jobs").await?,
             round
-                .rows(RetentionKind::IdempotencyKeys, idempotency_days, "idempotency keys")
+                .remove_rows(RetentionKind::IdempotencyKeys, idempotency_days, "idempotency keys")
                 .await?,
             round
-                .rows(
+                .remove_rows(
                     RetentionKind::QuestionKeys,
                     idempotency_days,
                     "idempotency keys of questions",
                 )
                 .await?,
-            round.rows(RetentionKind::Audit, audit_days, "audit").await?,
-            round.superseded_parses(superseded_days).await?,
+            round.remove_rows(RetentionKind::Audit, audit_days, "audit").await?,
+            round.remove_superseded_parses(superseded_days).await?,
             // After the parses of these contents.
-            round.outgrown_contents(superseded_days).await?,
-            round.rows(RetentionKind::Uploads, uploads_days, "uploads in parts").await?,
-            round.checkpoints().await?,
+            round.remove_outgrown_contents(superseded_days).await?,
+            round.remove_rows(RetentionKind::Uploads, uploads_days, "uploads in parts").await?,
+            round.remove_checkpoints().await?,
             quarantine,
         ];
         if self.blobs.is_cache() {
-            removed.push(round.orphans().await?);
+            removed.push(round.remove_orphan_objects().await?);
         }
         for RetentionReport { kind, entries, bytes, why } in
             removed.iter().filter(|removed| removed.entries > 0)
@@ -149,7 +149,7 @@ impl MaintenanceService {
 }
 
 impl RetentionRun<'_> {
-    async fn evidence(&mut self) -> Result<RetentionReport, Error> {
+    async fn remove_transcripts(&mut self) -> Result<RetentionReport, Error> {
         let days = self.service.limits.retention.evidence_days;
         let blobs = self.service.blobs.clone();
         let old = spawn_blocking(move || {
@@ -162,11 +162,11 @@ impl RetentionRun<'_> {
             gone.bytes += self.discard(folders).await?;
             gone.entries += names.len() as u64;
         }
-        Ok(gone.because("evidence", format!("{days} days after the answer")))
+        Ok(gone.into_report("evidence", format!("{days} days after the answer")))
     }
 
     /// Removes the expired rows of a kind, with their files.
-    async fn rows(
+    async fn remove_rows(
         &mut self,
         aged: RetentionKind,
         days: u32,
@@ -174,7 +174,7 @@ impl RetentionRun<'_> {
     ) -> Result<RetentionReport, Error> {
         let mut gone = RemovedSoFar::default();
         if days == 0 {
-            return Ok(gone.because(kind, "kept for ever".into()));
+            return Ok(gone.into_report(kind, "kept for ever".into()));
         }
         let before = Cutoff::days_ago(days, self.now);
         let rows = &self.service.retention_repository;
@@ -192,24 +192,24 @@ impl RetentionRun<'_> {
                 )
                 .await?;
             gone.count(&due, &removed);
-            let beside = match aged {
+            let mode = match aged {
                 RetentionKind::Answers => removed.iter().map(|id| blobs.answer(id)).collect(),
                 RetentionKind::Uploads => removed.iter().map(|id| blobs.upload(id)).collect(),
                 _ => Vec::new(),
             };
-            gone.bytes += self.discard(beside).await?;
-            self.beside.pause().await;
+            gone.bytes += self.discard(mode).await?;
+            self.mode.pause().await;
         }
-        Ok(gone.because(kind, format!("over {days} days old")))
+        Ok(gone.into_report(kind, format!("over {days} days old")))
     }
 
     /// Removes parses one by one, because they are large with their instances.
-    async fn superseded_parses(&mut self, days: u32) -> Result<RetentionReport, Error> {
+    async fn remove_superseded_parses(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "superseded parses";
         let (service, mut gone) = (self.service, RemovedSoFar::default());
         service.retention_repository.mark_superseded_parses(self.now).await?;
         if days == 0 {
-            return Ok(gone.because(KIND, "kept for ever".into()));
+            return Ok(gone.into_report(KIND, "kept for ever".into()));
         }
         let before = Cutoff::days_ago(days, self.now);
         let mut after = String::new();
@@ -223,8 +223,8 @@ impl RetentionRun<'_> {
             let removed = {
                 // The locks prevent a scene from taking the parse while it is removed.
                 let _references = (
-                    service.service_locks.content_references().await?,
-                    service.service_locks.parse_references().await?,
+                    service.service_locks.lock_content_references().await?,
+                    service.service_locks.lock_parse_references().await?,
                 );
                 service
                     .retention_repository
@@ -237,36 +237,39 @@ impl RetentionRun<'_> {
                 gone.bytes += self.discard(vec![service.blobs.parse(id)]).await?;
             }
             gone.count(&[due], &removed);
-            self.beside.pause().await;
+            self.mode.pause().await;
         }
-        Ok(gone
-            .because(KIND, format!("no scene and no answer has referred to them for {days} days")))
+        Ok(gone.into_report(
+            KIND,
+            format!("no scene and no answer has referred to them for {days} days"),
+        ))
     }
 
     /// Removes the contents of scans before they grew. The grown scan shares their files, so mostly
     /// links are removed.
-    async fn outgrown_contents(&mut self, days: u32) -> Result<RetentionReport, Error> {
+    async fn remove_outgrown_contents(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "outgrown scans";
         let (service, mut gone) = (self.service, RemovedSoFar::default());
         if days == 0 {
-            return Ok(gone.because(KIND, "kept for ever".into()));
+            return Ok(gone.into_report(KIND, "kept for ever".into()));
         }
         for hash in service.content_repository.outgrown_contents(TOGETHER).await? {
             let folders = {
                 let _references = (
-                    service.service_locks.content_references().await?,
-                    service.service_locks.parse_references().await?,
+                    service.service_locks.lock_content_references().await?,
+                    service.service_locks.lock_parse_references().await?,
                 );
                 service.content_repository.remove_outgrown(&hash).await?
             };
             gone.entries += u64::from(!folders.is_empty());
             gone.bytes += self.discard(folders).await?;
-            self.beside.pause().await;
+            self.mode.pause().await;
         }
-        Ok(gone.because(KIND, "their scenes have grown, and no parse is of them any more".into()))
+        Ok(gone
+            .into_report(KIND, "their scenes have grown, and no parse is of them any more".into()))
     }
 
-    async fn checkpoints(&mut self) -> Result<RetentionReport, Error> {
+    async fn remove_checkpoints(&mut self) -> Result<RetentionReport, Error> {
         let Retention { checkpoints_days: days, checkpoints_bytes: most, .. } =
             self.service.limits.retention;
         let blobs = self.service.blobs.clone();
@@ -274,11 +277,11 @@ impl RetentionRun<'_> {
         let oldest =
             if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
         let mut gone = RemovedSoFar::default();
-        for StoredCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
+        for StoredCheckpoints { hash, bytes, .. } in expired_checkpoints(kept, oldest, most) {
             // The locks prevent a parse from starting between the check and the removal.
             let references = (
-                self.service.service_locks.content_references().await?,
-                self.service.service_locks.parse_references().await?,
+                self.service.service_locks.lock_content_references().await?,
+                self.service.service_locks.lock_parse_references().await?,
             );
             if !self.service.retention_repository.contents_in_work().await?.contains(&hash) {
                 self.discard(vec![self.service.blobs.checkpoints(&hash)]).await?;
@@ -286,9 +289,9 @@ impl RetentionRun<'_> {
                 gone.bytes += bytes;
             }
             drop(references);
-            self.beside.pause().await;
+            self.mode.pause().await;
         }
-        Ok(gone.because(
+        Ok(gone.into_report(
             "checkpoints",
             format!(
                 "not used for {days} days, or together more than {most} bytes; they only save time"
@@ -296,31 +299,31 @@ impl RetentionRun<'_> {
         ))
     }
 
-    async fn quarantine(&self) -> Result<RetentionReport, Error> {
+    async fn collect_orphan_folders(&self) -> Result<RetentionReport, Error> {
         let (entries, bytes) =
-            self.service.orphan_repository.collect_orphans(self.beside.settled()).await?;
-        Ok(RemovedSoFar { entries, bytes }.because(
+            self.service.orphan_repository.collect_orphans(self.mode.min_age()).await?;
+        Ok(RemovedSoFar { entries, bytes }.into_report(
             "quarantine",
             format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days"),
         ))
     }
 
     /// Removes orphan objects one by one. Each is checked again right before its removal.
-    async fn orphans(&self) -> Result<RetentionReport, Error> {
+    async fn remove_orphan_objects(&self) -> Result<RetentionReport, Error> {
         let (service, mut gone) = (self.service, RemovedSoFar::default());
         for orphan in service.orphan_repository.orphan_objects().await? {
             let references = (
-                service.service_locks.content_references().await?,
-                service.service_locks.parse_references().await?,
+                service.service_locks.lock_content_references().await?,
+                service.service_locks.lock_parse_references().await?,
             );
             if service.orphan_repository.remove_orphan(&orphan).await? {
                 gone.entries += 1;
                 gone.bytes += orphan.bytes();
             }
             drop(references);
-            self.beside.pause().await;
+            self.mode.pause().await;
         }
-        Ok(gone.because(
+        Ok(gone.into_report(
             "orphaned objects",
             "no record speaks of them, for longer than the grace period".into(),
         ))
@@ -354,7 +357,11 @@ impl RemovedSoFar {
 
 /// Returns the checkpoints to remove, the longest unused first: those last used before `oldest`,
 /// and those that exceed `most` bytes in total.
-fn too_many(kept: Vec<StoredCheckpoints>, oldest: SystemTime, most: u64) -> Vec<StoredCheckpoints> {
+fn expired_checkpoints(
+    kept: Vec<StoredCheckpoints>,
+    oldest: SystemTime,
+    most: u64,
+) -> Vec<StoredCheckpoints> {
     let mut total: u64 = kept.iter().map(|kept| kept.bytes).sum();
     let mut going = Vec::new();
     for kept in kept {
@@ -385,7 +392,7 @@ mod tests {
             kept("new", 9, 100),
         ];
         let going = |oldest, most| {
-            too_many(all.clone(), oldest, most)
+            expired_checkpoints(all.clone(), oldest, most)
                 .into_iter()
                 .map(|kept| kept.hash)
                 .collect::<Vec<_>>()

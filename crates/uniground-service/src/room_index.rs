@@ -60,7 +60,7 @@ impl RoomSearch {
         if wanted.is_empty() {
             return Ok(());
         }
-        let Some(turn) = self.service_locks.indexing().await? else { return Ok(()) };
+        let Some(turn) = self.service_locks.try_lock_room_index().await? else { return Ok(()) };
         while !wanted.is_empty() && turn.is_ours() {
             for room in &wanted {
                 match self.index_room(room).await {
@@ -98,7 +98,7 @@ impl RoomSearch {
     }
 
     async fn index_room(&self, room: &ParseToIndex) -> Result<(), Error> {
-        let parse = self.parsed_scenes.passing_parse(&room.parse_id).await?;
+        let parse = self.parsed_scenes.load_parse_uncached(&room.parse_id).await?;
         let keeps_vectors = self.room_index_repository.has_vectors().await?;
         let (known, seen) = spawn_blocking(move || {
             let known = entries(&parse.instances).into_iter();
@@ -136,7 +136,7 @@ impl RoomSearch {
             Arc::new(self.question_permits.compute(move || Ok(Sought::of(&question))).await?);
         let mut rooms: HashMap<String, Vec<f32>> = HashMap::new();
         for at in 0..sought.len() {
-            for (name, fit) in self.names_for(&sought, at).await? {
+            for (name, fit) in self.best_fitting_names(&sought, at).await? {
                 for RoomMatch { parse_id, colour, weight } in
                     self.rooms_with(&name, sought.colours(at), labels).await?
                 {
@@ -157,9 +157,9 @@ impl RoomSearch {
         likely.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| b.1.cmp(&a.1)));
         let by_name = likely.into_iter().map(|(_, room)| room);
         // Alternates between rooms by names and by looks, because their scores cannot be compared.
-        let by_looks = self.rooms_that_look_so(&sought, labels, most).await?;
+        let by_looks = self.rooms_by_appearance(&sought, labels, most).await?;
         let mut chosen: Vec<String> = Vec::new();
-        for room in in_turns(by_name, by_looks.into_iter()) {
+        for room in interleave(by_name, by_looks.into_iter()) {
             if chosen.len() >= most {
                 break;
             }
@@ -187,7 +187,7 @@ impl RoomSearch {
     }
 
     /// Returns the names that fit an object of the question best, with their fit.
-    async fn names_for(
+    async fn best_fitting_names(
         &self,
         sought: &Arc<Sought>,
         at: usize,
@@ -229,7 +229,7 @@ impl RoomSearch {
 
     /// Returns rooms with an instance that looks as the words say, the likeliest first. Returns
     /// none if no embeddings are stored.
-    async fn rooms_that_look_so(
+    async fn rooms_by_appearance(
         &self,
         sought: &Arc<Sought>,
         labels: &Labels,
@@ -282,7 +282,7 @@ impl RoomNames {
 }
 
 /// Alternates between two iterators until both are exhausted.
-fn in_turns<T>(
+fn interleave<T>(
     mut one: impl Iterator<Item = T>,
     mut other: impl Iterator<Item = T>,
 ) -> impl Iterator<Item = T> {
@@ -300,9 +300,9 @@ mod tests {
     #[test]
     fn turns_go_on_when_one_has_no_more() {
         assert_eq!(
-            in_turns([1, 3, 5, 6].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(),
+            interleave([1, 3, 5, 6].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(),
             [1, 2, 3, 4, 5, 6]
         );
-        assert_eq!(in_turns([].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(), [2, 4]);
+        assert_eq!(interleave([].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(), [2, 4]);
     }
 }

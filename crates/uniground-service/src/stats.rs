@@ -69,10 +69,10 @@ impl StatsService {
         let figures = self
             .figures
             .figures
-            .get(AGE, self.look_at_figures())
+            .get(AGE, self.cached_figures())
             .await
             .map_err(StoreError::Together)?;
-        let sizes = self.sizes_soon().await;
+        let sizes = self.cached_sizes().await;
         let process = &self.metrics.process;
         let Figures { scenes, parses, instances, answers, database_bytes, free_bytes, .. } =
             *figures;
@@ -87,7 +87,7 @@ impl StatsService {
                 answers,
                 batches: figures.batches.clone(),
             },
-            jobs: self.jobs_in_numbers(&figures),
+            jobs: self.job_statistics(&figures),
             spending: Spending {
                 day: today(),
                 today_usd: self.spent_today().await?,
@@ -113,12 +113,12 @@ impl StatsService {
         let figures = self
             .figures
             .figures
-            .get_soon(AGE, patience, async move { service.look_at_figures().await });
+            .get_within(AGE, patience, async move { service.cached_figures().await });
         let spent = async { tokio::time::timeout(patience, self.spent_today()).await.ok()?.ok() };
         let (figures, health, sizes, spent) = tokio::join!(
             figures,
-            self.health_service.health_soon(patience),
-            self.sizes_soon(),
+            self.health_service.health_within(patience),
+            self.cached_sizes(),
             spent
         );
         let (stored, vlm, questions) =
@@ -180,13 +180,13 @@ impl StatsService {
         self.metrics.text()
     }
 
-    async fn look_at_figures(&self) -> Result<Arc<Figures>, Arc<StoreError>> {
+    async fn cached_figures(&self) -> Result<Arc<Figures>, Arc<StoreError>> {
         self.statistics_repository.figures().await.map(Arc::new).map_err(Arc::new)
     }
 
     /// Returns the disk space that files use, if it has been measured. Measures it again in the
     /// background.
-    async fn sizes_soon(&self) -> Option<Sizes> {
+    async fn cached_sizes(&self) -> Option<Sizes> {
         let (blobs, measured, before) = (
             self.blobs.clone(),
             self.figures.measured.clone(),
@@ -199,7 +199,7 @@ impl StatsService {
                 .inspect_err(|error| tracing::warn!(%error, "file sizes could not be measured"));
             sizes.ok().map(Arc::new).or(before)
         };
-        self.figures.sizes.get_soon(SIZES_AGE, PATIENCE, look).await.flatten()
+        self.figures.sizes.get_within(SIZES_AGE, PATIENCE, look).await.flatten()
     }
 
     /// Returns today's spending in US dollars.
@@ -211,8 +211,8 @@ impl StatsService {
     }
 
     /// Returns statistics for the kinds of jobs that this server runs or has records of.
-    fn jobs_in_numbers(&self, figures: &Figures) -> Vec<JobStats> {
-        let lanes = self.jobs.lanes();
+    fn job_statistics(&self, figures: &Figures) -> Vec<JobStats> {
+        let lanes = self.jobs.lane_states();
         let mut kinds: Vec<&str> = lanes
             .keys()
             .copied()

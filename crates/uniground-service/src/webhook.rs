@@ -15,7 +15,7 @@ use uniground_client::choose_cryptography;
 
 /// The timeout of a delivery.
 const TIMEOUT: Duration = Duration::from_secs(15);
-const SHORTEST_SECRET: usize = 16;
+const MIN_SECRET_BYTES: usize = 16;
 /// The prefix of secrets in base64.
 const PREFIX: &str = "whsec_";
 
@@ -44,7 +44,7 @@ pub enum BadWebhook {
         "{0} is an address of this machine or its own network: say --webhook-allow-private where that is meant"
     )]
     Private(String),
-    #[error("the secret is base64 of at least {SHORTEST_SECRET} bytes, after whsec_")]
+    #[error("the secret is base64 of at least {MIN_SECRET_BYTES} bytes, after whsec_")]
     Secret,
     #[error("a client for webhooks")]
     Client(#[from] reqwest::Error),
@@ -63,7 +63,7 @@ impl Webhook {
         let secret = STANDARD
             .decode(secret.trim().trim_start_matches(PREFIX))
             .map_err(|_| BadWebhook::Secret)?;
-        if secret.len() < SHORTEST_SECRET {
+        if secret.len() < MIN_SECRET_BYTES {
             return Err(BadWebhook::Secret);
         }
         choose_cryptography();

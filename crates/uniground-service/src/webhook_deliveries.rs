@@ -17,7 +17,7 @@ use uniground_storage::{JobState, LockTable, NamedLock, WebhookRepository};
 use uniground_types::batch::Batch;
 
 /// The interval between checks for jobs that have ended.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Webhooks delivered at once.
 const TOGETHER: u32 = 8;
 /// The wait after the first failed attempt. It doubles up to the longest wait.
@@ -58,10 +58,14 @@ pub struct WebhookService {
 impl WebhookService {
     /// Sends webhooks for all jobs that end, until `shutdown`. The next server sends what could not
     /// be delivered.
-    pub async fn announce(self: Arc<Self>, webhook: Arc<Webhook>, shutdown: CancellationToken) {
+    pub async fn deliver_webhooks(
+        self: Arc<Self>,
+        webhook: Arc<Webhook>,
+        shutdown: CancellationToken,
+    ) {
         let mut turn = None;
         while !shutdown.is_cancelled() {
-            let told = self.announce_due(&webhook, &mut turn);
+            let told = self.deliver_due(&webhook, &mut turn);
             match shutdown.run_until_cancelled(told).await {
                 // More webhooks may be due.
                 Some(Ok(true)) => continue,
@@ -71,13 +75,13 @@ impl WebhookService {
                     "webhook event could not be read"
                 ),
             }
-            let _ = shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await;
+            let _ = shutdown.run_until_cancelled(sleep(POLL_INTERVAL)).await;
         }
     }
 
     /// Sends some webhooks that are due, if this process holds the lock. Returns whether there were
     /// any.
-    async fn announce_due(
+    async fn deliver_due(
         &self,
         webhook: &Arc<Webhook>,
         turn: &mut Option<NamedLock>,
@@ -87,7 +91,7 @@ impl WebhookService {
             *turn = Some(ours).filter(NamedLock::is_ours);
         }
         if turn.is_none() {
-            *turn = self.service_locks.announcing().await?;
+            *turn = self.service_locks.try_lock_webhook_delivery().await?;
         }
         if turn.is_none() {
             return Ok(false);
@@ -95,8 +99,9 @@ impl WebhookService {
         let due = self.webhook_repository.due_deliveries(TOGETHER).await?;
         let any = !due.is_empty();
         join_all(
-            due.into_iter()
-                .map(|(job_id, tried)| self.clone().tell(webhook.clone(), job_id, tried)),
+            due.into_iter().map(|(job_id, tried)| {
+                self.clone().deliver_and_log(webhook.clone(), job_id, tried)
+            }),
         )
         .await;
         Ok(any)
@@ -107,7 +112,7 @@ impl WebhookService {
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
+    pub async fn set_deliveries_enabled(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
         match webhook {
             Some(_) => self.webhook_repository.enable_deliveries().await?,
             // Other processes may have a webhook.
@@ -117,18 +122,23 @@ impl WebhookService {
         Ok(())
     }
 
-    async fn tell(self, webhook: Arc<Webhook>, job_id: String, tried: u32) {
-        if let Err(error) = self.announce_job(&webhook, &job_id, tried).await {
+    async fn deliver_and_log(self, webhook: Arc<Webhook>, job_id: String, tried: u32) {
+        if let Err(error) = self.deliver_job_event(&webhook, &job_id, tried).await {
             tracing::warn!(
                 job_id,
                 error = &error as &dyn std::error::Error,
                 "webhook delivery failed; retrying later"
             );
-            sleep(LOOK_EVERY).await;
+            sleep(POLL_INTERVAL).await;
         }
     }
 
-    async fn announce_job(&self, webhook: &Webhook, job_id: &str, tried: u32) -> Result<(), Error> {
+    async fn deliver_job_event(
+        &self,
+        webhook: &Webhook,
+        job_id: &str,
+        tried: u32,
+    ) -> Result<(), Error> {
         let job = match self.jobs.get(job_id).await {
             Err(JobsError::NotFound { .. }) => {
                 return Ok(self.webhook_repository.delete_delivery(job_id).await?);
@@ -137,7 +147,7 @@ impl WebhookService {
         };
         // The id is the same for every retry, so that the receiver can detect duplicates.
         let id = format!("msg_{job_id}");
-        let body = serde_json::to_string(&self.event_of(job).await?)?;
+        let body = serde_json::to_string(&self.to_event(job).await?)?;
         match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
             // Delivered. Status 410 means that the receiver is gone for good.
             Ok(()) | Err(WebhookError::Refused(410)) => {
@@ -167,7 +177,7 @@ impl WebhookService {
         Ok(())
     }
 
-    async fn event_of(&self, job: Job) -> Result<WebhookEvent, Error> {
+    async fn to_event(&self, job: Job) -> Result<WebhookEvent, Error> {
         let kind = match job.state {
             JobState::Succeeded => "job.succeeded",
             JobState::Cancelled => "job.cancelled",

@@ -33,7 +33,7 @@ impl Recovery {
     /// unused rows, orphan folders and unfinished uploads. Returns the error of a step that failed
     /// because the disk is full.
     pub(super) async fn recover(&self) -> Option<StoreError> {
-        let interrupted = self.end_interrupted_work().await;
+        let interrupted = self.finish_interrupted_work().await;
         if !self.database.members.was_alone {
             return interrupted;
         }
@@ -55,7 +55,7 @@ impl Recovery {
 
     /// Clears what crashed processes left, while this process and others use the store.
     pub async fn recover_while_shared(&self) {
-        self.end_interrupted_work().await;
+        self.finish_interrupted_work().await;
         log_failure(
             "remove files of unfinished uploads",
             self.uploads.remove_stray_uploads().await,
@@ -65,7 +65,7 @@ impl Recovery {
 
     /// Ends interrupted work of crashed processes: batches being received, and money reserved for
     /// model calls.
-    async fn end_interrupted_work(&self) -> Option<StoreError> {
+    async fn finish_interrupted_work(&self) -> Option<StoreError> {
         let received = log_failure(
             "remove batches that were not received completely",
             self.batches.delete_unsubmitted_batches().await,

@@ -1,7 +1,7 @@
 //! Webhook deliveries for finished jobs.
 
 use super::database::{Database, to_unsigned};
-use super::jobs::after;
+use super::jobs::time_after;
 use super::{StoreError, now};
 use std::sync::Arc;
 use std::time::Duration;
@@ -40,7 +40,7 @@ impl WebhookRepository {
         let sql =
             "UPDATE announcements SET attempts = attempts + 1, not_before = $1 WHERE job_id = $2";
         sqlx::query(sql)
-            .bind(after(wait))
+            .bind(time_after(wait))
             .bind(job_id)
             .execute(self.database.writer.pool())
             .await?;

@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use uniground_service::error::Error;
-use uniground_service::{Caller, EvidenceFile, Services, written};
+use uniground_service::{Caller, EvidenceFile, Services, write_graph};
 use uniground_types::approach::Approach as Approached;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::{InstanceView, Levels, ViewPicture};
@@ -204,7 +204,7 @@ async fn relations(services: &Services, arguments: JsonObject) -> Result<CallToo
     let Relations { scene_id, instance_id } = read(arguments)?;
     let graph =
         services.instances.graph(&scene_id, Levels::Things, instance_id.map(InstanceId)).await?;
-    let (_, text) = written(&graph, GraphFormat::Text)?;
+    let (_, text) = write_graph(&graph, GraphFormat::Text)?;
     with_text(&graph, text)
 }
 

@@ -196,8 +196,8 @@ impl Suite {
     /// `seed`.
     #[must_use]
     pub fn sampled_by_scene(mut self, count: usize, seed: u64) -> Self {
-        let asked_about: BTreeSet<usize> = self.tasks.iter().map(|task| task.scene).collect();
-        let mut keyed: Vec<(u64, usize)> = asked_about
+        let answer_query: BTreeSet<usize> = self.tasks.iter().map(|task| task.scene).collect();
+        let mut keyed: Vec<(u64, usize)> = answer_query
             .into_iter()
             .map(|scene| (hash(&self.scenes[scene].id, seed), scene))
             .collect();

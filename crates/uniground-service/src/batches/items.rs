@@ -86,13 +86,13 @@ mod tests {
     }
 
     /// Returns the form in which questions were stored before batches had defaults.
-    fn whole(defaults: &Map<String, Value>, own: Map<String, Value>) -> String {
+    fn stored_question(defaults: &Map<String, Value>, own: Map<String, Value>) -> String {
         let mut all = defaults.clone();
         all.extend(own);
         Value::Object(all).to_string()
     }
 
-    fn stored(defaults: &Map<String, Value>) -> BatchDefaults {
+    fn stored_defaults(defaults: &Map<String, Value>) -> BatchDefaults {
         BatchDefaults::from_stored(Some(&Value::Object(defaults.clone()).to_string())).unwrap()
     }
 
@@ -109,14 +109,17 @@ mod tests {
         ] {
             let (defaults, own) = (&defaults, fields(own));
             let request = Value::Object(own.clone()).to_string();
-            assert_eq!(stored(defaults).merge(&request).unwrap(), whole(defaults, own.clone()));
-            let query = serde_json::from_str::<Map<String, Value>>(&whole(defaults, own)).unwrap()
-                ["query"]
+            assert_eq!(
+                stored_defaults(defaults).merge(&request).unwrap(),
+                stored_question(defaults, own.clone())
+            );
+            let query = serde_json::from_str::<Map<String, Value>>(&stored_question(defaults, own))
+                .unwrap()["query"]
                 .as_str()
                 .map(str::to_owned);
-            assert_eq!(stored(defaults).query_of(&request), query.unwrap_or_default());
+            assert_eq!(stored_defaults(defaults).query_of(&request), query.unwrap_or_default());
         }
-        assert!(stored(&defaults).merge("no JSON").is_err());
+        assert!(stored_defaults(&defaults).merge("no JSON").is_err());
     }
 
     /// Batches of earlier versions store whole questions. They are returned unchanged, without
@@ -157,7 +160,7 @@ mod tests {
             let shared: Map<String, Value> = shared.into_iter().map(|(name, text)| (name, text.into())).collect();
             let own: Map<String, Value> = own.into_iter().map(|(name, number)| (name, number.into())).collect();
             let request = Value::Object(own.clone()).to_string();
-            prop_assert_eq!(stored(&shared).merge(&request).unwrap().into_owned(), whole(&shared, own));
+            prop_assert_eq!(stored_defaults(&shared).merge(&request).unwrap().into_owned(), stored_question(&shared, own));
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::items::{BatchDefaults, question_of};
 use super::reason;
-use crate::answers::{QuestionCaller, STORE_IS_BACK};
+use crate::answers::{QuestionCaller, STORE_RETRY_TIMEOUT};
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
 use crate::{Caller, Capacity, GroundingService, Keyring, Vlm, job_failure, until_cancelled};
@@ -60,7 +60,7 @@ const WRITE_AFTER: usize = 64;
 const TRIES: u32 = 4;
 const FIRST_WAIT: Duration = Duration::from_secs(1);
 /// The wait of a question that found no free permit. Interactive questions go first.
-const STEP_ASIDE: Duration = Duration::from_millis(50);
+const RETRY_DELAY: Duration = Duration::from_millis(50);
 
 /// How long questions in progress may take after the job was asked to stop. Requests have the same
 /// time when the server stops.
@@ -126,10 +126,10 @@ impl BatchRunner {
             lost,
         };
         loop {
-            if !run.is_wanted().await? {
-                return Ok(run.told("stopped"));
+            if !run.is_running().await? {
+                return Ok(run.summary("stopped"));
             }
-            let Ok(caller) = self.keyring.caller_of(run.batch.key_id.as_deref()) else {
+            let Ok(caller) = self.keyring.resolve_caller(run.batch.key_id.as_deref()) else {
                 return run.pause(reason::KEY_REFUSED, "its key is refused").await;
             };
             // Answers need disk space too: on a nearly full disk the batch is postponed.
@@ -139,7 +139,7 @@ impl BatchRunner {
                 self.batch_repository
                     .change_batch_state(&run.batch.id, &["running"], "succeeded", None)
                     .await?;
-                return Ok(run.told("done"));
+                return Ok(run.summary("done"));
             }
             if run.ask(items, &caller).await? == BudgetState::Spent {
                 return run.pause(reason::BUDGET_SPENT, "its money is spent").await;
@@ -171,7 +171,7 @@ impl BatchRun {
                 async move { service.ask_item(item, &defaults, &caller, budget.as_ref()).await };
             let asked = AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()));
             // A question that panics fails alone. Its batch continues.
-            async move { asked.await.unwrap_or_else(|panic| Ok(failed(number, &panic.into()))) }
+            async move { asked.await.unwrap_or_else(|panic| Ok(to_failed_item(number, &panic.into()))) }
         };
         let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
@@ -183,7 +183,7 @@ impl BatchRun {
             (None, false);
         let soon = || tokio::time::Instant::now() + GRACE;
         // Answers that were paid for are stored once the database is available again.
-        let when_it_is_back = || tokio::time::Instant::now() + STORE_IS_BACK;
+        let when_it_is_back = || tokio::time::Instant::now() + STORE_RETRY_TIMEOUT;
         loop {
             let end = tokio::select! {
                 // The lease is lost. Returning drops the calls in progress: another worker makes
@@ -236,12 +236,12 @@ impl BatchRun {
             self.done += 1;
         }
         // A key that was revoked or has expired is detected before the next items.
-        Ok(self.service.keyring.caller_of(self.batch.key_id.as_deref()).is_ok()
-            && self.is_wanted().await?)
+        Ok(self.service.keyring.resolve_caller(self.batch.key_id.as_deref()).is_ok()
+            && self.is_running().await?)
     }
 
     /// Returns whether the batch is still running: not paused, cancelled or deleted.
-    async fn is_wanted(&self) -> Result<bool, Error> {
+    async fn is_running(&self) -> Result<bool, Error> {
         Ok(self
             .service
             .batch_repository
@@ -255,10 +255,10 @@ impl BatchRun {
             .batch_repository
             .change_batch_state(&self.batch.id, &["running"], "paused", Some(reason))
             .await?;
-        Ok(self.told(why))
+        Ok(self.summary(why))
     }
 
-    fn told(&self, why: &str) -> String {
+    fn summary(&self, why: &str) -> String {
         format!("{} of {} questions asked: {why}", self.done, self.batch.items)
     }
 }
@@ -295,7 +295,7 @@ impl BatchRunner {
                     GroundRequest { reasoner: ReasonerChoice::Vlm, ..request }
                 }
                 Ok(request) => request,
-                Err(error) => return Ok(failed(item, &error)),
+                Err(error) => return Ok(to_failed_item(item, &error)),
             };
         let (mut tries, mut wait) = (0, FIRST_WAIT);
         loop {
@@ -320,7 +320,7 @@ impl BatchRunner {
                         error: None,
                     }));
                 }
-                Err(Error::Overloaded) => sleep(STEP_ASIDE).await,
+                Err(Error::Overloaded) => sleep(RETRY_DELAY).await,
                 // The budget of the batch, of its key or of the server for today is exhausted: the
                 // item waits. The question's own budget will not grow, so it does not wait for
                 // that.
@@ -336,7 +336,7 @@ impl BatchRunner {
                     sleep(wait).await;
                     (tries, wait) = (tries + 1, wait * 2);
                 }
-                Err(error) => return Ok(failed(item, &error)),
+                Err(error) => return Ok(to_failed_item(item, &error)),
             }
         }
     }
@@ -346,19 +346,19 @@ impl BatchRunner {
 /// every item.
 const MAX_DETAIL_CHARS: usize = 500;
 
-fn shortened(text: &str) -> String {
+fn shorten(text: &str) -> String {
     match text.char_indices().nth(MAX_DETAIL_CHARS) {
         Some((cut, _)) => format!("{}...", &text[..cut]),
         None => text.to_owned(),
     }
 }
 
-fn failed(item: u32, error: &Error) -> ItemOutcome {
+fn to_failed_item(item: u32, error: &Error) -> ItemOutcome {
     let detail = match error {
         Error::Invalid { pointer, detail } => {
-            format!("{}: {}", shortened(pointer), shortened(detail))
+            format!("{}: {}", shorten(pointer), shorten(detail))
         }
-        other => shortened(&other.to_string()),
+        other => shorten(&other.to_string()),
     };
     let error = Some((error.code().to_owned(), detail));
     ItemOutcome::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })

@@ -31,7 +31,7 @@ pub struct ResultRequest {
 /// Items read per page.
 const PAGE: u32 = 200;
 /// The polling interval of a followed batch.
-const LOOK_EVERY: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A line of results. The answer is the stored JSON, byte for byte.
 #[derive(Serialize)]
@@ -85,20 +85,20 @@ impl BatchService {
             if let Some(last) = done.last() {
                 wanted.from = last.item + 1;
                 let page = match wanted.format {
-                    LineFormat::Jsonl => lines(&done, defaults)?,
-                    LineFormat::Csv => rows_of(&done, defaults)?,
+                    LineFormat::Jsonl => to_json_lines(&done, defaults)?,
+                    LineFormat::Csv => csv_rows(&done, defaults)?,
                 };
                 return Ok(Some((page.into(), wanted)));
             }
             if !wanted.follow || state != BatchState::Running {
                 return Ok(None);
             }
-            sleep(LOOK_EVERY).await;
+            sleep(POLL_INTERVAL).await;
         }
     }
 }
 
-fn lines(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
+fn to_json_lines(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
     let mut page = Vec::new();
     for row in rows {
         let query = defaults.query_of(&row.request);
@@ -122,8 +122,8 @@ fn columns() -> Vec<&'static str> {
     before.into_iter().chain(table::COLUMNS).chain(["error_code", "error"]).collect()
 }
 
-fn rows_of(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
-    table::written(rows.iter().map(|row| {
+fn csv_rows(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
+    table::to_csv(rows.iter().map(|row| {
         let query = defaults.query_of(&row.request);
         let answer: Option<Answer> = row.answer.as_deref().map(serde_json::from_str).transpose()?;
         let (code, detail) = row.error.clone().unwrap_or_default();
@@ -134,6 +134,10 @@ fn rows_of(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error>
             row.status.clone().unwrap_or_default(),
             row.answer_id.clone(),
         ];
-        Ok(item.into_iter().chain(table::cells(answer.as_ref())).chain([code, detail]).collect())
+        Ok(item
+            .into_iter()
+            .chain(table::answer_cells(answer.as_ref()))
+            .chain([code, detail])
+            .collect())
     }))
 }

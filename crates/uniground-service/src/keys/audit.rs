@@ -32,7 +32,7 @@ pub struct PendingAudit {
 
 impl PendingAudit {
     /// Records the status of the answer. Waits until the entry is written, for at most `MAX_WAIT`.
-    pub async fn answered(mut self, status: u16) {
+    pub async fn record_status(mut self, status: u16) {
         if let Some((caller, done)) = self.open.take() {
             let written = self
                 .keys
@@ -155,7 +155,7 @@ impl DroppedEntries {
 impl Keyring {
     /// Starts the audit entry of a request.
     #[must_use]
-    pub fn noting(&self, caller: Caller, done: AuditedRequest) -> PendingAudit {
+    pub fn begin_audit(&self, caller: Caller, done: AuditedRequest) -> PendingAudit {
         PendingAudit { keys: self.clone(), open: Some((caller, done)) }
     }
 
@@ -211,8 +211,8 @@ mod tests {
     async fn what_somebody_did_who_left_is_written_down_all_the_same() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder).await;
-        keys.noting(Caller::operator(), done("/answered")).answered(204).await;
-        drop(keys.noting(Caller::operator(), done("/left")));
+        keys.begin_audit(Caller::operator(), done("/answered")).record_status(204).await;
+        drop(keys.begin_audit(Caller::operator(), done("/left")));
         let entries = entries(&keys, 2).await;
         let written: Vec<(&str, u16)> =
             entries.iter().map(|entry| (entry.path.as_str(), entry.status)).collect();
@@ -224,10 +224,10 @@ mod tests {
         const FLOOD: usize = MAX_QUEUED + 100;
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
-        let keys = keyring(&folder).await.counted_by(metrics.clone());
+        let keys = keyring(&folder).await.with_metrics(metrics.clone());
         // The test has one thread, so the writer does not run in between.
         for _ in 0..FLOOD {
-            drop(keys.noting(Caller::operator(), done("/flood")));
+            drop(keys.begin_audit(Caller::operator(), done("/flood")));
         }
         assert!(
             metrics.text().contains("uniground_audit_entries_dropped_total 100"),
@@ -235,7 +235,7 @@ mod tests {
             metrics.text()
         );
         assert_eq!(entries(&keys, MAX_QUEUED).await.len(), MAX_QUEUED);
-        keys.noting(Caller::operator(), done("/later")).answered(200).await;
+        keys.begin_audit(Caller::operator(), done("/later")).record_status(200).await;
         assert_eq!(entries(&keys, MAX_QUEUED + 1).await[0].path, "/later");
     }
 
@@ -244,7 +244,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
         let store = store(&folder).await;
-        let keys = Keyring::open(&store, None).await.unwrap().counted_by(metrics.clone());
+        let keys = Keyring::open(&store, None).await.unwrap().with_metrics(metrics.clone());
         store.close().await;
         let refused = keys.entry(&Caller::operator(), done("/refused"));
         let _ = keys.audit_log.push(refused).await;

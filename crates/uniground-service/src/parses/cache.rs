@@ -84,12 +84,12 @@ impl Default for ParseCache {
 
 impl ParseCache {
     /// Returns a parse, unless it has changed since it was loaded.
-    pub fn loaded(&self, id: &str, changes: i64) -> Option<Arc<LoadedParse>> {
+    pub fn get(&self, id: &str, changes: i64) -> Option<Arc<LoadedParse>> {
         self.loaded.get(id).filter(|(of, _)| *of == changes).map(|(_, parse)| parse)
     }
 
     /// Caches a parse that was loaded after this number of changes.
-    pub fn keep(&self, parse: &Arc<LoadedParse>, changes: i64) {
+    pub fn insert(&self, parse: &Arc<LoadedParse>, changes: i64) {
         self.loaded.put(parse.id.clone(), (changes, parse.clone()), 1);
     }
 

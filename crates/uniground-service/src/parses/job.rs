@@ -64,7 +64,7 @@ const READING: [&str; 3] = ["up", "metres_per_unit", "levelling"];
 
 /// Returns the requested settings. Where they do not say how files are read, that is taken from an
 /// earlier job.
-pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Value> {
+pub(super) fn with_import_settings_of(payload: &str, asked: Option<Value>) -> Option<Value> {
     let told: Option<Value> = serde_json::from_str(payload).ok();
     let Some(told) = told.as_ref().and_then(|told| told.pointer("/settings/import")) else {
         return asked;
@@ -136,10 +136,10 @@ impl ParseRunner {
     /// the job is cancelled.
     async fn wait_for_object_store(&self, progress: &Progress) -> bool {
         const PATIENCE: Duration = Duration::from_mins(10);
-        const LOOK_EVERY: Duration = Duration::from_secs(2);
+        const POLL_INTERVAL: Duration = Duration::from_secs(2);
         let back = async {
             while self.health_probe.health().await.blobs.is_some() {
-                sleep(LOOK_EVERY).await;
+                sleep(POLL_INTERVAL).await;
             }
         };
         tokio::select! {
@@ -155,7 +155,7 @@ impl ParseRunner {
         let (Payload { scene_id, settings }, job_id, progress) =
             (payload, lease.job_id.as_str(), progress.clone());
         let scene = self.scene_lookup.scene_row(scene_id).await?;
-        if self.take_stored_parse(&scene, settings, job_id).await? {
+        if self.reuse_stored_parse(&scene, settings, job_id).await? {
             return Ok(STORED_PARSE_USED.into());
         }
         let (blobs, content, hash) = (
@@ -214,7 +214,7 @@ impl ParseRunner {
         // written.
         let turn = match grown_from {
             Some(_) if self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some() => {
-                Some(self.scene_lookup.turn_at_parse(scene_id).await?)
+                Some(self.scene_lookup.lock_current_parse(scene_id).await?)
             }
             _ => None,
         };
@@ -273,7 +273,7 @@ impl ParseRunner {
         } else {
             // Another job stored the same parse in the meantime, or the scene was deleted.
             self.blobs.discard(self.blobs.parse(&id)).await?;
-            if !self.take_stored_parse(&scene, settings, job_id).await? {
+            if !self.reuse_stored_parse(&scene, settings, job_id).await? {
                 return Err(Error::SceneNotFound { id: scene_id.clone() });
             }
         }
@@ -313,14 +313,14 @@ impl ParseRunner {
 
     /// Assigns a stored parse of the same content and settings to the scene. Returns `false` if
     /// there is none.
-    async fn take_stored_parse(
+    async fn reuse_stored_parse(
         &self,
         scene: &SceneRow,
         settings: &ParseSettings,
         job_id: &str,
     ) -> Result<bool, Error> {
         // The lock keeps the parse until the scene refers to it.
-        let _references = self.service_locks.parse_references().await?;
+        let _references = self.service_locks.lock_parse_references().await?;
         let Some(parse_id) = self.parsed_scenes.stored_parse(&scene.content_hash, settings).await?
         else {
             return Ok(false);
@@ -345,11 +345,11 @@ mod tests {
     fn how_files_are_read_stays_unless_somebody_says_otherwise() {
         let payload = r#"{"scene_id": "s", "settings": {"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off", "fusion": {"voxel_m": 0.03}}}}"#;
         let kept = json!({"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off"}});
-        assert_eq!(with_reading_of(payload, None), Some(kept));
+        assert_eq!(with_import_settings_of(payload, None), Some(kept));
         let asked = json!({"import": {"up": null, "levelling": "auto"}, "parsing": {}});
         let expected = json!({"import": {"up": null, "metres_per_unit": 0.01, "levelling": "auto"}, "parsing": {}});
-        assert_eq!(with_reading_of(payload, Some(asked)), Some(expected));
-        assert_eq!(with_reading_of("of another version", None), None);
-        assert_eq!(with_reading_of(payload, Some(json!([1]))), Some(json!([1])));
+        assert_eq!(with_import_settings_of(payload, Some(asked)), Some(expected));
+        assert_eq!(with_import_settings_of("of another version", None), None);
+        assert_eq!(with_import_settings_of(payload, Some(json!([1]))), Some(json!([1])));
     }
 }

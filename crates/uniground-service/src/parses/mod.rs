@@ -71,31 +71,31 @@ impl ParseService {
     ) -> Result<Job, Error> {
         let scene = self.scene_lookup.scene_row(scene_id).await?;
         // A stored parse stays until the scene refers to it.
-        let _references = self.service_locks.parse_references().await?;
-        let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
+        let _references = self.service_locks.lock_parse_references().await?;
+        let wanted = self.prepare_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
             self.capacity.check_disk(0)?;
             self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         }
-        let row = self.scene_repository.insert_scene_job(&scene.id, wanted.job()).await?;
+        let row = self.scene_repository.insert_scene_job(&scene.id, wanted.new_job()).await?;
         let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id })?;
         Ok(self.jobs.notify_worker::<ParseJob>(row))
     }
 
     /// Prepares a scene's parse, before it is recorded.
-    pub(super) async fn wanted_parse(
+    pub(super) async fn prepare_parse(
         &self,
         scene_id: &str,
         content_hash: &str,
         settings: &ParseSettings,
         caller: &Caller,
-    ) -> Result<WantedParse, Error> {
+    ) -> Result<PreparedParse, Error> {
         let payload = serde_json::to_string(&Payload {
             scene_id: scene_id.to_owned(),
             settings: settings.clone(),
         })?;
         let stored = self.parsed_scenes.stored_parse(content_hash, settings).await?;
-        Ok(WantedParse { payload, key_id: caller.key_id().map(str::to_owned), stored })
+        Ok(PreparedParse { payload, key_id: caller.key_id().map(str::to_owned), stored })
     }
 
     /// Parses a scene again, with a preset in which single values are replaced.
@@ -118,7 +118,7 @@ impl ParseService {
             None => None,
         };
         let overrides = match told {
-            Some(job) => job::with_reading_of(&job.payload, overrides),
+            Some(job) => job::with_import_settings_of(&job.payload, overrides),
             None => overrides,
         };
         let settings = ParseSettings::from_request(preset, overrides)?;
@@ -137,11 +137,11 @@ impl ParseService {
         {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
-        match self.parsed_scenes.link_to(&parse_id, file).await? {
+        match self.parsed_scenes.public_link(&parse_id, file).await? {
             Some(link) => Ok(FileDownload::There(link)),
             None => Ok(FileDownload::Here(
                 self.parsed_scenes
-                    .sound_file(&parse_id, file.of(&self.blobs.parse(&parse_id)))
+                    .check_and_pin_file(&parse_id, file.path_in(&self.blobs.parse(&parse_id)))
                     .await?,
             )),
         }
@@ -149,7 +149,7 @@ impl ParseService {
 }
 
 /// Returns the names that people have given, by instance id. The last name counts.
-fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
+fn corrected_names(corrections: &[Correction]) -> BTreeMap<u32, String> {
     let name = |correction: &Correction| match (&correction.change, correction.made) {
         (Change::Rename { instance_id, name }, _) => Some((instance_id.0, name.clone())),
         (Change::Merge { name: Some(name), .. }, Some(made)) => Some((made.0, name.clone())),
@@ -163,14 +163,14 @@ fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
 }
 
 /// A requested parse: to be computed, or already stored.
-pub(super) struct WantedParse {
+pub(super) struct PreparedParse {
     payload: String,
     key_id: Option<String>,
     pub(super) stored: Option<String>,
 }
 
-impl WantedParse {
-    pub(super) fn job(&self) -> NewJob<'_> {
+impl PreparedParse {
+    pub(super) fn new_job(&self) -> NewJob<'_> {
         let done = self.stored.as_deref().map(|id| (id, job::STORED_PARSE_USED));
         NewJob {
             kind: ParseJob::NAME,

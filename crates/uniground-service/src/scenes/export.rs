@@ -53,7 +53,7 @@ impl ExportService {
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
             frame: CoordinateFrame::default(),
             instances: match format {
-                ExportFormat::Json => self.instance_service.shown_instances(&parse).await?,
+                ExportFormat::Json => self.instance_service.visible_instances(&parse).await?,
                 ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => Vec::new(),
             },
         };
@@ -63,7 +63,7 @@ impl ExportService {
             let bytes = match format {
                 ExportFormat::Json => serde_json::to_vec(&listed)?,
                 ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => {
-                    scene.written(&listed.name, format, points as usize)?
+                    scene.write_export(&listed.name, format, points as usize)?
                 }
             };
             let fingerprint =
@@ -75,7 +75,12 @@ impl ExportService {
 }
 
 impl StoredScene {
-    fn written(&self, title: &str, format: ExportFormat, points: usize) -> Result<Vec<u8>, Error> {
+    fn write_export(
+        &self,
+        title: &str,
+        format: ExportFormat,
+        points: usize,
+    ) -> Result<Vec<u8>, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
         let export = Export::new(title, &render_scene.cloud, &of_point, self.instances(), points);
         let mut file = Cursor::new(Vec::new());

@@ -15,13 +15,13 @@ use uniground_storage::{BlobHome, Location, Store};
 use uniground_types::stats::Retention;
 
 /// An upload service without workers, over its own folder.
-struct Rested {
+struct UploadFixture {
     data: TempDir,
     store: Store,
     service: std::sync::Arc<UploadService>,
 }
 
-impl Rested {
+impl UploadFixture {
     async fn over(data: TempDir) -> Self {
         let store = Store::open(
             Utf8Path::from_path(data.path()).unwrap(),
@@ -39,7 +39,7 @@ impl Rested {
             max_concurrent_questions: 1,
             retention: Retention::default(),
         };
-        let dependencies = Dependencies::at_rest(store.clone(), limits).await.unwrap();
+        let dependencies = Dependencies::offline(store.clone(), limits).await.unwrap();
         let service = Services::new(dependencies).uploads;
         Self { data, store, service }
     }
@@ -103,7 +103,7 @@ fn archive(length: usize) -> Vec<u8> {
 
 /// What happens to a part in transit.
 #[derive(Debug, Clone, Copy)]
-enum Fate {
+enum PartDelivery {
     Arrives,
     BreaksOff,
     Checked,
@@ -128,12 +128,12 @@ proptest! {
     fn parts_broken_anywhere_come_to_the_same_bytes(
         length in 4usize..60_000,
         parts in prop::collection::vec((0usize..20_000, prop::sample::select(vec![
-            Fate::Arrives, Fate::BreaksOff, Fate::Checked, Fate::Damaged, Fate::CheckedAndCut, Fate::Misplaced, Fate::TooLong, Fate::Killed,
+            PartDelivery::Arrives, PartDelivery::BreaksOff, PartDelivery::Checked, PartDelivery::Damaged, PartDelivery::CheckedAndCut, PartDelivery::Misplaced, PartDelivery::TooLong, PartDelivery::Killed,
         ])), 0..12),
     ) {
         let bytes = archive(length);
         Runtime::new().unwrap().block_on(async {
-            let mut rested = Rested::new().await;
+            let mut rested = UploadFixture::new().await;
             // One byte more than is sent, so that the upload never completes and no scene is
             // created.
             let id = rested.begun(length + 1).await;
@@ -141,28 +141,28 @@ proptest! {
             for (size, fate) in parts {
                 let piece = &bytes[there..(there + size).min(length)];
                 let sent = match fate {
-                    Fate::Arrives => rested.append(&id, part(there, None, body(piece, None))).await.map(|_| piece.len()),
-                    Fate::Checked => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, None))).await.map(|_| piece.len()),
-                    Fate::BreaksOff => {
+                    PartDelivery::Arrives => rested.append(&id, part(there, None, body(piece, None))).await.map(|_| piece.len()),
+                    PartDelivery::Checked => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, None))).await.map(|_| piece.len()),
+                    PartDelivery::BreaksOff => {
                         let broken = rested.append(&id, part(there, None, body(piece, Some(())))).await;
                         prop_assert!(matches!(broken, Err(Error::UploadInterrupted { .. })), "{broken:?}");
                         Ok(piece.len())
                     }
-                    Fate::Damaged => rested.append(&id, part(there, Some(sum_of(b"others")), body(piece, None))).await.map(|_| 0),
-                    Fate::CheckedAndCut => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
-                    Fate::Misplaced => rested.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
-                    Fate::TooLong => {
+                    PartDelivery::Damaged => rested.append(&id, part(there, Some(sum_of(b"others")), body(piece, None))).await.map(|_| 0),
+                    PartDelivery::CheckedAndCut => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
+                    PartDelivery::Misplaced => rested.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
+                    PartDelivery::TooLong => {
                         let long = UploadPart { announced_bytes: length as u64 + 2, ..part(there, None, body(piece, None)) };
                         rested.append(&id, long).await.map(|_| 0)
                     }
-                    Fate::Killed => {
+                    PartDelivery::Killed => {
                         let path = rested.store.blobs.upload(&id);
                         fs::OpenOptions::new().create(true).append(true).open(path).unwrap().write_all(b"never noted").unwrap();
                         rested = rested.again().await;
                         Ok(0)
                     }
                 };
-                let is_refused = matches!(fate, Fate::Damaged | Fate::CheckedAndCut | Fate::Misplaced | Fate::TooLong);
+                let is_refused = matches!(fate, PartDelivery::Damaged | PartDelivery::CheckedAndCut | PartDelivery::Misplaced | PartDelivery::TooLong);
                 prop_assert_eq!(sent.is_err(), is_refused, "{:?}: {:?}", fate, sent);
                 there += sent.unwrap_or(0);
                 prop_assert_eq!(rested.offset(&id).await, there, "{:?}", fate);
@@ -177,7 +177,7 @@ proptest! {
 
 #[tokio::test]
 async fn two_senders_at_once_are_told_apart() {
-    let rested = Rested::new().await;
+    let rested = UploadFixture::new().await;
     let (bytes, id) = (archive(3000), rested.begun(3001).await);
     let (mut sender, receiver) = futures::channel::mpsc::channel(0);
     let service = rested.service.clone();
@@ -211,7 +211,7 @@ async fn two_senders_at_once_are_told_apart() {
 /// Bytes beyond the announced length are rejected. The bytes that fit are stored.
 #[tokio::test]
 async fn a_body_that_does_not_end_is_cut() {
-    let rested = Rested::new().await;
+    let rested = UploadFixture::new().await;
     let (bytes, id) = (archive(30_000), rested.begun(20_000).await);
     let long = rested.append(&id, part(0, None, body(&bytes, None))).await;
     assert!(matches!(long, Err(Error::UploadTooLarge { max_bytes: 20_000 })), "{long:?}");
@@ -222,7 +222,7 @@ async fn a_body_that_does_not_end_is_cut() {
 /// A backup contains the record but not the file. A file without a record is an orphan.
 #[tokio::test]
 async fn a_record_without_its_file_begins_anew() {
-    let rested = Rested::new().await;
+    let rested = UploadFixture::new().await;
     let id = rested.begun(9000).await;
     rested.append(&id, part(0, None, body(&archive(5000), None))).await.unwrap();
     fs::remove_file(rested.store.blobs.upload(&id)).unwrap();
@@ -238,7 +238,7 @@ async fn a_record_without_its_file_begins_anew() {
 
 #[tokio::test]
 async fn what_is_no_scan_is_refused_by_its_first_bytes() {
-    let rested = Rested::new().await;
+    let rested = UploadFixture::new().await;
     let id = rested.begun(1 << 30).await;
     let upload = rested.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();
     assert_eq!(

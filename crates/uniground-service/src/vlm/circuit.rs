@@ -47,7 +47,7 @@ struct OpenCircuit {
 }
 
 /// A try that never ends blocks other tries no longer than this.
-const LONGEST_TRY: Duration = Duration::from_mins(10);
+const MAX_PROBE_DURATION: Duration = Duration::from_mins(10);
 
 impl CircuitBreaker {
     fn state(&self) -> MutexGuard<'_, CircuitState> {
@@ -64,7 +64,7 @@ impl CircuitBreaker {
         if now < open.until {
             return Err(open.until - now);
         }
-        if open.trying.is_some_and(|since| now.duration_since(since) < LONGEST_TRY) {
+        if open.trying.is_some_and(|since| now.duration_since(since) < MAX_PROBE_DURATION) {
             return Err(FIRST_WAIT);
         }
         open.trying = Some(now);
@@ -72,7 +72,7 @@ impl CircuitBreaker {
     }
 
     /// Records the outcome of a call, with a word for it.
-    pub fn note(&self, sign: CallSignal, word: &'static str, now: Instant) {
+    pub fn record(&self, sign: CallSignal, word: &'static str, now: Instant) {
         let mut state = self.state();
         if sign == CallSignal::Up {
             *state = CircuitState::default();
@@ -92,7 +92,7 @@ impl CircuitBreaker {
     }
 
     /// Records that a trying call was abandoned before its answer. The next call may try.
-    pub fn left(&self) {
+    pub fn release_probe(&self) {
         if let Some(open) = &mut self.state().open {
             open.trying = None;
         }
@@ -116,17 +116,17 @@ mod tests {
         let (circuit, start) = (CircuitBreaker::default(), Instant::now());
         let after = |seconds| start + Duration::from_secs(seconds);
         assert!(circuit.admit(start).is_ok() && circuit.condition().is_ok());
-        circuit.note(CallSignal::Gone, "unreachable", start);
+        circuit.record(CallSignal::Gone, "unreachable", start);
         assert_eq!(circuit.admit(after(1)), Err(Duration::from_secs(4)));
         assert!(circuit.condition().unwrap_err().starts_with("unreachable since"));
         assert!(circuit.admit(after(5)).is_ok(), "one tries it");
         assert!(circuit.admit(after(5)).is_err(), "and nobody beside");
-        circuit.note(CallSignal::Gone, "unreachable", after(6));
+        circuit.record(CallSignal::Gone, "unreachable", after(6));
         assert_eq!(circuit.admit(after(6)), Err(Duration::from_secs(10)));
         assert!(circuit.admit(after(16)).is_ok());
-        circuit.left();
+        circuit.release_probe();
         assert!(circuit.admit(after(16)).is_ok(), "who tried it left");
-        circuit.note(CallSignal::Up, "answered", after(17));
+        circuit.record(CallSignal::Up, "answered", after(17));
         assert!(
             circuit.admit(after(17)).is_ok()
                 && circuit.admit(after(17)).is_ok()
@@ -137,10 +137,11 @@ mod tests {
     #[test]
     fn some_failures_are_none_and_a_question_that_is_refused_closes_nothing() {
         let (circuit, now) = (CircuitBreaker::default(), Instant::now());
-        let failing =
-            |calls: u32| (0..calls).for_each(|_| circuit.note(CallSignal::Failing, "refused", now));
+        let failing = |calls: u32| {
+            (0..calls).for_each(|_| circuit.record(CallSignal::Failing, "refused", now))
+        };
         failing(FAILURES - 1);
-        circuit.note(CallSignal::Unclear, "refused", now);
+        circuit.record(CallSignal::Unclear, "refused", now);
         failing(FAILURES - 1);
         assert!(circuit.admit(now).is_ok(), "not in a row");
         failing(1);

@@ -13,7 +13,7 @@ use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::{sleep, timeout};
 
 /// Interval of checking the logs while a parse runs.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
+const POLL_INTERVAL: Duration = Duration::from_secs(5);
 /// A log that has not grown for this long belongs to a stage that is finished, or slow.
 const AT_REST: Duration = Duration::from_secs(10);
 /// Timeout of the final upload at the end of a parse.
@@ -104,7 +104,7 @@ impl Blobs {
             async move {
                 let mut put = HashMap::new();
                 loop {
-                    sleep(LOOK_EVERY).await;
+                    sleep(POLL_INTERVAL).await;
                     following.upload_finished(&mut put).await;
                 }
             }
