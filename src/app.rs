@@ -268,7 +268,7 @@ async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
         );
         return vlm.record_unreachable();
     }
-    for limit in chat.limits().await {
+    for limit in chat.describe_limits().await {
         tracing::warn!(limit, "vision-language model server has a limit that requests will exceed");
     }
 }

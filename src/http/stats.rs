@@ -45,6 +45,6 @@ pub async fn count(State(app): State<App>, request: Request, next: Next) -> Resp
     let route = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let underway = app.metrics.requests.begin(request.method().as_str(), route);
     let response = next.run(request).await;
-    underway.answered(response.status().as_u16());
+    underway.finish(response.status().as_u16());
     response
 }

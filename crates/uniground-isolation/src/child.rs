@@ -87,7 +87,7 @@ impl ChildProcess {
             .stderr(Stdio::piped())
             .spawn()?;
         let ended = follow(child, &request, Instant::now() + time_limit, progress)?;
-        outcome(ended, task, memory_bytes, time_limit)
+        task_outcome(ended, task, memory_bytes, time_limit)
     }
 }
 
@@ -118,9 +118,9 @@ fn follow(
     thread::scope(|scope| {
         let (sender, messages) = mpsc::channel();
         if let Some(stdout) = stdout {
-            scope.spawn(move || forward(stdout, &sender));
+            scope.spawn(move || forward_messages(stdout, &sender));
         }
-        let stderr = stderr.map(|stderr| scope.spawn(move || tail_of(stderr)));
+        let stderr = stderr.map(|stderr| scope.spawn(move || read_tail(stderr)));
         // Keep stdin open: a child sees the end of its service by its closing.
         let mut stdin = stdin;
         // A child that has ended already is handled below.
@@ -150,7 +150,7 @@ fn follow(
                 child.kill()?;
             }
         }
-        let status = ended(&mut child)?;
+        let status = wait_for_exit(&mut child)?;
         drop(stdin);
         let stderr = stderr.and_then(|tail| tail.join().ok()).unwrap_or_default();
         Ok(ChildExit { status, last, stopped, stderr })
@@ -158,7 +158,7 @@ fn follow(
 }
 
 /// Returns the exit status of a child that has closed its stdout. Kills a child that keeps running.
-fn ended(child: &mut Child) -> io::Result<ExitStatus> {
+fn wait_for_exit(child: &mut Child) -> io::Result<ExitStatus> {
     const GRACE: Duration = Duration::from_secs(2);
     let closed = Instant::now();
     while closed.elapsed() < GRACE {
@@ -172,7 +172,7 @@ fn ended(child: &mut Child) -> io::Result<ExitStatus> {
 }
 
 /// Forwards the messages of a child, until it ends or sends something else.
-fn forward(stdout: ChildStdout, to: &Sender<Message>) {
+fn forward_messages(stdout: ChildStdout, to: &Sender<Message>) {
     let mut stdout = BufReader::new(stdout);
     let mut line = Vec::new();
     loop {
@@ -189,7 +189,7 @@ fn forward(stdout: ChildStdout, to: &Sender<Message>) {
 }
 
 /// Returns the end of a child's stderr.
-fn tail_of(mut stderr: ChildStderr) -> String {
+fn read_tail(mut stderr: ChildStderr) -> String {
     let (mut tail, mut chunk) = (Vec::new(), [0; 1024]);
     while let Ok(read) = stderr.read(&mut chunk)
         && read > 0
@@ -202,7 +202,7 @@ fn tail_of(mut stderr: ChildStderr) -> String {
 }
 
 /// Returns the outcome of a task from the exit of its child.
-fn outcome(
+fn task_outcome(
     ended: ChildExit,
     task: &Task,
     memory_bytes: u64,

@@ -106,7 +106,7 @@ impl Jobs {
     /// Records whether a lane is running.
     pub(super) fn set_lane_running(&self, kind: &'static str, up: bool) {
         self.lanes.lock().unwrap_or_else(PoisonError::into_inner).insert(kind, up);
-        self.metrics.jobs.lane(kind, up);
+        self.metrics.jobs.set_lane_running(kind, up);
     }
 
     /// Queues a job on a subject, the id of what it works on. `key_id` is the API key that
@@ -171,7 +171,9 @@ impl Jobs {
     pub fn notify_worker<K: JobKind>(&self, row: JobRow) -> Job {
         match row.state {
             JobState::Queued => self.notifier(K::NAME).notify_one(),
-            state if state.is_final() => self.metrics.jobs.finished(K::NAME, state.word(), None),
+            state if state.is_final() => {
+                self.metrics.jobs.record_finished(K::NAME, state.word(), None)
+            }
             _ => {}
         }
         to_job(row, Timestamp::now())
@@ -241,7 +243,7 @@ impl Jobs {
         if was_queued
             && let Some(kind) = self.lane_states().into_keys().find(|kind| *kind == job.kind)
         {
-            self.metrics.jobs.finished(kind, job.state.word(), None);
+            self.metrics.jobs.record_finished(kind, job.state.word(), None);
         }
         Ok(job)
     }

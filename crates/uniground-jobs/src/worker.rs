@@ -36,7 +36,7 @@ impl Jobs {
         at_once: usize,
         shutdown: CancellationToken,
     ) {
-        self.metrics.jobs.knows(K::NAME);
+        self.metrics.jobs.register(K::NAME);
         let _at_work = WorkerGuard::begin(self, K::NAME);
         self.recover::<K>(&shutdown).await;
         let recovering = async {
@@ -138,7 +138,7 @@ impl Jobs {
             Err(error) => {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "job payload could not be read");
-                self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
+                self.metrics.jobs.record_finished(K::NAME, JobState::Failed.word(), None);
                 return self
                     .record_outcome(
                         &lease,
@@ -251,10 +251,10 @@ impl Jobs {
             JobOutcome::Done(_) => JobState::Succeeded,
             JobOutcome::Failed { .. } => JobState::Failed,
             JobOutcome::Cancelled => JobState::Cancelled,
-            JobOutcome::RetryLater { .. } => return self.metrics.jobs.retried(kind),
+            JobOutcome::RetryLater { .. } => return self.metrics.jobs.record_retry(kind),
             JobOutcome::Requeued => return,
         };
-        self.metrics.jobs.finished(kind, state.word(), Some(took));
+        self.metrics.jobs.record_finished(kind, state.word(), Some(took));
     }
 
     /// Stores the end of a job. Retries until the store accepts it or the server stops. Otherwise

@@ -69,7 +69,7 @@ impl HealthService {
     async fn check_health(&self) -> Health {
         let inference = async {
             match &self.inference {
-                Some(probe) => Some(probe.look().await),
+                Some(probe) => Some(probe.check_ready().await),
                 None => None,
             }
         };

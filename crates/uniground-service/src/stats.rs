@@ -131,7 +131,7 @@ impl StatsService {
             stored.instances.set(figures.instances.into());
             stored.answers.set(figures.answers.into());
             for state in ["running", "paused", "succeeded", "cancelled"] {
-                stored.batches(state, figures.batches.get(state).copied().unwrap_or(0));
+                stored.set_batches(state, figures.batches.get(state).copied().unwrap_or(0));
             }
             stored.database_bytes.set(figures.database_bytes as i64);
             stored.free_bytes.set(figures.free_bytes as i64);
@@ -140,24 +140,29 @@ impl StatsService {
             for kind in [ParseJob::NAME, NamingJob::NAME, BatchJob::NAME] {
                 let JobStats { queued, running, oldest_queued_s, .. } =
                     job_stats(kind, true, &figures);
-                self.metrics.jobs.waiting(kind, queued, running, oldest_queued_s.unwrap_or(0.0));
+                self.metrics.jobs.set_queue_lengths(
+                    kind,
+                    queued,
+                    running,
+                    oldest_queued_s.unwrap_or(0.0),
+                );
             }
         }
         sizes
             .iter()
             .flat_map(|sizes| sizes.iter())
-            .for_each(|(kind, bytes)| stored.blob_bytes(kind, *bytes));
+            .for_each(|(kind, bytes)| stored.set_blob_bytes(kind, *bytes));
         if let Some(health) = health {
             stored.ready.set(health.is_ready().into());
-            stored.component("database", health.store.database.is_none());
-            stored.component("blob_folder", health.store.blobs.is_none());
-            stored.component("disk", health.store.disk.is_none());
-            stored.component("workers", health.dead_lanes.is_empty());
+            stored.set_component_health("database", health.store.database.is_none());
+            stored.set_component_health("blob_folder", health.store.blobs.is_none());
+            stored.set_component_health("disk", health.store.disk.is_none());
+            stored.set_component_health("workers", health.dead_lanes.is_empty());
             health
                 .inference
                 .iter()
-                .for_each(|server| stored.component("inference_server", server.is_ok()));
-            health.vlm.iter().for_each(|model| stored.component("vlm", model.is_ok()));
+                .for_each(|server| stored.set_component_health("inference_server", server.is_ok()));
+            health.vlm.iter().for_each(|model| stored.set_component_health("vlm", model.is_ok()));
         }
         if let Some(model) = &self.vlm {
             vlm.waiting.set(model.waiting() as i64);
@@ -176,7 +181,9 @@ impl StatsService {
             ("files", self.parse_cache.sound.looks()),
             ("pictures", self.picture_cache.looks()),
         ];
-        looks.into_iter().for_each(|(cache, (hits, misses))| questions.cache(cache, hits, misses));
+        looks
+            .into_iter()
+            .for_each(|(cache, (hits, misses))| questions.set_cache_counts(cache, hits, misses));
         self.metrics.text()
     }
 

@@ -6,7 +6,7 @@ use uniground_client::choose_cryptography;
 use uniground_models::with_causes;
 
 /// Timeout of the probe.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Probes an inference server.
 #[derive(Debug)]
@@ -22,7 +22,7 @@ impl Probe {
     /// The HTTP client cannot be created.
     pub fn new(address: &str) -> Result<Self, reqwest::Error> {
         choose_cryptography();
-        let client = Client::builder().timeout(PATIENCE).build()?;
+        let client = Client::builder().timeout(TIMEOUT).build()?;
         Ok(Self { url: format!("{}/v2/health/ready", address.trim_end_matches('/')), client })
     }
 
@@ -30,7 +30,7 @@ impl Probe {
     ///
     /// # Errors
     /// Why it is not ready, without its address.
-    pub async fn look(&self) -> Result<(), String> {
+    pub async fn check_ready(&self) -> Result<(), String> {
         let answer = self
             .client
             .get(&self.url)

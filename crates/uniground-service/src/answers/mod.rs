@@ -111,7 +111,7 @@ impl GroundingService {
             Ok(answer) => {
                 let reasoner =
                     if answer.models.reasoner == builtin::NAME { "builtin" } else { "vlm" };
-                self.metrics.questions.answered(
+                self.metrics.questions.record_answer(
                     status_name(answer.status),
                     reasoner,
                     answer.degraded,
@@ -121,7 +121,7 @@ impl GroundingService {
             // Not counted as a failure: a batch yields to interactive questions and retries at
             // once.
             Err(Error::Overloaded) if is_batch => {}
-            Err(error) => self.metrics.questions.failed(error.code()),
+            Err(error) => self.metrics.questions.record_failure(error.code()),
         }
         answered
     }
@@ -189,7 +189,7 @@ impl GroundingService {
             }
             None => pipeline::answer(&source, ask).await?,
         };
-        answered.calls.iter().for_each(|call| self.metrics.vlm.purpose(call.purpose));
+        answered.calls.iter().for_each(|call| self.metrics.vlm.record_purpose(call.purpose));
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer =
             self.to_answer(&answered, asker.answer_id, scene.id, version, &source.parse);

@@ -232,7 +232,7 @@ impl BatchRun {
             .close_batch_items(&self.lease, &self.batch.id, closed)
             .await?;
         for item in closed.drain(..) {
-            self.service.metrics.questions.item(&item.status);
+            self.service.metrics.questions.record_batch_item(&item.status);
             self.done += 1;
         }
         // A key that was revoked or has expired is detected before the next items.

@@ -280,9 +280,10 @@ impl ParseRunner {
         drop(turn);
         let report = &parsed.report;
         let computed = report.stages.iter().filter(|stage| !stage.reused);
-        self.metrics
-            .questions
-            .parsed(start.elapsed(), computed.map(|stage| (stage.stage.as_str(), stage.seconds)));
+        self.metrics.questions.record_parse(
+            start.elapsed(),
+            computed.map(|stage| (stage.stage.as_str(), stage.seconds)),
+        );
         Ok(format!(
             "{} instances from {} points and {} frames",
             report.instances, report.points, report.frames_used

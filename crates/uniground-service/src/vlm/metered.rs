@@ -86,7 +86,7 @@ impl MeteredModel {
         store: &Store,
         metrics: Arc<Metrics>,
     ) -> Self {
-        metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
+        metrics.vlm.register(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
         let (spending, ids) = (store.spending.clone(), store.ids.clone());
         Self { model, spending, ids, metrics, circuit: Arc::default(), daily_usd, key: None }
     }
@@ -158,8 +158,8 @@ impl MeteredModel {
     }
 
     fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
-        self.metrics.vlm.called(outcome, attempts, start.elapsed());
-        self.metrics.vlm.paid(usd);
+        self.metrics.vlm.record_call(outcome, attempts, start.elapsed());
+        self.metrics.vlm.record_spending(usd);
     }
 }
 
@@ -178,7 +178,7 @@ impl ChatModel for MeteredModel {
     ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
             if let Err(wait) = self.circuit.admit(Instant::now()) {
-                self.metrics.vlm.called(NOT_ASKED, 0, Duration::ZERO);
+                self.metrics.vlm.record_call(NOT_ASKED, 0, Duration::ZERO);
                 let error = ChatError::Down { again_in_s: wait.as_secs().max(1) };
                 return Err(ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 });
             }
@@ -201,7 +201,7 @@ impl ChatModel for MeteredModel {
             }
             let (attempts, usd) = match &answered {
                 Ok(reply) => {
-                    self.metrics.vlm.counted(reply.prompt_tokens, reply.completion_tokens);
+                    self.metrics.vlm.record_tokens(reply.prompt_tokens, reply.completion_tokens);
                     (reply.attempts, self.prices().paid_usd(request, &answered))
                 }
                 Err(failure) => (failure.attempts, self.prices().paid_usd(request, &answered)),

@@ -101,7 +101,7 @@ pub struct InFlightRequest<'a> {
 
 impl InFlightRequest<'_> {
     /// Sets the status of the response.
-    pub fn answered(mut self, status: u16) {
+    pub fn finish(mut self, status: u16) {
         self.labels.status = status;
     }
 }
@@ -124,7 +124,7 @@ mod tests {
     #[test]
     fn odd_methods_and_paths_make_no_labels_of_their_own() {
         let requests = RequestMetrics::new(&mut Registry::default());
-        requests.begin("BREW", None).answered(405);
+        requests.begin("BREW", None).finish(405);
         drop(requests.begin("GET", Some("/v1/scenes")));
         let of = |method, route: &str, status| {
             requests.finished.get(&Labels { method, route: route.into(), status }).map(|n| n.get())
