@@ -11,7 +11,9 @@ use std::collections::HashMap;
 use std::fs;
 use std::io::{self, IsTerminal, Write};
 use uniground_endpoints::chat::{ChatClient, ReplayCache};
-use uniground_evaluation::comparison::{Baseline, Change, describe, key as comparison_key};
+use uniground_evaluation::comparison::{
+    Baseline, Change, describe, expression_key as comparison_key,
+};
 use uniground_evaluation::configuration::{self, Configuration};
 use uniground_evaluation::report::{Report, RunFacts};
 use uniground_evaluation::run::{RunOptions, Step, run as run_suite};
@@ -114,7 +116,7 @@ struct RunArgs {
 }
 
 fn check_matrix(matrix: &str) -> Result<String, String> {
-    configuration::cells(matrix, &Configuration::default())
+    configuration::expand_matrix(matrix, &Configuration::default())
         .map(|_| matrix.to_owned())
         .map_err(|error| error.to_string())
 }
@@ -132,16 +134,16 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
 fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let base =
         Configuration { paper_compatible: args.paper_compatible, ..Configuration::default() };
-    let cells = configuration::cells(&args.matrix, &base)?;
+    let cells = configuration::expand_matrix(&args.matrix, &base)?;
     let baseline =
         args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
     let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
     let mut suite = Suite::open(suite, &options)?;
     if let Some(count) = args.sample_scenes {
-        suite = suite.sampled_by_scene(count as usize, args.seed);
+        suite = suite.sample_by_scene(count as usize, args.seed);
     }
     if let Some(count) = args.sample {
-        suite = suite.sampled(count as usize, args.seed);
+        suite = suite.sample(count as usize, args.seed);
     }
     let system: Box<dyn System> = if let Some(address) = &args.server {
         Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?)
@@ -154,7 +156,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
             args.record.as_deref(),
             usage,
         )?;
-        Box::new(system.keeping_parses_in(&args.out.join("parses")))
+        Box::new(system.with_parse_cache(&args.out.join("parses")))
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions {
@@ -183,7 +185,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
         report.cells.iter().any(|cell| !cell.outcomes.is_empty()),
         "nothing was scored: every expression was left out"
     );
-    let now = Baseline::of(&report);
+    let now = Baseline::from_report(&report);
     if let Some(file) = &args.write_baseline {
         now.write(file)?;
     }
@@ -240,7 +242,7 @@ fn hold_against(
     out: &mut impl Write,
 ) -> anyhow::Result<()> {
     let queries = queries(report);
-    let (changes, _) = baseline.against(now);
+    let (changes, _) = baseline.compare_with(now);
     writeln!(
         out,
         "\nAgainst the baseline{}:\n",
@@ -266,7 +268,7 @@ fn hold_against(
 
 fn compare(args: &DiffArgs) -> anyhow::Result<()> {
     let (before, after) = (Baseline::read(&args.before)?, Baseline::read(&args.after)?);
-    let (changes, unpaired) = before.against(&after);
+    let (changes, unpaired) = before.compare_with(&after);
     let mut out = io::stdout().lock();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&changes)?)?;

@@ -120,7 +120,7 @@ fn annotated_rooms_are_understood_however_the_world_is_turned() {
             check_floors(
                 &format!("{name} turned by {deg}"),
                 &known,
-                &known.annotations.turned(deg),
+                &known.annotations.rotated(deg),
                 str::to_owned,
                 true,
             );
@@ -205,7 +205,7 @@ fn parsed_rooms_are_answered_without_any_model() {
     let suite =
         Suite::open(Utf8Path::from_path(rooms.path()).unwrap(), &SuiteOptions::default()).unwrap();
     let out = tempfile::tempdir().unwrap();
-    let cells = configuration::cells("source=parsed", &Configuration::default()).unwrap();
+    let cells = configuration::expand_matrix("source=parsed", &Configuration::default()).unwrap();
     let options = RunOptions {
         out: Utf8Path::from_path(out.path()).unwrap(),
         cells: &cells,

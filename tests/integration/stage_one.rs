@@ -117,8 +117,8 @@ fn neither_turning_the_world_nor_shuffling_points_matters() {
         print("as is", &as_is);
         for (what, other) in [
             ("shuffled", room.shuffled()),
-            ("turned by 90", room.turned(90.0)),
-            ("turned by 33", room.turned(33.0)),
+            ("turned by 90", room.rotated(90.0)),
+            ("turned by 33", room.rotated(33.0)),
         ] {
             let score = score(&other, &masks);
             print(what, &score);

@@ -83,6 +83,6 @@ pub(super) fn read(
                 anchors: Vec::new(),
             })
         });
-        collected.take(task);
+        collected.add(task);
     }
 }

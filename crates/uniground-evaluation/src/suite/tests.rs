@@ -21,7 +21,7 @@ fn target(task: &Task) -> &Target {
     &task.truth.for_reader().target
 }
 
-fn told(suite: &Suite) -> Vec<String> {
+fn omission_lines(suite: &Suite) -> Vec<String> {
     let relative = |o: &Omission| {
         format!("{}:{} {}", o.file.file_name().unwrap(), o.line.unwrap_or(0), o.reason)
     };
@@ -67,7 +67,7 @@ fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
     let uniqueness: Vec<_> = suite.tasks.iter().map(|t| t.truth.for_reader().uniqueness).collect();
     assert_eq!(uniqueness, ["unique", "absent", "multiple", "unknown"]);
     assert_eq!(suite.tasks[0].truth.for_reader().splits, ["kind: unique"]);
-    let told = told(&suite);
+    let told = omission_lines(&suite);
     assert!(told[0].starts_with("room.queries.json:8 query: invalid type"), "{told:?}");
     assert!(
         told[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"),
@@ -93,7 +93,7 @@ fn a_suite_file_names_its_scenes() {
     ]);
     let suite = open(&root, "suite.json");
     assert_eq!((suite.tasks.len(), suite.scenes[0].id.as_str()), (1, "flat"));
-    let told = told(&suite);
+    let told = omission_lines(&suite);
     assert!(told[0].contains("scene gone:") && told[0].contains("does not exist"), "{told:?}");
     assert_eq!(told[1], "suite.json:2 the expression names no scene");
 }
@@ -121,7 +121,10 @@ fn scanrefer_counts_a_class_over_its_own_objects() {
     let by_name = open(&root, "ScanRefer_filtered_val.json");
     assert_eq!(by_name.tasks[0].id, "scene0011_00-0-3");
     assert_eq!(uniqueness(&by_name), ["unique", "unique", "unique"]);
-    assert_eq!(told(&by_name), ["ScanRefer_filtered_val.json:4 \"x\" is not an object's number"]);
+    assert_eq!(
+        omission_lines(&by_name),
+        ["ScanRefer_filtered_val.json:4 \"x\" is not an object's number"]
+    );
     let options =
         SuiteOptions { label_map: Some(root.join("labels.tsv")), ..SuiteOptions::default() };
     let by_class = Suite::open(&root.join("ScanRefer_filtered_val.json"), &options).unwrap();
@@ -149,7 +152,7 @@ fn tables_carry_the_splits_of_referit3d() {
     let splits: Vec<_> = nr3d.tasks.iter().map(|t| t.truth.for_reader().splits.clone()).collect();
     assert_eq!(splits, [vec!["easy", "view-dependent"], vec!["hard", "view-independent"]]);
     assert_eq!(nr3d.tasks[0].id, "scene0515_00-1-7");
-    assert_eq!(told(&nr3d), ["nr3d.csv:4 target_id \"one\" is not an object's number"]);
+    assert_eq!(omission_lines(&nr3d), ["nr3d.csv:4 target_id \"one\" is not an object's number"]);
     let subset = open(&root, "scanrefer_250.csv");
     let truth = subset.tasks[0].truth.for_reader();
     assert_eq!(
@@ -182,7 +185,7 @@ fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
     assert_eq!((suite.tasks.len(), suite.scenes[0].id.as_str()), (1, "47333462"));
     assert_eq!(suite.tasks[0].truth.for_reader().splits, ["view-dependent", "easy"]);
     assert!(matches!(target(&suite.tasks[0]), Target::Object { rotated: Some(_), .. }));
-    assert!(told(&suite)[0].ends_with("2 targets: only expressions with one are scored"));
+    assert!(omission_lines(&suite)[0].ends_with("2 targets: only expressions with one are scored"));
     let lists = Suite::open(&root.join("queries.json"), &options).unwrap();
     // The converter writes `false` for everything, so the annotations are counted instead.
     assert_eq!(lists.tasks[0].truth.for_reader().uniqueness, "unique");
@@ -261,11 +264,11 @@ fn a_sample_depends_on_ids_and_seed_alone() {
         folder(&[("room.scene.json", ROOM), ("room.queries.json", &format!("[{expressions}]"))]);
     let suite = open(&root, "room.queries.json");
     let ids = |suite: Suite| suite.tasks.into_iter().map(|t| t.id).collect::<Vec<_>>();
-    let drawn = ids(suite.clone().sampled(10, 1));
+    let drawn = ids(suite.clone().sample(10, 1));
     assert_eq!(drawn.len(), 10);
-    assert_eq!(ids(suite.clone().sampled(10, 1)), drawn);
-    assert_ne!(ids(suite.clone().sampled(10, 2)), drawn);
-    assert_eq!(ids(suite.clone().sampled(500, 2)), ids(suite));
+    assert_eq!(ids(suite.clone().sample(10, 1)), drawn);
+    assert_ne!(ids(suite.clone().sample(10, 2)), drawn);
+    assert_eq!(ids(suite.clone().sample(500, 2)), ids(suite));
 }
 
 #[test]
@@ -281,7 +284,7 @@ fn a_sample_of_scenes_keeps_all_that_is_asked_of_them() {
     let (_keep, root) = folder(&files);
     let suite = open(&root, "");
     let scenes = |seed| {
-        let drawn = suite.clone().sampled_by_scene(2, seed);
+        let drawn = suite.clone().sample_by_scene(2, seed);
         assert_eq!(drawn.tasks.len(), 4, "both expressions of both scenes");
         drawn
             .tasks
