@@ -37,7 +37,7 @@ pub struct RunningService {
 /// # Errors
 /// Returns an error when the address, the data folder or the key cannot be used.
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
-    start_part(config, &config.role.into()).await
+    start_role(config, &config.role.into()).await
 }
 
 /// Starts a part of the service. Other processes with the same database do the rest.
@@ -45,7 +45,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 /// # Errors
 /// Returns the errors of [`start`], and an error for a part if the database supports a single
 /// process only.
-pub async fn start_part(
+pub async fn start_role(
     config: &ServeConfig,
     part: &ProcessRole,
 ) -> anyhow::Result<RunningService> {
@@ -55,7 +55,8 @@ pub async fn start_part(
 
 async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<RunningService> {
     ensure!(
-        !part.needs_others() || matches!(config.database.location, Location::Postgres(_)),
+        !part.requires_other_processes()
+            || matches!(config.database.location, Location::Postgres(_)),
         "a process that does a part only needs others over the same database: say --database postgres://…, or let \"uniground serve\" do everything"
     );
     let api_key = config.api_key()?;
@@ -63,11 +64,13 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     let store = Store::open_with(
         &config.data_dir,
         &config.database.location,
-        &config.blobs.home()?,
+        &config.blobs.blob_home()?,
         config.database.lease(),
     )
     .await
-    .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
+    .with_context(|| {
+        format!("the data folder {}{}", config.data_dir, describe_external_stores(config))
+    })?;
     if config.database.vectors == Vectors::Pgvector {
         store.room_index.enable_vectors().await?;
     }
@@ -76,7 +79,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         keys = keys.with_link_secret(secret);
     }
     ensure!(
-        keys.has_keys() || !config.wants_keys(),
+        keys.has_keys() || !config.requires_keys(),
         "{} can be reached from other machines: make a key (uniground key create), set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
         config.listen
     );
@@ -123,7 +126,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         reader: config.limits.scan_reader(),
         import_root: config.access.import_root.clone(),
         inference,
-        explain: http::told,
+        explain: http::to_problem,
     });
     let listener = TcpListener::bind(config.listen)
         .await
@@ -152,8 +155,8 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     };
     let lanes = part.works.iter().map(start).collect();
     tokio::spawn(run_maintenance(services.clone(), shutdown.clone()));
-    tokio::spawn(keep_index(services.clone(), shutdown.clone()));
-    tokio::spawn(keep_reserve(store.clone(), shutdown.clone()));
+    tokio::spawn(update_room_index(services.clone(), shutdown.clone()));
+    tokio::spawn(restore_reserve_when_possible(store.clone(), shutdown.clone()));
     if part.serves {
         tokio::spawn(complete_pending_uploads(services.clone(), shutdown.clone()));
     }
@@ -166,7 +169,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         ));
     }
     if let Some(chat) = chat {
-        tokio::spawn(look_for_model(chat, services.clone()));
+        tokio::spawn(check_model_server(chat, services.clone()));
     }
     if let Some(webhook) = webhook {
         tokio::spawn(
@@ -182,16 +185,16 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         allowed_hosts: is_private
             .then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
         origins: Origins::new(&config.access.cors_origins).context("--cors-origin")?,
-        event_streams: EventStreams::beside(most),
+        event_streams: EventStreams::for_connections(most),
         mcp: Mcp::over_http(services.clone(), shutdown.child_token()),
     };
-    let router = if part.serves { http::router(app) } else { http::watched(app) };
+    let router = if part.serves { http::router(app) } else { http::worker_router(app) };
     let server = tokio::spawn(http::serve(listener, router, most, metrics, shutdown.clone()));
     Ok(RunningService { address, services, shutdown, server, lanes, store })
 }
 
 /// Describes the stores outside of the data folder.
-fn elsewhere(config: &ServeConfig) -> String {
+fn describe_external_stores(config: &ServeConfig) -> String {
     let database = Some(&config.database.location)
         .filter(|at| **at != Location::Folder)
         .map(ToString::to_string);
@@ -259,7 +262,7 @@ async fn handle_notifications(
 
 /// Checks the vision-language model's server at startup, not on the first question. Logs a warning
 /// if it is unreachable or has a limit that requests will exceed.
-async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
+async fn check_model_server(chat: Arc<ChatClient>, services: Services) {
     let Some(vlm) = services.vlm() else { return };
     if let Err(error) = chat.check_reachable().await {
         tracing::warn!(
@@ -289,7 +292,7 @@ async fn run_maintenance(services: Services, shutdown: CancellationToken) {
 }
 
 /// Updates the room index for rooms with a new parse, or whose indexed data has changed.
-async fn keep_index(services: Services, shutdown: CancellationToken) {
+async fn update_room_index(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(3);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
         if let Some(Err(error)) = shutdown.run_until_cancelled(services.rooms.index_rooms()).await {
@@ -302,7 +305,7 @@ async fn keep_index(services: Services, shutdown: CancellationToken) {
 }
 
 /// Restores the reserve file that was released on a full disk, once the disk has space.
-async fn keep_reserve(store: Store, shutdown: CancellationToken) {
+async fn restore_reserve_when_possible(store: Store, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_mins(1);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
         store.reserve.restore_reserve().await;
@@ -373,7 +376,7 @@ impl RunningService {
     }
 
     /// Completes when the server ends by itself, which only happens when it panics.
-    pub async fn ended(&mut self) {
+    pub async fn until_server_ends(&mut self) {
         // A finished handle must not be polled again. `stop` polls it for its error, so only check
         // it here.
         while !self.server.is_finished() {

@@ -133,7 +133,7 @@ impl AccessConfig {
             secret.len() >= MIN_KEY_BYTES,
             "the links' secret is too short: at least {MIN_KEY_BYTES} characters"
         );
-        telemetry::hide(&secret);
+        telemetry::register_secret(&secret);
         Ok(Some(LinkSecret::new(secret.as_bytes())))
     }
 }
@@ -162,7 +162,7 @@ impl WebhookConfig {
     /// An address that is none, or is private; a secret that is missing or none.
     pub fn webhook(&self) -> anyhow::Result<Option<Webhook>> {
         let Some(url) = &self.webhook_url else { return Ok(None) };
-        telemetry::hide_secrets_of(url);
+        telemetry::register_secrets_of_address(url);
         let secret = match &self.webhook_secret_file {
             Some(file) => {
                 fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?
@@ -171,7 +171,7 @@ impl WebhookConfig {
                 std::env::var("UNIGROUND_WEBHOOK_SECRET").context("--webhook-url needs a secret")?
             }
         };
-        telemetry::hide(secret.trim());
+        telemetry::register_secret(secret.trim());
         Ok(Some(Webhook::new(url, &secret, self.webhook_allow_private).context("--webhook-url")?))
     }
 }
@@ -297,8 +297,8 @@ impl VlmConfig {
             None => std::env::var("UNIGROUND_VLM_API_KEY").ok().map(|key| key.trim().to_owned()),
         };
         let api_key = api_key.filter(|key| !key.is_empty());
-        api_key.iter().for_each(|key| telemetry::hide(key));
-        telemetry::hide_secrets_of(&base_url);
+        api_key.iter().for_each(|key| telemetry::register_secret(key));
+        telemetry::register_secrets_of_address(&base_url);
         for (flag, usd) in [
             ("--vlm-prompt-usd", Some(*vlm_prompt_usd)),
             ("--vlm-completion-usd", Some(*vlm_completion_usd)),
@@ -452,13 +452,13 @@ impl ServeConfig {
             key.len() >= MIN_KEY_BYTES,
             "the API key is too short: at least {MIN_KEY_BYTES} characters"
         );
-        telemetry::hide(&key);
+        telemetry::register_secret(&key);
         Ok(Some(key))
     }
 
     /// Whether this server can be reached from other machines and nothing was said about that.
     #[must_use]
-    pub fn wants_keys(&self) -> bool {
+    pub fn requires_keys(&self) -> bool {
         !self.listen.ip().is_loopback() && !self.access.allow_anybody
     }
 }

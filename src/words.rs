@@ -12,18 +12,18 @@ use uniground_types::settings::{ParsePreset, check_metres_per_unit};
 
 /// Parses an execution provider.
 pub fn provider() -> impl TypedValueParser<Value = Provider> {
-    words(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
+    word_parser(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
 }
 
 pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
-    words(&[
+    word_parser(&[
         ("default", "What measures best over several rooms"),
         ("paper", "Every value the paper states"),
     ])
 }
 
 pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
-    words(&[
+    word_parser(&[
         ("auto", "A vision-language model when one is configured, else the built-in reasoner"),
         ("vlm", ""),
         ("builtin", ""),
@@ -31,7 +31,7 @@ pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
 }
 
 pub fn scope() -> impl TypedValueParser<Value = Scope> {
-    words(&[
+    word_parser(&[
         ("read", "Look at everything, and ask"),
         ("write", "Also upload, parse and delete scenes, and submit batches"),
         ("admin", "Also make and revoke keys"),
@@ -39,7 +39,7 @@ pub fn scope() -> impl TypedValueParser<Value = Scope> {
 }
 
 pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
-    words(&[
+    word_parser(&[
         ("full", "Photographs of every candidate with every question, as in the paper"),
         (
             "cached-names",
@@ -51,7 +51,7 @@ pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
 }
 
 pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
-    words(&[
+    word_parser(&[
         ("scene", "The scene's own: metres, Z up"),
         ("source", "Those of the files the scan was read from"),
         ("map", "Those of the map that the scene lies in (scene_to_map)"),
@@ -71,7 +71,7 @@ pub fn usd(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// Returns an error for an invalid length.
-pub fn metres_per_unit(text: &str) -> Result<f64, String> {
+pub fn meters_per_unit(text: &str) -> Result<f64, String> {
     checked(text, |metres| check_metres_per_unit("", Some(metres)))
 }
 
@@ -81,7 +81,7 @@ fn checked(text: &str, check: impl FnOnce(f64) -> Result<(), FieldError>) -> Res
 }
 
 /// Parses words in the spelling of the command line. The API writes them with underscores.
-fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+fn word_parser<T: DeserializeOwned + Clone + Send + Sync + 'static>(
     known: &[(&'static str, &'static str)],
 ) -> impl TypedValueParser<Value = T> {
     let value = |(word, help): &(&'static str, &'static str)| {
@@ -125,9 +125,9 @@ mod tests {
     #[test]
     fn numbers_that_are_none_are_refused() {
         for text in ["NaN", "inf", "-inf", "-1", "1e999", "", "much"] {
-            assert!(usd(text).is_err() && metres_per_unit(text).is_err(), "{text:?}");
+            assert!(usd(text).is_err() && meters_per_unit(text).is_err(), "{text:?}");
         }
-        assert_eq!((usd("0"), usd("2.5"), metres_per_unit("0.001")), (Ok(0.0), Ok(2.5), Ok(0.001)));
-        assert!(metres_per_unit("0").is_err());
+        assert_eq!((usd("0"), usd("2.5"), meters_per_unit("0.001")), (Ok(0.0), Ok(2.5), Ok(0.001)));
+        assert!(meters_per_unit("0").is_err());
     }
 }

@@ -57,10 +57,11 @@ struct RunArgs {
 
 pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    let lines = lines_of(&fs::read_to_string(&args.file).with_context(|| args.file.to_string())?);
+    let lines =
+        to_json_lines(&fs::read_to_string(&args.file).with_context(|| args.file.to_string())?);
     let mut out = ResultWriter::open(args.out.as_deref())?;
     let scene = match &args.scene {
-        Some(scene) => Some(resolve_scene::id_of(&client, scene).await?),
+        Some(scene) => Some(resolve_scene::resolve_id(&client, scene).await?),
         None => None,
     };
     let mut batch = submit(&client, args, scene, lines).await?;
@@ -74,26 +75,26 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
         });
         // A server that is restarted goes on with the batch; so does this.
         if let Err(error) = read.await
-            && !error.downcast_ref::<ClientError>().is_some_and(is_passing)
+            && !error.downcast_ref::<ClientError>().is_some_and(is_transient)
         {
             return Err(error);
         }
         batch = match client.batch(&batch.id).await {
-            Err(error) if is_passing(&error) => {
+            Err(error) if is_transient(&error) => {
                 bar.set_message("the server is away");
                 tokio::time::sleep(AWAY).await;
                 continue;
             }
             batch => batch?,
         };
-        bar.set_message(costs(&batch));
+        bar.set_message(format_cost(&batch));
         let is_over = batch.state.is_final() && out.lines >= batch.done;
         if is_over || batch.state == BatchState::Paused || batch.state == BatchState::Cancelled {
             break;
         }
     }
     bar.finish_and_clear();
-    eprintln!("{}", told(&batch));
+    eprintln!("{}", describe_batch(&batch));
     if args.json {
         print_json(&batch)?;
     }
@@ -135,7 +136,7 @@ async fn submit(
 }
 
 /// JSONL of a file's lines; a line that is no JSON object is a question.
-fn lines_of(text: &str) -> String {
+fn to_json_lines(text: &str) -> String {
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
     let item = |line: &str| {
         if line.starts_with('{') { line.to_owned() } else { json!({"query": line}).to_string() }
@@ -177,7 +178,7 @@ impl ResultWriter {
 }
 
 /// Whether the server may be there again in a moment.
-fn is_passing(error: &ClientError) -> bool {
+fn is_transient(error: &ClientError) -> bool {
     match error {
         ClientError::Transport(_) => true,
         ClientError::Problem(problem) => problem.retry_after_s.is_some(),
@@ -195,11 +196,11 @@ fn progress_bar(items: u32) -> ProgressBar {
     bar
 }
 
-fn costs(batch: &Batch) -> String {
+fn format_cost(batch: &Batch) -> String {
     format!("{:.4} USD", batch.cost_usd)
 }
 
-fn told(batch: &Batch) -> String {
+fn describe_batch(batch: &Batch) -> String {
     let statuses: Vec<String> =
         batch.by_status.iter().map(|(status, number)| format!("{number} {status}")).collect();
     format!(
@@ -208,6 +209,6 @@ fn told(batch: &Batch) -> String {
         batch.done,
         batch.items,
         statuses.join(", "),
-        costs(batch)
+        format_cost(batch)
     )
 }

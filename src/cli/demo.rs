@@ -84,9 +84,9 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
     let mut pictures = Vec::new();
     for (i, question) in questions.iter().enumerate() {
         let answer = client.ground(&scene.id, &GroundRequest::of(question)).await?;
-        println!("{}\n", table::of_answer(&answer));
+        println!("{}\n", table::answer_table(&answer));
         if answer.status == Status::Ambiguous {
-            println!("{}\n", table::of_alternatives(&answer.alternatives));
+            println!("{}\n", table::alternatives_table(&answer.alternatives));
         }
         if let Some(path) = save_picture(client, &answer, &args.out, i + 1).await? {
             pictures.push(path);
@@ -118,7 +118,7 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     let start = Instant::now();
     let created = client.create_scene(None, kind.media_type(), bytes).await?;
     let job = created.job.context("the server did not start to parse")?;
-    let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
+    let told = job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
     println!("Parsed in {:.1} s: {told}\n", start.elapsed().as_secs_f32());
     Ok(client.scene(&created.scene.id).await?)
 }
@@ -131,7 +131,7 @@ async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {
         objects.clone().count(),
         instances.len() - objects.clone().count()
     );
-    println!("{}\n", table::of_instances(objects.take(LISTED)));
+    println!("{}\n", table::instances_table(objects.take(LISTED)));
     Ok(())
 }
 

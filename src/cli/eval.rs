@@ -170,7 +170,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
         system: system.name(),
         version: env!("CARGO_PKG_VERSION").into(),
         label: args.label.clone(),
-        machine: machine(),
+        machine: machine_name(),
         written_at: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
         paper_compatible: args.paper_compatible,
         seed: args.seed,
@@ -180,7 +180,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(out, "{}", report.markdown())?;
     writeln!(out, "{}", args.out.join("index.html"))?;
-    tell_losses(&report);
+    print_losses(&report);
     ensure!(
         report.cells.iter().any(|cell| !cell.outcomes.is_empty()),
         "nothing was scored: every expression was left out"
@@ -189,11 +189,11 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.write_baseline {
         now.write(file)?;
     }
-    baseline.map_or(Ok(()), |baseline| hold_against(&baseline, &now, &report, &mut out))
+    baseline.map_or(Ok(()), |baseline| compare_with_baseline(&baseline, &now, &report, &mut out))
 }
 
 /// What was left out or failed, on the error stream: figures alone do not show it.
-fn tell_losses(report: &Report) {
+fn print_losses(report: &Report) {
     for cell in &report.cells {
         let all = cell.outcomes.len() + cell.left_out.len();
         if let Some(first) = cell.left_out.first() {
@@ -235,13 +235,13 @@ fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
 
 /// Fails on a drop, and on cells or expressions the baseline has and the run has not: what is not
 /// measured can not be held.
-fn hold_against(
+fn compare_with_baseline(
     baseline: &Baseline,
     now: &Baseline,
     report: &Report,
     out: &mut impl Write,
 ) -> anyhow::Result<()> {
-    let queries = queries(report);
+    let queries = queries_by_key(report);
     let (changes, _) = baseline.compare_with(now);
     writeln!(
         out,
@@ -277,7 +277,7 @@ fn compare(args: &DiffArgs) -> anyhow::Result<()> {
         let known: HashMap<String, String> = [&args.before, &args.after]
             .into_iter()
             .filter_map(|path| Report::read(path).ok())
-            .flat_map(|report| queries(&report))
+            .flat_map(|report| queries_by_key(&report))
             .collect();
         write!(out, "{}", describe(&changes, |id| known.get(id).cloned()))?;
         unpaired.iter().try_for_each(|cell| writeln!(out, "{cell}: in one of the two only"))?;
@@ -286,7 +286,7 @@ fn compare(args: &DiffArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn queries(report: &Report) -> HashMap<String, String> {
+fn queries_by_key(report: &Report) -> HashMap<String, String> {
     let outcomes = report.cells.iter().flat_map(|cell| &cell.outcomes);
     outcomes.map(|o| (comparison_key(o), o.query.clone())).collect()
 }
@@ -299,7 +299,7 @@ fn show_progress(step: &Step) {
 }
 
 /// "AMD EPYC 7763, 2 cores"
-fn machine() -> String {
+fn machine_name() -> String {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));

@@ -22,7 +22,7 @@ pub fn fetch_all(
     let mut failed = Vec::new();
     for part in parts {
         let mut shown = ProgressBarView { bar: None, out };
-        let fetched = fetch(part, places, &registries, &mut |event| shown.tell(event));
+        let fetched = fetch(part, places, &registries, &mut |event| shown.handle_event(event));
         if let Some(bar) = shown.bar.take() {
             bar.finish_and_clear();
         }
@@ -39,11 +39,11 @@ pub fn fetch_all(
 
 /// What a server with these flags would use and does not find. A library that is found anywhere
 /// will do.
-pub fn wanted(config: &ModelsConfig) -> Vec<&'static PackagePart> {
-    let is_bundle_wanted = |part: &&PackagePart| matches!(part.home, InstallTarget::Bundle(name, role) if config.wants(role, name));
+pub fn missing_parts(config: &ModelsConfig) -> Vec<&'static PackagePart> {
+    let is_bundle_wanted = |part: &&PackagePart| matches!(part.home, InstallTarget::Bundle(name, role) if config.is_wanted_bundle(role, name));
     let bundles: Vec<&PackagePart> = PARTS.iter().filter(is_bundle_wanted).collect();
     let is_library_wanted = !bundles.is_empty()
-        && config.bundles.is_usual()
+        && config.bundles.is_default()
         && OnnxRuntime::find(&config.bundles.runtime.settings()).is_err();
     let library =
         PARTS.iter().filter(|part| is_library_wanted && part.home == InstallTarget::Library);
@@ -56,12 +56,12 @@ struct ProgressBarView<'a> {
 }
 
 impl ProgressBarView<'_> {
-    fn tell(&mut self, event: Event) {
+    fn handle_event(&mut self, event: Event) {
         match event {
-            Event::There(folder) => self.line(&format!("{folder} is there")),
-            Event::Placed(file) => self.line(file.as_str()),
+            Event::There(folder) => self.print_line(&format!("{folder} is there")),
+            Event::Placed(file) => self.print_line(file.as_str()),
             Event::Begins(package, bytes) if io::stderr().is_terminal() => {
-                self.bar = Some(bar(package, bytes));
+                self.bar = Some(progress_bar(package, bytes));
             }
             Event::Begins(package, bytes) => {
                 eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6);
@@ -71,7 +71,7 @@ impl ProgressBarView<'_> {
         }
     }
 
-    fn line(&mut self, text: &str) {
+    fn print_line(&mut self, text: &str) {
         // Nobody has to listen: files are in place all the same.
         let _told = writeln!(self.out, "{text}");
     }
@@ -79,7 +79,7 @@ impl ProgressBarView<'_> {
 
 const TEMPLATE: &str = "{msg} {bar:30} {bytes}/{total_bytes}, {eta} left";
 
-fn bar(package: String, bytes: u64) -> ProgressBar {
+fn progress_bar(package: String, bytes: u64) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(bytes), ProgressDrawTarget::stderr());
     if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
         bar.set_style(style);
@@ -99,7 +99,7 @@ mod tests {
         };
         // A library somebody named: the usual one is nobody's wish.
         config.bundles.runtime.onnxruntime_lib = Some("elsewhere.so".into());
-        wanted(&config).iter().map(|part| part.name).collect()
+        missing_parts(&config).iter().map(|part| part.name).collect()
     }
 
     #[test]

@@ -50,19 +50,23 @@ pub fn with_help(error: anyhow::Error) -> anyhow::Error {
                     true => "the key in UNIGROUND_API_KEY is none that this server takes",
                     false => "set UNIGROUND_API_KEY to your key",
                 };
-            ended(&error, &format!("{help}; `uniground key create` makes one, with an admin's key"))
+            with_last_line(
+                &error,
+                &format!("{help}; `uniground key create` makes one, with an admin's key"),
+            )
         }
-        Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => ended(
+        Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => with_last_line(
             &error,
             "`uniground key create NAME --scope write` makes a key that may more, with an admin's key",
         ),
         Some(ClientError::Problem(problem)) if problem.code == "scene_not_found" => {
-            ended(&error, "`uniground scenes` lists what there is")
+            with_last_line(&error, "`uniground scenes` lists what there is")
         }
-        Some(ClientError::BadAddress(_)) => {
-            ended(&error, "an address is like http://127.0.0.1:8080: --server, or UNIGROUND_SERVER")
-        }
-        Some(ClientError::Unexpected { .. }) => ended(
+        Some(ClientError::BadAddress(_)) => with_last_line(
+            &error,
+            "an address is like http://127.0.0.1:8080: --server, or UNIGROUND_SERVER",
+        ),
+        Some(ClientError::Unexpected { .. }) => with_last_line(
             &error,
             "is this a server of uniground? another address: --server, or UNIGROUND_SERVER",
         ),
@@ -71,7 +75,7 @@ pub fn with_help(error: anyhow::Error) -> anyhow::Error {
 }
 
 /// What is wrong with a scan, which scan, and how more is learned of it.
-pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
+pub fn with_scan_hint(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
     let code = error.chain().find_map(|cause| match (cause.downcast_ref(), cause.downcast_ref()) {
         (Some(ClientError::Problem(problem)), _) => Some(problem.code.as_str()),
         (_, Some(ParseFailed(job))) => Some(job.code.as_str()),
@@ -84,29 +88,29 @@ pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
         });
     let is_named = error.to_string().contains(scan.as_str());
     let ended = |help: &str| match is_named {
-        true => ended(&error, help),
+        true => with_last_line(&error, help),
         false => anyhow::anyhow!("{scan}: {error:#}\n{help}"),
     };
     match (code, local.map(IngestError::kind)) {
         (Some("up_unknown"), _) | (_, Some(IngestErrorKind::UpUnknown)) => {
-            ended("say which axis of the files points up: --up z, or x, y, -x, -y, -z")
+            with_last_line("say which axis of the files points up: --up z, or x, y, -x, -y, -z")
         }
         (None, None | Some(IngestErrorKind::Cancelled)) => error,
         (Some(code), _) if !OF_SCANS.contains(&code) => error,
-        _ => ended(&format!(
+        _ => with_last_line(&format!(
             "`uniground import {} --check` tells how a scan is read, and what is wrong with it",
-            quoted(scan.as_str())
+            quote_for_shell(scan.as_str())
         )),
     }
 }
 
 /// An error whose last line is what helps.
-pub fn ended(error: &anyhow::Error, help: &str) -> anyhow::Error {
+pub fn with_last_line(error: &anyhow::Error, help: &str) -> anyhow::Error {
     anyhow::anyhow!("{error:#}\n{help}")
 }
 
 /// A word as a shell takes it for one.
-pub fn quoted(word: &str) -> String {
+pub fn quote_for_shell(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "-_./:@%+=,".contains(c);
     match !word.is_empty() && word.chars().all(is_plain) {
         true => word.to_owned(),
@@ -120,8 +124,8 @@ mod tests {
 
     #[test]
     fn words_are_quoted_as_shells_want_them() {
-        assert_eq!(quoted("scans/room-1.zip"), "scans/room-1.zip");
-        assert_eq!(quoted("living room"), "'living room'");
-        assert_eq!(quoted("Anna's"), r"'Anna'\''s'");
+        assert_eq!(quote_for_shell("scans/room-1.zip"), "scans/room-1.zip");
+        assert_eq!(quote_for_shell("living room"), "'living room'");
+        assert_eq!(quote_for_shell("Anna's"), r"'Anna'\''s'");
     }
 }

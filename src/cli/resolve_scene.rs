@@ -1,6 +1,6 @@
 //! Which scene somebody means: by its id, by how that begins, or by its name.
 
-use super::hints::quoted;
+use super::hints::quote_for_shell;
 use super::table;
 use anyhow::bail;
 use uniground_client::{Client, ClientError};
@@ -18,12 +18,12 @@ const ID: usize = 36;
 ///
 /// # Errors
 /// None, or several: the message lists what there is. [`ClientError`].
-pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
+pub async fn resolve_id(client: &Client, wanted: &str) -> anyhow::Result<String> {
     if wanted.len() == ID && wanted.parse::<uuid::Uuid>().is_ok() {
         return Ok(wanted.to_owned());
     }
-    let scenes = all(client).await?;
-    let found = matching(&scenes, wanted);
+    let scenes = list_scenes(client).await?;
+    let found = find_matching(&scenes, wanted);
     match &found[..] {
         [only] => Ok(only.id.clone()),
         [] if scenes.is_empty() => bail!(
@@ -31,28 +31,32 @@ pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
         ),
         [] => bail!(
             "there is no scene {wanted:?}; there are\n{}\n`uniground scenes` tells more of them",
-            listed(&scenes.iter().collect::<Vec<_>>())
+            format_list(&scenes.iter().collect::<Vec<_>>())
         ),
         several => bail!(
             "{wanted:?} may be any of {} scenes:\n{}\nsay more of the name, or of the id; `uniground scenes` tells more of them",
             several.len(),
-            listed(several)
+            format_list(several)
         ),
     }
 }
 
 /// What was to be done with a scene, and there is none such: what there is instead.
-pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyhow::Error {
+pub async fn explain_unknown_scene(
+    client: &Client,
+    wanted: &str,
+    error: ClientError,
+) -> anyhow::Error {
     match &error {
         ClientError::Problem(problem) if problem.code == "scene_not_found" => {
-            match all(client).await {
+            match list_scenes(client).await {
                 Ok(scenes) if scenes.is_empty() => {
                     anyhow::anyhow!(
                         "there is no scene {wanted}: there are none yet\n`uniground upload SCAN` brings one"
                     )
                 }
                 Ok(scenes) => {
-                    let listed = listed(&scenes.iter().collect::<Vec<_>>());
+                    let listed = format_list(&scenes.iter().collect::<Vec<_>>());
                     anyhow::anyhow!(
                         "there is no scene {wanted}; there are\n{listed}\n`uniground scenes` tells more of them"
                     )
@@ -68,7 +72,7 @@ pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyh
 ///
 /// # Errors
 /// [`ClientError`].
-pub async fn all(client: &Client) -> Result<Vec<Scene>, ClientError> {
+pub async fn list_scenes(client: &Client) -> Result<Vec<Scene>, ClientError> {
     let (mut scenes, mut cursor) = (Vec::new(), None);
     loop {
         let page = client.scenes(PAGE, cursor.as_deref()).await?;
@@ -82,16 +86,16 @@ pub async fn all(client: &Client) -> Result<Vec<Scene>, ClientError> {
 
 /// What `--scene` needs to say so that this scene is meant and no other: its name, or its id where
 /// that is shared.
-pub fn shortest(scenes: &[Scene], scene: &Scene) -> String {
-    match matching(scenes, &scene.name)[..] {
-        [only] if only.id == scene.id => quoted(&scene.name),
+pub fn shortest_reference(scenes: &[Scene], scene: &Scene) -> String {
+    match find_matching(scenes, &scene.name)[..] {
+        [only] if only.id == scene.id => quote_for_shell(&scene.name),
         _ => scene.id.clone(),
     }
 }
 
 /// The first of these that finds any: the id, the name, the name in other letters, the beginning of
 /// an id or a name.
-fn matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
+fn find_matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
     let lower = wanted.to_lowercase();
     let ways: [&dyn Fn(&Scene) -> bool; 4] = [
         &|scene| scene.id == lower,
@@ -107,7 +111,7 @@ fn matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
     found.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
 }
 
-fn listed(scenes: &[&Scene]) -> String {
+fn format_list(scenes: &[&Scene]) -> String {
     let line = |scene: &&Scene| {
         let state = match scene.status {
             SceneStatus::Ready => "",
@@ -115,7 +119,12 @@ fn listed(scenes: &[&Scene]) -> String {
             SceneStatus::Failed => ", could not be parsed",
             SceneStatus::Uploaded => ", not parsed",
         };
-        format!("  {}  {}, {} old{state}", scene.id, scene.name, table::age(&scene.created_at))
+        format!(
+            "  {}  {}, {} old{state}",
+            scene.id,
+            scene.name,
+            table::format_age(&scene.created_at)
+        )
     };
     let mut lines: Vec<String> = scenes.iter().take(LISTED).map(line).collect();
     if scenes.len() > LISTED {
@@ -146,7 +155,7 @@ mod tests {
             scene("01b0-00", "hall"),
         ];
         let ids = |wanted: &str| {
-            matching(&scenes, wanted).iter().map(|scene| scene.id.clone()).collect::<Vec<_>>()
+            find_matching(&scenes, wanted).iter().map(|scene| scene.id.clone()).collect::<Vec<_>>()
         };
         assert_eq!(ids("kitchen"), ["01a2-ab"]);
         assert_eq!(ids("KITCHEN"), ["01a2-aa", "01a2-ab"]);
@@ -161,7 +170,7 @@ mod tests {
     fn a_shared_name_is_not_enough() {
         let scenes =
             [scene("01a2-aa", "hall"), scene("01a2-ab", "hall"), scene("01a2-ac", "living room")];
-        assert_eq!(shortest(&scenes, &scenes[0]), "01a2-aa");
-        assert_eq!(shortest(&scenes, &scenes[2]), "'living room'");
+        assert_eq!(shortest_reference(&scenes, &scenes[0]), "01a2-aa");
+        assert_eq!(shortest_reference(&scenes, &scenes[2]), "'living room'");
     }
 }

@@ -1,7 +1,7 @@
 //! `uniground restore`: a data folder from a backup.
 
 use super::output::print_json;
-use super::table::size;
+use super::table::format_bytes;
 use crate::telemetry;
 use anyhow::bail;
 use camino::Utf8PathBuf;
@@ -42,7 +42,10 @@ pub async fn run(
             "scenes": scenes, "answers": answers, "folders": folders, "bytes": bytes, "left_out": left_out,
         }));
     }
-    println!("{done}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
+    println!(
+        "{done}: {scenes} scenes, {answers} answers, {folders} folders, {}",
+        format_bytes(bytes)
+    );
     println!("as it was at {taken_at}, by uniground {program}");
     for (folder, what) in left_out {
         println!("not in the backup: {folder}: {what}");

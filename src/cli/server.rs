@@ -20,13 +20,13 @@ impl ServerArgs {
     }
 
     /// What the flag says where it was given, and not the environment.
-    pub fn given(&self) -> Option<&str> {
+    pub fn explicit_address(&self) -> Option<&str> {
         self.server.as_deref().filter(|server| std::env::var(VARIABLE).as_deref() != Ok(server))
     }
 
     /// What the next command has to repeat to speak to the same server.
-    pub fn flag(&self) -> String {
-        self.given().map_or_else(String::new, |server| format!(" --server {server}"))
+    pub fn to_flag(&self) -> String {
+        self.explicit_address().map_or_else(String::new, |server| format!(" --server {server}"))
     }
 
     /// # Errors

@@ -35,7 +35,7 @@ enum ModelChoice<'a> {
 
 impl<'a> ModelChoice<'a> {
     /// Reads a flag; `own` is what the built-in part calls itself.
-    fn of(flag: &'a str, own: &str) -> Self {
+    fn parse(flag: &'a str, own: &str) -> Self {
         match flag {
             AUTO => Self::Auto,
             BUILTIN => Self::Builtin,
@@ -66,8 +66,10 @@ impl ModelsConfig {
     /// server that was.
     pub fn load(&self) -> anyhow::Result<ChosenModels> {
         let Self { masks, encoder, bundles } = self;
-        let (masks, encoder) =
-            (ModelChoice::of(masks, BUILTIN_MASKS), ModelChoice::of(encoder, BUILTIN_ENCODER));
+        let (masks, encoder) = (
+            ModelChoice::parse(masks, BUILTIN_MASKS),
+            ModelChoice::parse(encoder, BUILTIN_ENCODER),
+        );
         let mut choosing = ModelChooser {
             bundles,
             lying: Vec::new(),
@@ -76,15 +78,15 @@ impl ModelsConfig {
             warnings: Vec::new(),
         };
         if [masks, encoder].contains(&ModelChoice::Auto) {
-            choosing.look();
+            choosing.scan_bundles();
         }
         let is_named = [masks, encoder].iter().any(|wish| matches!(wish, ModelChoice::Named(_)));
-        let lies_there = (masks == ModelChoice::Auto && choosing.lies(Role::Masks))
-            || (encoder == ModelChoice::Auto && choosing.lies(Role::Encoder));
+        let lies_there = (masks == ModelChoice::Auto && choosing.is_installed(Role::Masks))
+            || (encoder == ModelChoice::Auto && choosing.is_installed(Role::Encoder));
         if is_named || lies_there {
             match bundles.engine() {
                 Ok(engine) => choosing.engine = Some(engine),
-                Err(error) if is_named || !bundles.is_usual() => return Err(error),
+                Err(error) if is_named || !bundles.is_default() => return Err(error),
                 Err(error) => choosing
                     .warnings
                     .push(format!("bundles in {} can not be used: {error:#}", bundles.models)),
@@ -98,10 +100,10 @@ impl ModelsConfig {
 
     /// Whether a bundle would be used if it lay in the folder of bundles.
     #[must_use]
-    pub fn wants(&self, role: Role, bundle: &str) -> bool {
+    pub fn is_wanted_bundle(&self, role: Role, bundle: &str) -> bool {
         let wish = match role {
-            Role::Masks => ModelChoice::of(&self.masks, BUILTIN_MASKS),
-            Role::Encoder => ModelChoice::of(&self.encoder, BUILTIN_ENCODER),
+            Role::Masks => ModelChoice::parse(&self.masks, BUILTIN_MASKS),
+            Role::Encoder => ModelChoice::parse(&self.encoder, BUILTIN_ENCODER),
         };
         match wish {
             ModelChoice::Auto => true,
@@ -123,7 +125,7 @@ struct ModelChooser<'a> {
 }
 
 impl ModelChooser<'_> {
-    fn look(&mut self) {
+    fn scan_bundles(&mut self) {
         let folder = &self.bundles.models;
         match list(folder) {
             Ok(lying) => self.lying = lying,
@@ -135,7 +137,7 @@ impl ModelChooser<'_> {
         self.warnings.extend(unreadable.filter_map(|bundle| bundle.problem.clone()));
     }
 
-    fn lies(&self, role: Role) -> bool {
+    fn is_installed(&self, role: Role) -> bool {
         self.lying.iter().any(|bundle| bundle.role == Some(role))
     }
 
@@ -148,16 +150,16 @@ impl ModelChooser<'_> {
                 let names: Vec<&str> =
                     if role == Role::Masks { names_of_masks.collect() } else { vec![names] };
                 for name in &names {
-                    self.models = self.with(role, &folder_of(name, &self.bundles.models))?;
+                    self.models = self.load_with(role, &folder_of(name, &self.bundles.models))?;
                 }
                 Ok(format!("{} (as asked)", names.join("+")))
             }
-            ModelChoice::Auto => Ok(self.choose_lying(role)),
+            ModelChoice::Auto => Ok(self.choose_first_working(role)),
         }
     }
 
     /// The first by name that works.
-    fn choose_lying(&mut self, role: Role) -> String {
+    fn choose_first_working(&mut self, role: Role) -> String {
         let folder = &self.bundles.models;
         let candidates: Vec<BundleListing> =
             self.lying.iter().filter(|bundle| bundle.role == Some(role)).cloned().collect();
@@ -171,7 +173,7 @@ impl ModelChooser<'_> {
             return format!("built in (nothing is there to run {names})");
         }
         for bundle in &candidates {
-            match self.with(role, &bundle.folder) {
+            match self.load_with(role, &bundle.folder) {
                 Ok(models) => {
                     self.models = models;
                     let on_cores = self.bundles.inference_url.is_none()
@@ -191,7 +193,7 @@ impl ModelChooser<'_> {
         format!("built in (broken: {names})")
     }
 
-    fn with(&self, role: Role, folder: &camino::Utf8Path) -> anyhow::Result<Models> {
+    fn load_with(&self, role: Role, folder: &camino::Utf8Path) -> anyhow::Result<Models> {
         let engine = self.engine.as_deref().context("nothing runs networks")?;
         let models = self.models.clone();
         let loaded: Result<Models, ModelError> = match role {

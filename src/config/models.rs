@@ -86,7 +86,7 @@ impl BundlesConfig {
     /// Nothing was said about what runs networks: where the usual library is not found, nobody
     /// asked for it.
     #[must_use]
-    pub fn is_usual(&self) -> bool {
+    pub fn is_default(&self) -> bool {
         let RuntimeConfig { onnxruntime_lib, provider, model_threads: _ } = &self.runtime;
         self.inference_url.is_none()
             && onnxruntime_lib.is_none()
@@ -100,7 +100,7 @@ impl BundlesConfig {
     pub fn engine(&self) -> anyhow::Result<Box<dyn Engine>> {
         Ok(match &self.inference_url {
             Some(url) => {
-                telemetry::hide_secrets_of(url);
+                telemetry::register_secrets_of_address(url);
                 ensure!(
                     reqwest::Url::parse(url).is_ok_and(|url| url.has_host()),
                     "--inference-url: this is not an address"

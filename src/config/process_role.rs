@@ -89,7 +89,7 @@ impl From<&WorkerConfig> for ProcessRole {
 impl ProcessRole {
     /// Whether others have to do the rest.
     #[must_use]
-    pub fn needs_others(&self) -> bool {
+    pub fn requires_other_processes(&self) -> bool {
         !self.serves || self.works.is_empty()
     }
 }

@@ -20,9 +20,9 @@ pub(super) const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("rateli
 /// Lets a request past whose caller may do what its route does, and writes down what changed
 /// something.
 pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
-    let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
-    let link = take_link(request.uri_mut());
-    let (keys, shown) = (&app.services.keyring, bearer(request.headers()));
+    let Some(wanted) = app.scopes.required_scope(&request) else { return next.run(request).await };
+    let link = remove_link_token(request.uri_mut());
+    let (keys, shown) = (&app.services.keyring, bearer_token(request.headers()));
     // A link stands in for a key where none is shown, to read what is there: asking may cost money.
     let caller = match &link {
         Some(link) if shown.is_none() && keys.has_keys() && request.method().is_safe() => {
@@ -39,7 +39,9 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
             app.services.keyring.note_use(key);
             match app.services.keyring.count_request(key).await {
                 Ok(allowance) => allowance,
-                Err((wait_s, allowance)) => return limited(too_fast(wait_s), Some(allowance)),
+                Err((wait_s, allowance)) => {
+                    return with_rate_limit_headers(too_many_requests(wait_s), Some(allowance));
+                }
             }
         }
         None => None,
@@ -50,7 +52,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
             caller.scope.word(),
             wanted.word()
         );
-        return limited(
+        return with_rate_limit_headers(
             ProblemResponse::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(),
             allowance,
         );
@@ -69,11 +71,11 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     if let Some(begin_audit) = begin_audit {
         begin_audit.record_status(response.status().as_u16()).await;
     }
-    limited(response, allowance)
+    with_rate_limit_headers(response, allowance)
 }
 
 /// What makes a link work; the rest of the query stays.
-fn take_link(uri: &mut Uri) -> Option<String> {
+fn remove_link_token(uri: &mut Uri) -> Option<String> {
     let query = uri.query()?;
     let is_link =
         |pair: &&str| pair.split_once('=').is_some_and(|(name, _)| name == LINK_PARAMETER);
@@ -89,7 +91,7 @@ fn take_link(uri: &mut Uri) -> Option<String> {
 }
 
 /// The token somebody shows.
-fn bearer(headers: &HeaderMap) -> Option<&str> {
+fn bearer_token(headers: &HeaderMap) -> Option<&str> {
     let shown = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
     let (scheme, token) = shown.split_once(' ')?;
     scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
@@ -111,18 +113,18 @@ fn unauthorized(denied: KeyRejection) -> Response {
     refused
 }
 
-fn too_fast(wait_s: u64) -> Response {
+fn too_many_requests(wait_s: u64) -> Response {
     ProblemResponse::new(
         StatusCode::TOO_MANY_REQUESTS,
         "rate_limited",
         format!("this key asks too often: try again in {wait_s} s"),
     )
-    .after(u32::try_from(wait_s).unwrap_or(u32::MAX))
+    .retry_after(u32::try_from(wait_s).unwrap_or(u32::MAX))
     .into_response()
 }
 
 /// Tells what is left of the key's requests.
-fn limited(mut response: Response, allowance: Option<RateLimitStatus>) -> Response {
+fn with_rate_limit_headers(mut response: Response, allowance: Option<RateLimitStatus>) -> Response {
     if let Some(RateLimitStatus { per_minute, left, reset_s }) = allowance {
         let told = [
             (RATE_LIMIT_POLICY, format!("\"key\";q={per_minute};w=60")),
@@ -140,7 +142,7 @@ fn limited(mut response: Response, allowance: Option<RateLimitStatus>) -> Respon
 /// The scopes of all routes.
 #[must_use]
 pub fn scopes() -> Scopes {
-    Scopes::of(&super::openapi())
+    Scopes::from_description(&super::openapi())
 }
 
 /// Who asks, for handlers.

@@ -133,7 +133,7 @@ pub async fn list(
     State(app): State<App>,
     Query(page): Query<Page>,
 ) -> Result<axum::Json<BatchList>, ProblemResponse> {
-    let (limit, cursor) = page.checked()?;
+    let (limit, cursor) = page.validate()?;
     Ok(axum::Json(app.services.batches.batches(limit, cursor.as_deref()).await?))
 }
 

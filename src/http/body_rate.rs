@@ -58,7 +58,7 @@ const STREAM: MinimumRate = MinimumRate {
 
 impl MinimumRate {
     /// Returns the rule for a route and a content type.
-    fn of(route: &str, content_type: &str) -> Self {
+    fn for_route(route: &str, content_type: &str) -> Self {
         // Not "application/jsonl", which is streamed.
         let is_json = || {
             content_type
@@ -76,14 +76,14 @@ impl MinimumRate {
 
     /// Returns how much longer the server waits for the next piece, after it has waited `waited`
     /// for the `received` bytes so far.
-    fn patience(&self, received: u64, waited: Duration) -> Duration {
+    fn time_left(&self, received: u64, waited: Duration) -> Duration {
         let earned =
             self.bytes_per_s.map_or(Duration::ZERO, |rate| Duration::from_secs(received / rate));
         let most = earned.max(self.grace).min(self.total);
         most.saturating_sub(waited).min(self.silence)
     }
 
-    fn refusal(&self) -> ProblemResponse {
+    fn timeout_problem(&self) -> ProblemResponse {
         if let Some(bytes_per_s) = self.bytes_per_s {
             Error::UploadTooSlow { bytes_per_s, silence_s: self.silence.as_secs() }.into()
         } else {
@@ -98,7 +98,7 @@ pub async fn limit(request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
     let content_type =
         request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
-    let rate = MinimumRate::of(route, content_type.unwrap_or_default());
+    let rate = MinimumRate::for_route(route, content_type.unwrap_or_default());
     limit_to(rate, request, next).await
 }
 
@@ -123,7 +123,7 @@ fn too_slow(rate: &MinimumRate, made: Response) -> Response {
         // The handler had what it needed.
         status if status.is_success() => made,
         _ => {
-            let mut refused = rate.refusal().into_response();
+            let mut refused = rate.timeout_problem().into_response();
             for (name, value) in made.headers() {
                 if !refused.headers().contains_key(name) && *name != header::CONTENT_LENGTH {
                     refused.headers_mut().append(name, value.clone());
@@ -182,7 +182,7 @@ impl HttpBody for LimitedBody {
             return Poll::Ready(frame);
         }
         if let Some((received, waited)) = this.progress.wait() {
-            this.timer.as_mut().reset(Instant::now() + this.rate.patience(received, waited));
+            this.timer.as_mut().reset(Instant::now() + this.rate.time_left(received, waited));
         }
         match this.timer.as_mut().poll(context) {
             Poll::Ready(()) => {
@@ -289,12 +289,12 @@ mod tests {
             (1 << 40, s(86_400), s(0)),
         ] {
             assert_eq!(
-                STREAM.patience(received, waited),
+                STREAM.time_left(received, waited),
                 patience,
                 "{received} bytes in {waited:?}"
             );
         }
-        assert_eq!(WHOLE.patience(1 << 20, s(19)), s(1));
+        assert_eq!(WHOLE.time_left(1 << 20, s(19)), s(1));
     }
 
     #[test]
@@ -312,7 +312,7 @@ mod tests {
             ("/mcp", "application/json", false),
             ("", "", false),
         ] {
-            let rate = MinimumRate::of(route, content_type);
+            let rate = MinimumRate::for_route(route, content_type);
             assert_eq!(rate.bytes_per_s.is_some(), is_streamed, "{route} as {content_type}");
         }
     }

@@ -81,7 +81,7 @@ pub fn send_bytes(
 ) -> Response {
     let etag = format!("\"{fingerprint}\"");
     let known = asked.get(header::IF_NONE_MATCH).and_then(|known| known.to_str().ok());
-    let mut response = match known.is_some_and(|known| names(known, &etag)) {
+    let mut response = match known.is_some_and(|known| etag_matches(known, &etag)) {
         true => StatusCode::NOT_MODIFIED.into_response(),
         false => ([(header::CONTENT_TYPE, media_type)], bytes).into_response(),
     };
@@ -94,7 +94,7 @@ pub fn send_bytes(
 
 /// Marks what is small and read: the same bytes have the same mark, and are not sent to who has
 /// them.
-pub async fn mark(request: Request, next: Next) -> Response {
+pub async fn add_etag(request: Request, next: Next) -> Response {
     let is_read = request.method() == Method::GET;
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let response = next.run(request).await;
@@ -115,7 +115,7 @@ pub async fn mark(request: Request, next: Next) -> Response {
     let is_known = known
         .as_ref()
         .and_then(|known| known.to_str().ok())
-        .is_some_and(|known| names(known, &etag));
+        .is_some_and(|known| etag_matches(known, &etag));
     if let Ok(etag) = HeaderValue::from_str(&etag) {
         parts.headers.insert(header::ETAG, etag);
     }
@@ -128,7 +128,7 @@ pub async fn mark(request: Request, next: Next) -> Response {
 }
 
 /// Whether `If-None-Match` names a mark.
-fn names(known: &str, etag: &str) -> bool {
+fn etag_matches(known: &str, etag: &str) -> bool {
     known.trim() == "*"
         || known
             .split(',')
@@ -137,7 +137,7 @@ fn names(known: &str, etag: &str) -> bool {
 
 /// A file's mark is of its own bytes: of what was compressed on the way it says the same thing, not
 /// the same bytes.
-pub async fn weaken(mut response: Response) -> Response {
+pub async fn weaken_etag(mut response: Response) -> Response {
     let headers = response.headers_mut();
     let strong = headers
         .get(header::ETAG)
@@ -157,10 +157,10 @@ mod tests {
     #[test]
     fn marks_are_compared_weakly() {
         assert!(
-            names("W/\"a\"", "W/\"a\"")
-                && names("\"b\", \"a\"", "W/\"a\"")
-                && names("*", "W/\"a\"")
+            etag_matches("W/\"a\"", "W/\"a\"")
+                && etag_matches("\"b\", \"a\"", "W/\"a\"")
+                && etag_matches("*", "W/\"a\"")
         );
-        assert!(!names("\"b\"", "W/\"a\"") && !names("", "W/\"a\""));
+        assert!(!etag_matches("\"b\"", "W/\"a\"") && !etag_matches("", "W/\"a\""));
     }
 }

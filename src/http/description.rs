@@ -39,7 +39,7 @@ const FILE: &str = "application/octet-stream";
 
 /// What a status means wherever it is met, with a code as an example; problems without one here are
 /// described where they stand.
-fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static str)>)> {
+fn status_meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static str)>)> {
     let problem = |description, code, detail| Some((description, Some((code, detail))));
     match status {
         "200" => Some(("As asked for", None)),
@@ -153,7 +153,7 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
 
 /// Says of every operation what its own attributes leave out: what its statuses mean, with
 /// examples, and what any request may meet.
-pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
+pub fn complete_description(openapi: &mut utoipa::openapi::OpenApi) {
     for (path, item) in &mut openapi.paths.paths {
         let PathItem { get, post, patch, delete, head, options, .. } = item;
         // What tells headers only is never 304.
@@ -166,7 +166,7 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
             (options, true),
         ] {
             if let Some(operation) = operation {
-                may_meet(operation, path, changes);
+                add_common_responses(operation, path, changes);
                 operation
                     .responses
                     .responses
@@ -182,12 +182,12 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
     for schema in
         openapi.components.iter_mut().flat_map(|components| components.schemas.values_mut())
     {
-        bound(schema);
+        bound_list(schema);
     }
 }
 
 /// What any request may be answered, whatever it is about.
-fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
+fn add_common_responses(operation: &mut Operation, path: &str, changes: bool) {
     let responses = &mut operation.responses.responses;
     let sends_file = match responses.get("200") {
         // What comes in several formats is made when it is asked for, and whole.
@@ -222,7 +222,8 @@ fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
 }
 
 fn describe(status: &str, response: &mut RefOr<Response>) {
-    let (RefOr::T(response), Some((description, example))) = (response, meaning(status)) else {
+    let (RefOr::T(response), Some((description, example))) = (response, status_meaning(status))
+    else {
         return;
     };
     if response.description.is_empty() {
@@ -246,16 +247,16 @@ fn describe(status: &str, response: &mut RefOr<Response>) {
 }
 
 /// No list is without an end.
-fn bound(schema: &mut RefOr<Schema>) {
+fn bound_list(schema: &mut RefOr<Schema>) {
     let RefOr::T(schema) = schema else { return };
     match schema {
         Schema::Array(array) => {
             array.max_items.get_or_insert(MOST_ITEMS);
         }
-        Schema::Object(object) => object.properties.values_mut().for_each(bound),
-        Schema::OneOf(one_of) => one_of.items.iter_mut().for_each(bound),
-        Schema::AllOf(all_of) => all_of.items.iter_mut().for_each(bound),
-        Schema::AnyOf(any_of) => any_of.items.iter_mut().for_each(bound),
+        Schema::Object(object) => object.properties.values_mut().for_each(bound_list),
+        Schema::OneOf(one_of) => one_of.items.iter_mut().for_each(bound_list),
+        Schema::AllOf(all_of) => all_of.items.iter_mut().for_each(bound_list),
+        Schema::AnyOf(any_of) => any_of.items.iter_mut().for_each(bound_list),
         _ => {}
     }
 }

@@ -38,7 +38,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
                 format!("a JSON body has at most {MAX_JSON_BYTES} bytes"),
             )
         })?;
-        if holds_nul(&bytes) {
+        if contains_nul(&bytes) {
             return Err(ProblemResponse::invalid(
                 "body",
                 "a text holds a NUL character, which no text has",
@@ -71,7 +71,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
 }
 
 /// Whether a text in JSON has a NUL character: not every database could keep it.
-fn holds_nul(json: &[u8]) -> bool {
+fn contains_nul(json: &[u8]) -> bool {
     const ESCAPED: &[u8] = b"u0000";
     let is_escape =
         |at: usize| json[..at].iter().rev().take_while(|byte| **byte == b'\\').count() % 2 == 1;
@@ -79,7 +79,7 @@ fn holds_nul(json: &[u8]) -> bool {
 }
 
 /// Whether an address names a NUL character.
-fn names_nul(parts: &Parts) -> bool {
+fn uri_contains_nul(parts: &Parts) -> bool {
     parts.uri.path_and_query().is_some_and(|address| address.as_str().contains("%00"))
 }
 
@@ -90,7 +90,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
     type Rejection = ProblemResponse;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
-        if names_nul(parts) {
+        if uri_contains_nul(parts) {
             return Err(ProblemResponse::invalid(
                 "query",
                 "it holds a NUL character, which no text has",
@@ -115,7 +115,7 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
     type Rejection = ProblemResponse;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
-        if names_nul(parts) {
+        if uri_contains_nul(parts) {
             return Err(ProblemResponse::new(
                 StatusCode::NOT_FOUND,
                 "not_found",
@@ -203,7 +203,7 @@ mod tests {
             (r#"{"query": "u0000"}"#, false),
             ("{}", false),
         ] {
-            assert_eq!(holds_nul(json.as_bytes()), expected, "{json}");
+            assert_eq!(contains_nul(json.as_bytes()), expected, "{json}");
         }
     }
 }

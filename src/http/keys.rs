@@ -54,7 +54,7 @@ pub async fn list(
     State(app): State<App>,
     Query(page): Query<Page>,
 ) -> Result<axum::Json<KeyList>, ProblemResponse> {
-    let (limit, cursor) = page.checked()?;
+    let (limit, cursor) = page.validate()?;
     Ok(axum::Json(app.services.keyring.list(limit, cursor.as_deref()).await?))
 }
 
@@ -95,6 +95,6 @@ pub async fn audit(
     State(app): State<App>,
     Query(page): Query<Page>,
 ) -> Result<axum::Json<AuditList>, ProblemResponse> {
-    let (limit, cursor) = page.checked()?;
+    let (limit, cursor) = page.validate()?;
     Ok(axum::Json(app.services.keyring.audit(limit, cursor.as_deref()).await?))
 }

@@ -41,7 +41,7 @@ pub use hosts::AllowedHosts;
 pub use mcp::{Mcp, McpOverHttp};
 pub use origins::Origins;
 use problem::ProblemResponse;
-pub use problem::told;
+pub use problem::to_problem;
 pub use scopes::Scopes;
 
 use axum::extract::{MatchedPath, Request};
@@ -100,7 +100,7 @@ pub struct EventStreams {
 impl EventStreams {
     /// Those of a server that has so many connections at most.
     #[must_use]
-    pub fn beside(connections: usize) -> Self {
+    pub fn for_connections(connections: usize) -> Self {
         let most = connections / 2;
         Self { places: Arc::new(Semaphore::new(most)), most }
     }
@@ -109,7 +109,7 @@ impl EventStreams {
     ///
     /// # Errors
     /// [`Error::TooMany`].
-    pub fn place(&self) -> Result<OwnedSemaphorePermit, Error> {
+    pub fn acquire(&self) -> Result<OwnedSemaphorePermit, Error> {
         let place = self.places.clone().try_acquire_owned();
         place.map_err(|_| Error::TooMany { what: "event streams", most: self.most })
     }
@@ -191,43 +191,43 @@ fn routes() -> OpenApiRouter<App> {
 /// The OpenAPI description, as served at `/openapi.json`.
 #[must_use]
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    described().1
+    build_routes().1
 }
 
 /// The routes, and what is said of them.
-fn described() -> (Router<App>, utoipa::openapi::OpenApi) {
+fn build_routes() -> (Router<App>, utoipa::openapi::OpenApi) {
     let (router, mut openapi) = routes().split_for_parts();
-    description::complete(&mut openapi);
+    description::complete_description(&mut openapi);
     (router, openapi)
 }
 
 /// The whole application.
 pub fn router(app: App) -> Router {
-    let (router, openapi) = described();
+    let (router, openapi) = build_routes();
     // Nobody outside is asked whether the description is valid.
     let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
     // Health, the description and the pages are open to everybody: the key protects scans and
     // questions.
-    layered(app, router, Router::from(description).merge(page::router()))
+    with_layers(app, router, Router::from(description).merge(page::router()))
 }
 
 /// Of a process that answers no questions: how it is, and what it counts.
-pub fn watched(app: App) -> Router {
+pub fn worker_router(app: App) -> Router {
     let routes = OpenApiRouter::new()
         .routes(routes!(stats::metrics))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz));
-    layered(app, routes.into(), Router::new())
+    with_layers(app, routes.into(), Router::new())
 }
 
 /// Routes with all that lies around them; `open` ones want no key.
-fn layered(app: App, routes: Router<App>, open: Router) -> Router {
+fn with_layers(app: App, routes: Router<App>, open: Router) -> Router {
     routes
         // Handlers of these routes are the only readers of bodies.
         .layer(middleware::from_fn(body_rate::limit))
-        .layer(middleware::from_fn(caching::mark))
+        .layer(middleware::from_fn(caching::add_etag))
         .layer(middleware::from_fn_with_state(app.clone(), auth::check))
         .with_state(app.clone())
         .merge(open)
@@ -236,48 +236,48 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
         .layer(app.origins.protection())
         .layer(middleware::from_fn_with_state(app.origins.cors(), origins::answer))
         .layer(middleware::from_fn_with_state(app.clone(), hosts::check))
-        .layer(CatchPanicLayer::custom(panicked))
+        .layer(CatchPanicLayer::custom(panic_response))
         .layer(middleware::from_fn(problem::name_request))
         .layer(
             CompressionLayer::new()
                 .quality(CompressionLevel::Fastest)
-                .compress_when(worth_compressing()),
+                .compress_when(compression_predicate()),
         )
-        .layer(map_response(caching::weaken))
-        .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
-        .layer(always(header::X_FRAME_OPTIONS, "DENY"))
-        .layer(always(header::REFERRER_POLICY, "no-referrer"))
+        .layer(map_response(caching::weaken_etag))
+        .layer(header_layer(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
+        .layer(header_layer(header::X_FRAME_OPTIONS, "DENY"))
+        .layer(header_layer(header::REFERRER_POLICY, "no-referrer"))
         // Scans of somebody's home: no cache on the way keeps them.
-        .layer(always(header::CACHE_CONTROL, "no-store"))
+        .layer(header_layer(header::CACHE_CONTROL, "no-store"))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(
             TraceLayer::new_for_http()
-                .make_span_with(span_of)
+                .make_span_with(request_span)
                 .on_request(())
                 .on_response(DefaultOnResponse::new().level(Level::DEBUG))
                 // Who answers with an error has logged why.
                 .on_failure(()),
         )
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
-        .layer(middleware::from_fn_with_state(app, stats::count))
-        .layer(MapRequestLayer::new(without_odd_id))
+        .layer(middleware::from_fn_with_state(app, stats::count_request))
+        .layer(MapRequestLayer::new(remove_invalid_request_id))
 }
 
 /// Pictures are compressed already; lists that are read while they grow would wait for a whole
 /// block.
-fn worth_compressing() -> impl Predicate {
+fn compression_predicate() -> impl Predicate {
     DefaultPredicate::new()
         .and(NotForContentType::const_new("application/jsonl"))
         .and(NotForContentType::const_new("text/csv"))
 }
 
-fn always(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
+fn header_layer(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
     SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
 }
 
 /// A caller's own request id is taken where it is one: short, and nothing that could pass for
 /// something else in a log.
-fn without_odd_id(mut request: Request) -> Request {
+fn remove_invalid_request_id(mut request: Request) -> Request {
     const LONGEST: usize = 128;
     let fits = |id: &[u8]| {
         (1..=LONGEST).contains(&id.len())
@@ -290,7 +290,7 @@ fn without_odd_id(mut request: Request) -> Request {
 }
 
 /// Every line that is logged for a request carries its id, method and route.
-fn span_of(request: &Request) -> Span {
+fn request_span(request: &Request) -> Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
     let route = request
         .extensions()
@@ -302,7 +302,7 @@ fn span_of(request: &Request) -> Span {
 }
 
 /// The panic itself is on stderr, with its place; here it gets the request's ids.
-fn panicked(_: Box<dyn std::any::Any + Send>) -> Response {
+fn panic_response(_: Box<dyn std::any::Any + Send>) -> Response {
     tracing::error!(code = "internal", "request handler panicked");
     ProblemResponse::internal().into_response()
 }

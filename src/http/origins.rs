@@ -98,7 +98,7 @@ impl Origins {
 
     /// Refuses what a page of another origin has a browser send.
     pub fn protection(&self) -> CsrfLayer<fn(ProtectionError) -> Response> {
-        self.protection.clone().with_rejection_response(foreign)
+        self.protection.clone().with_rejection_response(reject_foreign_origin)
     }
 }
 
@@ -114,7 +114,7 @@ pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next)
     response
 }
 
-fn foreign(_: ProtectionError) -> Response {
+fn reject_foreign_origin(_: ProtectionError) -> Response {
     let detail = "this comes from a page of another origin: start the server with --cors-origin and that origin, if it may";
     ProblemResponse::new(StatusCode::FORBIDDEN, "origin_not_allowed", detail).into_response()
 }

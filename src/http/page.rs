@@ -42,13 +42,13 @@ struct File {
 
 static FILES: LazyLock<BTreeMap<String, File>> = LazyLock::new(|| {
     let files = PageFiles::iter().filter_map(|name| {
-        Some((name.to_string(), File::of(&name, PageFiles::get(&name)?.data.into_owned())))
+        Some((name.to_string(), File::with_gzip(&name, PageFiles::get(&name)?.data.into_owned())))
     });
     files.collect()
 });
 
 impl File {
-    fn of(name: &str, plain: Vec<u8>) -> Self {
+    fn with_gzip(name: &str, plain: Vec<u8>) -> Self {
         let media_type = match name.rsplit_once('.').map(|(_, end)| end) {
             Some("html") => "text/html; charset=utf-8",
             Some("js") => "text/javascript; charset=utf-8",
@@ -57,7 +57,7 @@ impl File {
             Some("txt") => "text/plain; charset=utf-8",
             _ => "application/octet-stream",
         };
-        let gzip = compressed(&plain).unwrap_or_default();
+        let gzip = gzip_bytes(&plain).unwrap_or_default();
         Self { media_type, plain: plain.into(), gzip: gzip.into() }
     }
 
@@ -69,7 +69,7 @@ impl File {
             (header::VARY, "accept-encoding"),
         ];
         let mut response = headers.into_response();
-        if takes_gzip(asked) && !self.gzip.is_empty() {
+        if accepts_gzip(asked) && !self.gzip.is_empty() {
             response
                 .headers_mut()
                 .insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
@@ -81,13 +81,13 @@ impl File {
     }
 }
 
-fn compressed(plain: &[u8]) -> std::io::Result<Vec<u8>> {
+fn gzip_bytes(plain: &[u8]) -> std::io::Result<Vec<u8>> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
     encoder.write_all(plain)?;
     encoder.finish()
 }
 
-fn takes_gzip(asked: &HeaderMap) -> bool {
+fn accepts_gzip(asked: &HeaderMap) -> bool {
     let taken =
         asked.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
     taken.flat_map(|value| value.split(',')).any(|coding| {
@@ -153,11 +153,11 @@ mod tests {
         let asked = |coding: &'static str| {
             HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(coding))])
         };
-        assert!(takes_gzip(&asked("br, gzip;q=0.8")) && takes_gzip(&asked("GZIP")));
+        assert!(accepts_gzip(&asked("br, gzip;q=0.8")) && accepts_gzip(&asked("GZIP")));
         assert!(
-            !takes_gzip(&asked("br"))
-                && !takes_gzip(&asked("gzip;q=0"))
-                && !takes_gzip(&HeaderMap::new())
+            !accepts_gzip(&asked("br"))
+                && !accepts_gzip(&asked("gzip;q=0"))
+                && !accepts_gzip(&HeaderMap::new())
         );
     }
 }

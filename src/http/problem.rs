@@ -43,7 +43,7 @@ impl ProblemResponse {
 
     /// All connections are taken.
     #[must_use]
-    pub fn no_connection() -> Self {
+    pub fn too_many_connections() -> Self {
         Self::new(
             StatusCode::SERVICE_UNAVAILABLE,
             "overloaded",
@@ -65,7 +65,7 @@ impl ProblemResponse {
 
     /// The caller may try again after so many seconds.
     #[must_use]
-    pub fn after(mut self, seconds: u32) -> Self {
+    pub fn retry_after(mut self, seconds: u32) -> Self {
         self.0.retry_after_s = Some(seconds);
         self
     }
@@ -90,7 +90,7 @@ impl From<Problem> for ProblemResponse {
 
 /// An error as callers are told of it.
 #[must_use]
-pub fn told(error: Error) -> Problem {
+pub fn to_problem(error: Error) -> Problem {
     ProblemResponse::from(error).problem()
 }
 

@@ -3,7 +3,7 @@
 use super::Binary;
 use super::caching::send_download;
 use super::extract::{IdempotencyKey, Json, Path, Query};
-use super::paging::{DEFAULT_LIMIT, checked};
+use super::paging::{DEFAULT_LIMIT, validate};
 use super::problem::ProblemResponse;
 use super::{App, CallerExtension};
 use axum::Extension;
@@ -115,7 +115,7 @@ pub async fn create(
         .and_then(|media_type| parse_boundary(media_type).ok())
     {
         Some(boundary) => {
-            let (file_name, file) = file_of_form(body, boundary).await?;
+            let (file_name, file) = first_form_file(body, boundary).await?;
             app.services.imports.create_scene(NewScene { file_name, ..new }, file, &caller).await?
         }
         None => app.services.imports.create_scene(new, body, &caller).await?,
@@ -159,7 +159,7 @@ pub async fn import(
 const BEFORE_FILE_BYTES: usize = 64 << 10;
 
 /// The first file of a form: what it is called, and its bytes.
-pub(super) async fn file_of_form(
+pub(super) async fn first_form_file(
     body: BodyDataStream,
     boundary: String,
 ) -> Result<(Option<String>, Field<'static>), ProblemResponse> {
@@ -241,7 +241,7 @@ pub async fn list(
     Query(parameters): Query<ListParameters>,
 ) -> Result<axum::Json<SceneList>, ProblemResponse> {
     let ListParameters { limit, cursor, labels } = parameters;
-    let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
+    let (limit, cursor) = validate(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let labels =
         labels.map(|labels| read_labels("labels", &labels)).transpose().map_err(Error::from)?;
     Ok(axum::Json(

@@ -44,7 +44,7 @@ pub enum Version {
 }
 
 /// Answers only who speaks this version, and says which one it is.
-pub async fn speak(request: Request, next: Next) -> Response {
+pub async fn check_version(request: Request, next: Next) -> Response {
     let is_asked =
         matches!(*request.method(), Method::POST | Method::HEAD | Method::PATCH | Method::DELETE);
     let mut response = match is_asked && request.headers().get(RESUMABLE) != Some(&SPOKEN) {
@@ -76,7 +76,7 @@ pub fn capabilities(max_bytes: u64) -> Response {
 }
 
 /// How far an upload is, and what it has become.
-pub fn state(upload: &Upload) -> HeaderMap {
+pub fn state_headers(upload: &Upload) -> HeaderMap {
     let mut headers = HeaderMap::new();
     headers.insert(OFFSET, upload.offset.into());
     let expires = upload.expires_at.as_deref().and_then(|at| at.parse::<Timestamp>().ok());
@@ -117,7 +117,7 @@ pub fn check_part(headers: &HeaderMap) -> Result<(), ProblemResponse> {
 ///
 /// # Errors
 /// When it is missing, or none.
-pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemResponse> {
+pub fn parse_byte_count(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemResponse> {
     let value = headers
         .get(name)
         .and_then(|value| value.to_str().ok())
@@ -125,7 +125,7 @@ pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemRespo
     // SQLite and many clients count with 63 bits.
     let value =
         value.and_then(|value| value.parse().ok()).filter(|bytes| i64::try_from(*bytes).is_ok());
-    value.ok_or_else(|| wrong(name, "a number of bytes is wanted"))
+    value.ok_or_else(|| invalid_header(name, "a number of bytes is wanted"))
 }
 
 /// What a part's bytes are said to come to.
@@ -143,7 +143,7 @@ pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, ProblemResponse
     };
     let known = ChecksumAlgorithm::ALL.map(ChecksumAlgorithm::word).join(" or ");
     read().map(Some).ok_or_else(|| {
-        wrong(&CHECKSUM, &format!("{known} is wanted, a space, and the sum in base64"))
+        invalid_header(&CHECKSUM, &format!("{known} is wanted, a space, and the sum in base64"))
     })
 }
 
@@ -163,8 +163,9 @@ pub struct Metadata {
 pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
     let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
-    let value = value
-        .ok_or_else(|| wrong(&METADATA, &format!("at most {MOST_METADATA} visible characters")))?;
+    let value = value.ok_or_else(|| {
+        invalid_header(&METADATA, &format!("at most {MOST_METADATA} visible characters"))
+    })?;
     let pairs = value.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
         let (key, coded) = pair.split_once(' ').unwrap_or((pair, ""));
         let text =
@@ -173,12 +174,15 @@ pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     });
     let pairs: Option<Vec<_>> = pairs.collect();
     let pairs = pairs.ok_or_else(|| {
-        wrong(&METADATA, "pairs of a key and a text in base64 are wanted, with commas between them")
+        invalid_header(
+            &METADATA,
+            "pairs of a key and a text in base64 are wanted, with commas between them",
+        )
     })?;
     Ok(Metadata { header: Some(value.to_owned()).filter(|value| !value.is_empty()), pairs })
 }
 
-fn wrong(name: &HeaderName, detail: &str) -> ProblemResponse {
+fn invalid_header(name: &HeaderName, detail: &str) -> ProblemResponse {
     ProblemResponse::new(StatusCode::BAD_REQUEST, "header_wrong", format!("{name}: {detail}"))
 }
 
@@ -214,9 +218,9 @@ mod tests {
             ("", None),
             ("9223372036854775808", None),
         ] {
-            assert_eq!(bytes(&of(OFFSET, value), &OFFSET).ok(), read, "{value:?}");
+            assert_eq!(parse_byte_count(&of(OFFSET, value), &OFFSET).ok(), read, "{value:?}");
         }
-        assert!(bytes(&HeaderMap::new(), &OFFSET).is_err());
+        assert!(parse_byte_count(&HeaderMap::new(), &OFFSET).is_err());
         let read = |value| {
             checksum(&of(CHECKSUM, value)).ok().flatten().map(|checksum| checksum.algorithm)
         };

@@ -1,6 +1,6 @@
 //! Downloads an archive from its registry to a file, and verifies it during the download.
 
-use super::{Event, FetchError, Package, Registries, why};
+use super::{Event, FetchError, Package, Registries, describe_error};
 use crate::packages::unpack::hex;
 use reqwest::blocking::Client;
 use sha2::{Digest, Sha256};
@@ -20,24 +20,24 @@ const PIECE_BYTES: usize = 1 << 16;
 /// # Errors
 /// Returns an error when the registry is unreachable or does not have the archive, or when the
 /// archive is truncated or differs from the expected one.
-pub fn archive(
+pub fn download_archive(
     package: &Package,
     registries: &Registries,
     to: &mut File,
     tell: &mut dyn FnMut(Event),
 ) -> Result<(), FetchError> {
     choose_cryptography();
-    let registry = registries.of(package);
+    let registry = registries.registry_of(package);
     let broken = |why: String| registry.unreachable(package, why);
     let client = Client::builder()
         .timeout(PATIENCE)
         .connect_timeout(CONNECT)
         .build()
-        .map_err(|e| broken(why(e)))?;
+        .map_err(|e| broken(describe_error(e)))?;
     let address = registry.address_of(package, &client)?;
     let answer = client.get(address).send().and_then(reqwest::blocking::Response::error_for_status);
     // One byte more than expected, to detect an archive that is too long.
-    let mut body = answer.map_err(|e| broken(why(e)))?.take(package.bytes + 1);
+    let mut body = answer.map_err(|e| broken(describe_error(e)))?.take(package.bytes + 1);
     tell(Event::Begins(package.to_string(), package.bytes));
     let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);
     loop {

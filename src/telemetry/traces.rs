@@ -31,7 +31,7 @@ impl Drop for Traces {
 /// Returns a layer that sends spans to a collector, given its address without `/v1/traces`. The
 /// sampling rate is set by OpenTelemetry's variables (`OTEL_TRACES_SAMPLER`) and by callers in
 /// `traceparent`.
-pub(super) fn sent_to<S>(
+pub(super) fn collector_layer<S>(
     endpoint: &str,
 ) -> anyhow::Result<(Box<dyn Layer<S> + Send + Sync>, Traces)>
 where
@@ -41,7 +41,7 @@ where
         Url::parse(endpoint).is_ok_and(|url| url.has_host()),
         "--otlp-endpoint: this is not an address"
     );
-    super::hide_secrets_of(endpoint);
+    super::register_secrets_of_address(endpoint);
     choose_cryptography();
     let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
     let exporter = SpanExporter::builder()

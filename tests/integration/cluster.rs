@@ -43,7 +43,7 @@ async fn server(data: &Utf8Path, role: Role) -> (RunningService, Client) {
 
 async fn worker(data: &Utf8Path, kinds: &[JobType]) -> RunningService {
     let worker = WorkerConfig { kinds: kinds.to_vec(), concurrency: Some(2), serve: config(data) };
-    app::start_part(&worker.serve, &ProcessRole::from(&worker)).await.unwrap()
+    app::start_role(&worker.serve, &ProcessRole::from(&worker)).await.unwrap()
 }
 
 #[tokio::test]
@@ -173,7 +173,7 @@ async fn the_job_of_one_who_is_gone_goes_on_elsewhere() {
         sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
     }
     let worker = WorkerConfig { kinds: vec![JobType::Parse], concurrency: None, serve: short };
-    let other = app::start_part(&worker.serve, &ProcessRole::from(&worker)).await.unwrap();
+    let other = app::start_role(&worker.serve, &ProcessRole::from(&worker)).await.unwrap();
     sleep(Duration::from_secs(4)).await;
     let state = client.job(&job.id).await.unwrap();
     assert_eq!((state.state, state.attempts), (JobState::Running, 1), "he may only be slow");

@@ -170,7 +170,7 @@ async fn old_answers_go_and_new_ones_stay() {
                SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, (SELECT '1' AS value UNION ALL SELECT '2' UNION ALL SELECT '3') AS few";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
     let store =
-        Store::open(folder, &location(folder), &blobs(folder).home().unwrap()).await.unwrap();
+        Store::open(folder, &location(folder), &blobs(folder).blob_home().unwrap()).await.unwrap();
     let limits = LimitsConfig {
         retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() },
         ..LimitsConfig::default()

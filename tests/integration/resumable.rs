@@ -433,7 +433,7 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let store =
-        Store::open(folder, &location(folder), &blobs(folder).home().unwrap()).await.unwrap();
+        Store::open(folder, &location(folder), &blobs(folder).blob_home().unwrap()).await.unwrap();
     let limits = LimitsConfig::default().service_limits();
     let services = Services::new(Dependencies::offline(store.clone(), limits).await.unwrap());
     let removed = services.maintenance.apply_retention(RunMode::Nobody).await.unwrap();

@@ -88,7 +88,7 @@ impl Mcp {
 }
 
 /// A problem as an error of the protocol.
-fn failed(error: Error) -> ErrorData {
+fn to_protocol_error(error: Error) -> ErrorData {
     let problem = ProblemResponse::from(error).problem();
     let message = format!("{} ({})", problem.detail, problem.code);
     match problem.status {
@@ -141,7 +141,7 @@ impl ServerHandler for Mcp {
         _: RequestContext<RoleServer>,
     ) -> Result<ListResourcesResult, ErrorData> {
         let cursor = request.and_then(|request| request.cursor);
-        resources::list(&self.services, cursor).await.map_err(failed)
+        resources::list(&self.services, cursor).await.map_err(to_protocol_error)
     }
 
     async fn list_resource_templates(
@@ -157,7 +157,8 @@ impl ServerHandler for Mcp {
         request: ReadResourceRequestParams,
         _: RequestContext<RoleServer>,
     ) -> Result<ReadResourceResponse, ErrorData> {
-        let contents = resources::read(&self.services, &request.uri).await.map_err(failed)?;
+        let contents =
+            resources::read(&self.services, &request.uri).await.map_err(to_protocol_error)?;
         let contents = contents.ok_or_else(|| {
             ErrorData::resource_not_found("resources are uniground://scenes/{scene_id} and uniground://scenes/{scene_id}/report", None)
         })?;
