@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn secrets_are_blotted_out_wherever_they_stand() {
+    fn secrets_are_redacted_everywhere() {
         register_secret("sk-telemetry-test");
         register_secrets_of_address(
             "https://user:pass%20telemetry@host.example/v1?api-version=2026&key=telemetry%2Fkey",

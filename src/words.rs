@@ -101,7 +101,7 @@ mod tests {
     use clap::{Arg, Command};
 
     #[test]
-    fn every_word_stands_for_a_value() {
+    fn every_word_parses_to_a_value() {
         fn check<T: Clone + Send + Sync + 'static>(parser: impl TypedValueParser<Value = T>) {
             let words: Vec<String> = parser
                 .possible_values()
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_are_refused() {
+    fn invalid_numbers_are_rejected() {
         for text in ["NaN", "inf", "-inf", "-1", "1e999", "", "much"] {
             assert!(usd(text).is_err() && meters_per_unit(text).is_err(), "{text:?}");
         }

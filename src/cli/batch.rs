@@ -130,7 +130,7 @@ async fn submit(
     let key: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
     let batch = client.create_batch_of_lines(lines, &query, Some(&key)).await?;
     match batch.state {
-        BatchState::Paused => Ok(client.tell_batch(&batch.id, "resume").await?),
+        BatchState::Paused => Ok(client.control_batch(&batch.id, "resume").await?),
         _ => Ok(batch),
     }
 }

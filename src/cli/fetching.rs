@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_would_be_used_is_wanted() {
+    fn only_used_parts_are_fetched() {
         assert_eq!(names("auto", "auto"), ["sam2", "clip"]);
         assert_eq!(names("builtin", "auto"), ["clip"]);
         assert_eq!(names("mine+sam2-hiera-tiny", "attributes"), ["sam2"]);
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn the_template_of_the_bar_is_one() {
+    fn the_progress_bar_template_is_valid() {
         assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
     }
 }

@@ -156,7 +156,9 @@ async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow:
                     client.ground(&id, request).await
                 }
                 _ => {
-                    return Err(explain_not_ready(&client, &id, ClientError::Problem(problem)).await);
+                    return Err(
+                        explain_not_ready(&client, &id, ClientError::Problem(problem)).await
+                    );
                 }
             }
         }
@@ -211,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_observer_has_a_place_and_looks_somewhere() {
+    fn an_observer_is_parsed_from_position_and_yaw() {
         let observer = parse_observer("1, -2.5,90").unwrap().to_observer();
         assert_eq!(observer.position, [1.0, -2.5, EYE_HEIGHT_M]);
         assert!((observer.yaw_rad - std::f32::consts::FRAC_PI_2).abs() < 1e-6);

@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_are_quoted_as_shells_want_them() {
+    fn words_are_quoted_for_the_shell() {
         assert_eq!(quote_for_shell("scans/room-1.zip"), "scans/room-1.zip");
         assert_eq!(quote_for_shell("living room"), "'living room'");
         assert_eq!(quote_for_shell("Anna's"), r"'Anna'\''s'");

@@ -159,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_templates_of_the_bars_are_some() {
+    fn the_progress_bar_templates_are_valid() {
         assert!(
             [SENDING, PARSING]
                 .iter()

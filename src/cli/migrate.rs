@@ -176,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_template_of_the_bar_is_one() {
+    fn the_progress_bar_template_is_valid() {
         assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
     }
 }

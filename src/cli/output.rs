@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn red_words_end_where_they_end() {
+    fn red_text_resets_its_style() {
         assert_eq!(in_red("no model"), "\u{1b}[1m\u{1b}[31mno model\u{1b}[0m");
     }
 }

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_name_comes_before_the_beginning_of_another() {
+    fn an_exact_name_wins_over_a_prefix() {
         let scenes = [
             scene("01a2-aa", "Kitchen"),
             scene("01a2-ab", "kitchen"),
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shared_name_is_not_enough() {
+    fn an_ambiguous_name_is_referenced_by_id() {
         let scenes =
             [scene("01a2-aa", "hall"), scene("01a2-ab", "hall"), scene("01a2-ac", "living room")];
         assert_eq!(shortest_reference(&scenes, &scenes[0]), "01a2-aa");

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn scans_are_called_what_their_files_are_called() {
+    fn scan_names_come_from_file_names() {
         assert_eq!(name_of("scans/living_room.zip".into()), "living_room");
         assert_eq!(name_of("hall.tar.zst".into()), "hall");
         assert_eq!(name_of("src/cli".into()), "cli");

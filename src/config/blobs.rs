@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_are_those_of_the_profile() {
+    fn access_keys_come_from_the_profile() {
         let file = "[other]\naws_access_key_id = OTHER\n[default]\naws_access_key_id=MINE\naws_secret_access_key = se/cret+=\n";
         let keys = parse_access_keys(file, "default").unwrap();
         assert_eq!(

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_word_the_public_registries_are_asked() {
+    fn public_registries_are_the_default() {
         assert_eq!(
             resolve_for_test(&[], &[]).unwrap(),
             ["https://pypi.org/simple", "https://registry.npmjs.org/"]
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn variables_come_before_files_and_files_nearer_by_before_those_of_the_machine() {
+    fn variables_override_files_and_user_files_override_system_files() {
         let files = [
             (
                 "/home/me/.config/pip/pip.conf",
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_address_is_told_without_being_shown() {
+    fn invalid_addresses_are_reported_without_being_shown() {
         let error =
             resolve_for_test(&[("PIP_INDEX_URL", "me:secret@host")], &[]).unwrap_err().to_string();
         assert!(error.contains("PIP_INDEX_URL") && !error.contains("secret"), "{error}");

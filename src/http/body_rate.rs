@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_body_that_drips_or_stops_is_answered_with_408_and_its_connection_closed() {
+    async fn slow_or_stalled_bodies_get_408_and_close_the_connection() {
         for (what, apart) in
             [("it drips", Duration::from_millis(20)), ("it stops", Duration::from_hours(1))]
         {
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_body_that_comes_in_time_is_read() {
+    async fn a_body_that_arrives_in_time_is_read() {
         let response = answer(QUICK, 5, Duration::from_millis(1)).await;
         assert_eq!(
             (response.status(), response.headers().get(header::CONNECTION)),
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn streamed_routes_are_routes() {
+    fn streamed_routes_exist() {
         let known = super::super::openapi().paths.paths;
         for route in STREAMED.into_iter().chain([STREAMED_UNLESS_JSON]) {
             assert!(known.contains_key(route), "{route}");

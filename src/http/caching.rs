@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn marks_are_compared_weakly() {
+    fn etags_are_compared_weakly() {
         assert!(
             etag_matches("W/\"a\"", "W/\"a\"")
                 && etag_matches("\"b\", \"a\"", "W/\"a\"")

@@ -316,7 +316,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_longest_idle_leaves_and_who_works_stays() {
+    fn the_longest_idle_connection_is_closed_and_active_ones_stay() {
         let places = ConnectionLimiter::new(2, Arc::default());
         let (first, second) =
             (Arc::new(places.try_enter().unwrap()), Arc::new(places.try_enter().unwrap()));
@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_that_sends_its_body_slowly_leaves_before_one_that_waits_for_its_answer() {
+    fn slow_senders_are_closed_before_clients_that_wait_for_an_answer() {
         let places = ConnectionLimiter::new(3, Arc::default());
         let [answered, quick, slow] = [(); 3].map(|()| Arc::new(places.try_enter().unwrap()));
         let _busy = [&answered, &quick, &slow].map(ActiveRequest::new);
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_is_behind_by_what_it_would_have_sent() {
+    fn lag_is_measured_against_the_expected_rate() {
         let (progress, s, start) = (BodyProgress::default(), Duration::from_secs, Instant::now());
         *progress.lock_arrival() = BodyArrival {
             bytes: 10 * EXPECTED_BYTES_PER_S,

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_idempotency_key_is_short_visible_and_alone() {
+    async fn an_idempotency_key_is_one_short_visible_header() {
         assert_eq!(key_of(&[]).await.unwrap(), None);
         let longest = [b'k'; MAX_IDEMPOTENCY_KEY_BYTES];
         for key in [b"monday, 8".as_slice(), &longest] {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_nul_is_seen_where_it_is_one() {
+    fn nul_characters_are_detected_in_json() {
         for (json, expected) in [
             (r#"{"query": "a\u0000b"}"#, true),
             (r#"{"query": "a\\\u0000b"}"#, true),

@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loopback_has_many_names_and_strangers_none() {
+    fn loopback_names_are_allowed_and_unknown_hosts_rejected() {
         let hosts = AllowedHosts::new(&["Robot.local".into()]);
         assert!(
             ["localhost", "127.0.0.1", "127.0.0.2", "[::1]", "robot.LOCAL"]

@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everything_the_index_names_is_carried() {
+    fn every_asset_of_the_index_is_embedded() {
         let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
         let named: Vec<&str> = index
             .split('"')
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_inline_and_nothing_from_elsewhere() {
+    fn the_page_has_no_inline_or_external_resources() {
         let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
         assert!(
             !index.contains("<style") && !index.contains("style=") && !index.contains("http"),
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn gzip_is_sent_to_who_takes_it() {
+    fn gzip_is_sent_only_when_accepted() {
         let asked = |coding: &'static str| {
             HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(coding))])
         };

@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_ids_as_they_are_stored_are_cursors() {
+    fn only_stored_ids_are_valid_cursors() {
         let id = "01a1ff70-0000-7000-8000-00000000000a";
         assert!(validate(1, Some(id.into())).is_ok());
         let others = [

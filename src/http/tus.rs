@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_and_sums_are_read_strictly() {
+    fn numbers_and_checksums_are_parsed_strictly() {
         for (value, read) in [
             ("0", Some(0)),
             ("17", Some(17)),

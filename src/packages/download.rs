@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::time::Duration;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 
 /// Timeout for connecting to a registry, for its response, and between two chunks of an archive.
 const PATIENCE: Duration = Duration::from_mins(1);
@@ -26,7 +26,7 @@ pub fn download_archive(
     to: &mut File,
     tell: &mut dyn FnMut(Event),
 ) -> Result<(), FetchError> {
-    choose_cryptography();
+    install_crypto_provider();
     let registry = registries.registry_of(package);
     let broken = |why: String| registry.unreachable(package, why);
     let client = Client::builder()

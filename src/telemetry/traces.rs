@@ -15,7 +15,7 @@ use tracing::level_filters::LevelFilter;
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 
 /// Sends spans while it lives, and the remaining ones on drop.
 pub struct Traces(SdkTracerProvider);
@@ -42,7 +42,7 @@ where
         "--otlp-endpoint: this is not an address"
     );
     super::register_secrets_of_address(endpoint);
-    choose_cryptography();
+    install_crypto_provider();
     let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
     let exporter = SpanExporter::builder()
         .with_http()

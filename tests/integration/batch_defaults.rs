@@ -143,7 +143,7 @@ async fn items_that_were_stored_whole_come_to_the_same() {
     let digest: String = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let sql = "UPDATE batches SET defaults = NULL, request = $1, state = 'paused', finished_at = NULL WHERE id = $2";
     sqlx::query(sql).bind(digest).bind(&batch.id).execute(&mut database).await.unwrap();
-    client.tell_batch(&batch.id, "resume").await.unwrap();
+    client.control_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(ended(client, &batch.id).await.state, BatchState::Succeeded);
     assert_eq!(all_told(client, &batch.id).await, of_today);
     assert_eq!(

@@ -168,7 +168,7 @@ async fn what_is_no_batch_is_refused_whole() {
     assert_eq!(client.batches(10, None).await.unwrap().batches, []);
     let missing = "018f0000-0000-7000-8000-000000000000";
     assert_eq!(problem(client.batch(missing).await).code, "batch_not_found");
-    assert_eq!(problem(client.tell_batch(missing, "pause").await).code, "batch_not_found");
+    assert_eq!(problem(client.control_batch(missing, "pause").await).code, "batch_not_found");
     server.stop().await;
 }
 
@@ -186,7 +186,7 @@ async fn a_key_makes_one_batch() {
     assert_eq!((batches.len(), batches[0].items), (1, 900));
     let batch = ended(client, &batches[0].id).await;
     assert_eq!((batch.state, batch.done), (BatchState::Succeeded, 900));
-    assert_eq!(problem(client.tell_batch(&batch.id, "pause").await).code, "batch_over");
+    assert_eq!(problem(client.control_batch(&batch.id, "pause").await).code, "batch_over");
     server.stop().await;
 }
 
@@ -197,29 +197,29 @@ async fn a_batch_pauses_goes_on_and_stops() {
     let scene = server.parsed(Scan::neutral().zip()).await.id;
     let options = [("concurrency", "1".to_owned())];
     let batch = client.create_batch_of_lines(lines(&scene, 1500), &options, None).await.unwrap();
-    let paused = client.tell_batch(&batch.id, "pause").await.unwrap();
+    let paused = client.control_batch(&batch.id, "pause").await.unwrap();
     assert_eq!((paused.state, paused.reason), (BatchState::Paused, None));
     // What was under way ends; then nothing moves.
     client.follow_job(paused.job_id.as_deref().unwrap(), |_| {}).await.unwrap();
     let before = client.batch(&batch.id).await.unwrap().done;
     assert!(before < 1500, "{before}");
     assert_eq!(results(client, &batch.id, 0, false).await.len(), before as usize);
-    let resumed = client.tell_batch(&batch.id, "resume").await.unwrap();
+    let resumed = client.control_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(resumed.state, BatchState::Running);
     while client.batch(&batch.id).await.unwrap().done == before {
         sleep(Duration::from_millis(5)).await;
     }
-    client.tell_batch(&batch.id, "cancel").await.unwrap();
+    client.control_batch(&batch.id, "cancel").await.unwrap();
     let over = ended(client, &batch.id).await;
     assert_eq!((over.state, over.finished_at.is_some()), (BatchState::Cancelled, true));
-    assert_eq!(problem(client.tell_batch(&batch.id, "resume").await).code, "batch_over");
+    assert_eq!(problem(client.control_batch(&batch.id, "resume").await).code, "batch_over");
     // A job that somebody stops leaves a batch that can go on.
     let batch = client.create_batch_of_lines(lines(&scene, 1500), &options, None).await.unwrap();
     let job = client.cancel_job(batch.job_id.as_deref().unwrap()).await.unwrap();
     client.follow_job(&job.id, |_| {}).await.unwrap();
     let stopped = client.batch(&batch.id).await.unwrap();
     assert_eq!((stopped.state, stopped.reason.as_deref()), (BatchState::Paused, Some("job_ended")));
-    client.tell_batch(&batch.id, "resume").await.unwrap();
+    client.control_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(ended(client, &batch.id).await.done, 1500);
     server.stop().await;
 }

@@ -235,7 +235,7 @@ async fn a_batch_waits_for_room_on_the_disk() {
         .create_batch_of_lines(line.repeat(600), &[("concurrency", "1".to_owned())], None)
         .await
         .unwrap();
-    let paused = server.client.tell_batch(&batch.id, "pause").await.unwrap();
+    let paused = server.client.control_batch(&batch.id, "pause").await.unwrap();
     finished(&server.client, paused.job_id.as_deref().unwrap()).await;
     let before = server.client.batch(&batch.id).await.unwrap().done;
     assert!(before < 600);
@@ -243,7 +243,7 @@ async fn a_batch_waits_for_room_on_the_disk() {
     let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
     let server =
         TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::builtin()).await;
-    let job = server.client.tell_batch(&batch.id, "resume").await.unwrap().job_id.unwrap();
+    let job = server.client.control_batch(&batch.id, "resume").await.unwrap().job_id.unwrap();
     while server.client.job(&job).await.unwrap().attempts < 2 {
         tokio::time::sleep(std::time::Duration::from_millis(50)).await;
     }

@@ -272,7 +272,7 @@ mod tests {
 
     /// `ScanNet` counts from 0: unlabeled points do not belong to its object 0.
     #[test]
-    fn a_point_of_no_object_is_not_of_object_zero() {
+    fn unlabeled_points_do_not_belong_to_object_zero() {
         let boxes = [-1.0, 1.0].map(|x| {
             (
                 "box".to_owned(),

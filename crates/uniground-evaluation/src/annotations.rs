@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn malformed_boxes_are_told_and_the_rest_is_kept() {
+    fn malformed_boxes_are_reported_and_valid_ones_kept() {
         let (annotations, omissions) = read(
             "a.scene.json",
             r#"{"name": "a", "objects": [

@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn losing_many_is_a_drop_losing_one_is_luck() {
+    fn only_significant_losses_count_as_a_drop() {
         let all = cell(0.8, &[true; 40]);
         let mut one = [true; 40];
         one[3] = false;
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn expressions_of_one_side_only_are_counted_not_compared() {
+    fn unpaired_expressions_are_counted_but_not_compared() {
         let compared =
             cell(0.0, &[true, false]).compare_with("cell", &cell(0.0, &[true, true, false]));
         assert_eq!((compared.expressions, compared.unpaired), (2, 1));

@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_is_told_with_what_is() {
+    fn unknown_axes_and_values_are_rejected_with_the_known_ones() {
         for (matrix, expected) in [
             ("sources=oracle", "the axes are source"),
             ("source=magic", "there is only parsed, oracle"),

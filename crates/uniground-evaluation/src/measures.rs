@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_by_hand() {
+    fn figures_match_hand_computed_values() {
         let outcomes = [
             outcome(1, Some((0.6, &[0.6, 0.1])), Status::Grounded),
             outcome(2, Some((0.3, &[0.3])), Status::Grounded),
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn scenes_are_drawn_whole_where_there_are_many() {
+    fn bootstrap_resamples_whole_scenes_when_there_are_many() {
         // Twelve scenes, each entirely right or wrong: 1,200 expressions carry the information of
         // twelve.
         let names: Vec<String> = (0..12).map(|i| format!("s{i}")).collect();

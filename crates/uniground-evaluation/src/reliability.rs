@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn coverage_falls_and_risk_is_told_by_hand() {
+    fn reliability_matches_hand_computed_values() {
         let outcomes =
             [answer(0.95, true), answer(0.85, true), answer(0.55, false), answer(0.05, false)];
         let found = Reliability::from_outcomes(&outcomes.iter().collect::<Vec<_>>()).unwrap();

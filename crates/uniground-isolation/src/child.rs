@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_becomes_of_a_child_is_an_error_and_no_more() {
+    fn every_child_exit_maps_to_an_error() {
         let never = || false;
         let done = run(r#"echo '{"done":{"scan":{"name":"hall"}}}'"#, never).unwrap();
         assert_eq!(done, TaskOutcome::Scan { name: Some("hall".into()) });
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_there_is_no_fault_of_the_scan() {
+    fn a_missing_reader_program_is_not_blamed_on_the_scan() {
         let child = ChildProcess::new(Some("/nowhere/uniground".into()), 64 << 20);
         let task = Task::Inspect { folder: "/nowhere".into() };
         assert!(matches!(child.run(&task, 1, &Progress::silent()), Err(ReadError::Process(_))));

@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_submitted_job_waits_and_its_lane_is_told() {
+    async fn submitting_a_job_queues_it_and_notifies_its_lane() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         assert!(!was_notified(&jobs, Parsing::NAME));
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_queue_has_room_up_to_its_last_place_for_those_without_a_key() {
+    async fn callers_without_a_key_may_fill_the_queue_completely() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 20).await;
         fill(&jobs, 19, Some("many")).await;
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_last_tenth_of_a_queue_is_for_keys_that_have_few_in_it() {
+    async fn the_last_tenth_of_the_queue_is_reserved_for_keys_with_few_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 20).await;
         // A tenth of 20 is 2: who has 2 or more finds 18 places.
@@ -411,7 +411,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_queue_of_fewer_than_ten_places_keeps_none_free() {
+    async fn queues_below_ten_places_reserve_none() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 9).await;
         fill(&jobs, 8, Some("many")).await;
@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_finds_a_queue_full_is_told_when_by_how_fast_jobs_were_done() {
+    async fn retry_after_of_a_full_queue_follows_its_throughput() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 0).await;
         let again = async || match jobs.check_queue_capacity::<Parsing>(None).await {
@@ -442,7 +442,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_recorded_job_is_counted_if_it_is_over_and_rings_if_it_waits() {
+    async fn notify_worker_counts_finished_jobs_and_notifies_for_queued_ones() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         fill(&jobs, 1, None).await;
@@ -461,7 +461,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_are_counted_where_it_was_said() {
+    async fn jobs_are_counted_in_the_given_metrics() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let metrics = Arc::new(Metrics::default());
@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_that_waits_is_told_with_how_many_are_ahead() {
+    async fn a_queued_job_reports_how_many_are_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let mut ids = Vec::new();
@@ -515,7 +515,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_running_job_stands_where_its_worker_says() {
+    async fn a_running_job_reports_live_progress() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let id = submit(&jobs, "s").await;
@@ -545,7 +545,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_that_waits_is_cancelled_and_counted_at_once() {
+    async fn cancelling_a_queued_job_finishes_and_counts_it_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let id = submit(&jobs, "s").await;
@@ -566,7 +566,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_running_job_is_asked_to_stop_and_the_wish_is_written_down() {
+    async fn cancelling_a_running_job_signals_it_and_stores_the_request() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         jobs.set_lane_running(Parsing::NAME, true);
@@ -583,7 +583,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn all_jobs_on_a_subject_are_asked_to_stop_and_no_others() {
+    async fn cancelling_a_subject_affects_only_its_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let mut ids = Vec::new();
@@ -602,7 +602,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_bell_rings_for_its_kind_or_for_all() {
+    async fn wake_lanes_notifies_one_kind_or_all() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let rung = |kind| {
@@ -618,7 +618,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn lanes_are_told_by_kind_with_whether_they_are_at_work() {
+    async fn lane_states_report_running_lanes_by_kind() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         assert!(jobs.lane_states().is_empty());

@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_dead_lane_or_a_lost_network_is_not_ready_and_a_silent_model_is() {
+    fn readiness_depends_on_lanes_and_inference_but_not_on_the_vlm() {
         let with = |change: fn(&mut Health)| {
             let mut health = Health::default();
             change(&mut health);

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_the_same_archive_whenever_it_is_packed() {
+    fn packing_is_deterministic() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap();
         fs::create_dir(path.join("color")).unwrap();
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn links_lead_nowhere_else() {
+    fn symlinks_out_of_the_root_are_not_followed() {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap().canonicalize_utf8().unwrap();
         for place in ["scans/room", "scans/shared", "elsewhere"] {

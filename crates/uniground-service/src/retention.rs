@@ -378,7 +378,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn checkpoints_go_by_age_and_then_the_longest_unused_until_the_rest_fits() {
+    fn checkpoints_expire_by_age_then_least_recently_used_to_fit_the_limit() {
         let at = |days: u32| SystemTime::UNIX_EPOCH + DAY * days;
         let kept = |hash: &str, days, bytes| StoredCheckpoints {
             hash: hash.into(),

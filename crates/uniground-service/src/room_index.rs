@@ -298,7 +298,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn turns_go_on_when_one_has_no_more() {
+    fn interleaving_continues_when_one_side_is_exhausted() {
         assert_eq!(
             interleave([1, 3, 5, 6].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(),
             [1, 2, 3, 4, 5, 6]

@@ -71,7 +71,7 @@ mod tests {
     use tokio::time::sleep;
 
     #[tokio::test]
-    async fn a_look_is_shared_and_nobody_waits_longer_than_he_likes() {
+    async fn a_computation_is_shared_and_waiting_is_bounded() {
         let (cache, long) = (SingleFlightCache::default(), Duration::from_hours(1));
         assert_eq!(cache.get(long, async { 1 }).await, 1);
         assert_eq!(cache.get(long, async { 2 }).await, 1);

@@ -273,7 +273,7 @@ mod tests {
 
     /// A half-written marker does not make a folder foreign; other files do.
     #[test]
-    fn half_a_mark_is_no_stranger() {
+    fn a_half_written_marker_does_not_block_opening() {
         let place = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(place.path()).unwrap();
         fs::write(path.join(UNFINISHED_MARKER), "{").unwrap();

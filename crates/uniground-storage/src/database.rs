@@ -416,7 +416,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_location_is_told_without_its_password() {
+    fn a_location_is_displayed_without_its_password() {
         let told = |text: &str| {
             text.parse::<Location>().map(|location| format!("{location} {location:?}")).unwrap()
         };

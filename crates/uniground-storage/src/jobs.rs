@@ -611,7 +611,7 @@ mod tests {
         JobRecovery { give_up_after: 5, at_once: 2, wait: Duration::from_secs(100) };
 
     #[tokio::test]
-    async fn a_job_is_stored_as_it_was_asked_for_and_waits() {
+    async fn a_new_job_is_stored_and_queued() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let new = NewJob { kind: "parse", payload: "{\"a\":1}", key_id: Some("k"), done: None };
@@ -644,7 +644,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_whose_result_was_there_is_done_from_the_start() {
+    async fn a_job_with_a_known_result_is_inserted_as_finished() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let mut tx = store.database.writer.begin().await.unwrap();
@@ -664,7 +664,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_are_listed_newest_first_as_far_as_they_are_wanted() {
+    async fn jobs_are_listed_newest_first_and_filtered() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let mut ids = Vec::new();
@@ -692,7 +692,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn waiting_jobs_are_counted_by_kind_and_by_key() {
+    async fn queued_jobs_are_counted_by_kind_and_by_key() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let mut ids = Vec::new();
@@ -718,7 +718,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_done_lately_are_those_that_ran_to_an_end_of_their_own() {
+    async fn recently_finished_jobs_are_those_that_succeeded_or_failed() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -748,7 +748,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_claimed_job_runs_in_one_pair_of_hands() {
+    async fn a_job_is_claimed_by_one_worker() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -788,7 +788,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn keys_take_turns_and_those_without_one_are_one_of_them() {
+    async fn claims_alternate_between_keys_and_keyless_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         for (subject, key_id) in [
@@ -808,7 +808,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_is_no_member_any_more_takes_nothing() {
+    async fn a_removed_member_claims_no_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
@@ -820,7 +820,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn progress_is_noted_and_tells_whether_somebody_wants_a_stop() {
+    async fn saving_progress_returns_cancel_requests() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
@@ -835,7 +835,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_wish_to_stop_is_noted_of_jobs_that_are_not_over() {
+    async fn cancel_requests_are_stored_for_unfinished_jobs_only() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
@@ -855,7 +855,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_ends_once_and_by_its_holder() {
+    async fn a_job_is_finished_once_by_its_lease_holder() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
@@ -878,7 +878,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_that_fails_tells_why_and_how_far_it_was() {
+    async fn a_failed_job_stores_its_error_and_progress() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
@@ -895,7 +895,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_open_job_may_be_ended_whoever_has_it() {
+    async fn an_open_job_can_be_finished_without_its_lease() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
@@ -921,7 +921,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn only_a_job_that_waits_is_cancelled_at_once() {
+    async fn only_queued_jobs_are_cancelled_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
@@ -937,7 +937,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn open_jobs_are_those_that_wait_or_run() {
+    async fn open_jobs_are_queued_or_running() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -970,7 +970,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_planned_stop_puts_a_job_back_and_is_no_attempt() {
+    async fn a_shutdown_requeues_a_job_without_counting_an_attempt() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
@@ -988,7 +988,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_failure_that_may_pass_puts_a_job_back_for_a_while() {
+    async fn a_transient_failure_requeues_a_job_with_a_delay() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -1019,7 +1019,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_hold_ends_when_the_job_is_given_to_somebody_else() {
+    async fn a_lease_is_lost_when_another_worker_claims_the_job() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -1047,7 +1047,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_of_members_that_are_gone_go_back_to_their_queue() {
+    async fn jobs_of_gone_members_are_requeued() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -1076,7 +1076,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_that_was_to_stop_does_when_its_member_is_gone() {
+    async fn a_cancel_request_is_applied_when_the_member_is_gone() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -1103,7 +1103,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_waits_twice_as_long_after_each_interruption_and_fails_in_the_end() {
+    async fn the_delay_doubles_with_each_interruption_until_the_job_fails() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
@@ -1133,7 +1133,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn no_wait_after_an_interruption_is_longer_than_an_hour() {
+    async fn the_delay_after_an_interruption_is_at_most_an_hour() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
@@ -1149,7 +1149,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_that_got_further_counts_its_interruptions_anew() {
+    async fn progress_resets_the_interruption_count() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
@@ -1171,7 +1171,7 @@ mod tests {
     }
 
     #[test]
-    fn the_time_after_a_wait_is_that_much_later() {
+    fn time_after_adds_the_delay() {
         let before = Timestamp::now();
         let later: Timestamp = time_after(Duration::from_secs(90)).parse().unwrap();
         let begun = later.checked_sub(Duration::from_secs(90)).unwrap();

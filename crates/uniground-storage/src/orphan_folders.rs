@@ -248,7 +248,7 @@ mod tests {
 
     /// A process that hung between rows and folders finds that others have used the folder again.
     #[tokio::test]
-    async fn what_has_a_row_again_is_put_back() {
+    async fn quarantined_folders_with_a_row_are_put_back() {
         let folder = tempfile::tempdir().unwrap();
         let data = Utf8Path::from_path(folder.path()).unwrap();
         let store = Store::open(data, &Location::Folder, &BlobHome::Folder).await.unwrap();

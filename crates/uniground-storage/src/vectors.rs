@@ -179,7 +179,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texts_end_where_they_end() {
+    fn quoted_literals_escape_quotes() {
         assert_eq!(quote_literal("it's'; DROP TABLE jobs; --"), "'it''s''; DROP TABLE jobs; --'");
         assert_eq!(vector_literal(&[0.5, -1.0, 0.0]), "[0.5,-1,0]");
     }

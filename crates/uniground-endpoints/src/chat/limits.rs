@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_a_server_will_not_take_is_told_with_what_to_do() {
+    async fn endpoint_limits_are_reported_with_advice() {
         let fine = || (StatusCode::OK, json!({"choices": []}));
         let refused = || {
             (

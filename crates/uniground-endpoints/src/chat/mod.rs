@@ -18,7 +18,7 @@ use sha2::{Digest, Sha256};
 use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tokio::time::sleep;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 use uniground_models::chat::{
     ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, Prices, Tokens,
 };
@@ -181,7 +181,7 @@ impl ChatClient {
         patience: RetryPolicy,
         replay_cache: ReplayCache,
     ) -> Result<Self, reqwest::Error> {
-        choose_cryptography();
+        install_crypto_provider();
         let turns = Semaphore::new(endpoint.concurrency.max(1));
         // Prompts and pictures must go to the configured origin only.
         let redirect = redirect::Policy::custom(|attempt| {

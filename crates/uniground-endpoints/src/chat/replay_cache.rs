@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_that_was_cut_off_is_continued() {
+    fn a_truncated_recording_is_continued() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap().join("answers.jsonl");
         let reply = |text: &str| ChatReply {

@@ -13,7 +13,7 @@ use std::io::Read;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 use uniground_models::neural::bundle::Bundle;
 use uniground_models::neural::network::{
     Element, Input, Network, Port, Signature, Tensor, Values, finite,
@@ -73,7 +73,7 @@ impl RemoteServer {
     /// # Errors
     /// [`ModelError::Remote`] when the HTTP client cannot be created.
     pub fn new(address: &str, timeout: Duration) -> Result<Self, ModelError> {
-        choose_cryptography();
+        install_crypto_provider();
         let address = address.trim_end_matches('/').to_owned();
         let client =
             Client::builder().timeout(timeout).connect_timeout(timeout.min(LONGEST_WAIT)).build();

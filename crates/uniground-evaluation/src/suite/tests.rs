@@ -35,7 +35,7 @@ const ROOM: &str = r#"{"objects": [
 ]}"#;
 
 #[test]
-fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
+fn query_lists_are_joined_with_annotations_and_invalid_queries_are_reported() {
     let (_keep, root) = folder(&[
         ("room.scene.json", ROOM),
         (
@@ -163,7 +163,7 @@ fn tables_carry_the_splits_of_referit3d() {
 }
 
 #[test]
-fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
+fn embodiedscan_scene_ids_are_the_last_path_component() {
     let (_keep, root) = folder(&[
         (
             "scans/47333462.json",
@@ -192,7 +192,7 @@ fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
 }
 
 #[test]
-fn task_folders_are_turned_upright() {
+fn task_folders_are_converted_to_z_up() {
     let (_keep, root) = folder(&[
         (
             "scene0019_00/1/task.json",
@@ -229,7 +229,7 @@ fn task_folders_are_turned_upright() {
 }
 
 #[test]
-fn what_can_not_be_scored_at_all_is_an_error_that_says_why() {
+fn unscorable_suites_are_errors_with_a_reason() {
     let (_keep, root) = folder(&[
         ("empty.queries.json", "[]"),
         ("broken.queries.json", "[{\"query\": "),
@@ -272,7 +272,7 @@ fn a_sample_depends_on_ids_and_seed_alone() {
 }
 
 #[test]
-fn a_sample_of_scenes_keeps_all_that_is_asked_of_them() {
+fn sampling_by_scene_keeps_all_tasks_of_a_scene() {
     let names = ["a", "b", "c", "d", "e"];
     let annotations = names.map(|name| format!("{name}.scene.json"));
     let lists = names.map(|name| format!("{name}.queries.json"));

@@ -102,7 +102,7 @@ async fn until(jobs: &Jobs, id: &str, done: impl Fn(&Job) -> bool) -> Job {
 }
 
 #[tokio::test]
-async fn jobs_succeed_fail_and_panic_each_to_their_end() {
+async fn success_failure_and_panic_each_finish_the_job() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let stranger = jobs.repository.insert_job("s", &written("stranger", "{}")).await.unwrap().id;
@@ -135,7 +135,7 @@ async fn jobs_succeed_fail_and_panic_each_to_their_end() {
 }
 
 #[tokio::test]
-async fn cancelling_stops_a_job_and_stopping_the_server_puts_it_back() {
+async fn cancellation_stops_a_job_and_shutdown_requeues_it() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let worker = lane(&jobs, ScriptedJob::default(), &shutdown);
@@ -153,7 +153,7 @@ async fn cancelling_stops_a_job_and_stopping_the_server_puts_it_back() {
 }
 
 #[tokio::test]
-async fn a_wish_to_stop_between_claim_and_start_is_not_lost() {
+async fn a_cancel_request_between_claim_and_start_is_not_lost() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let id = submit(&jobs, "wait").await;
@@ -168,7 +168,7 @@ async fn a_wish_to_stop_between_claim_and_start_is_not_lost() {
 }
 
 #[tokio::test]
-async fn a_wish_to_stop_outlives_the_server() {
+async fn a_cancel_request_survives_a_restart() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "wait").await;
@@ -182,7 +182,7 @@ async fn a_wish_to_stop_outlives_the_server() {
 
 /// Only the holder of the lease may write; after the lease has passed on, its writes are refused.
 #[tokio::test]
-async fn a_job_has_one_holder() {
+async fn only_the_lease_holder_may_write() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
@@ -209,7 +209,7 @@ async fn a_job_has_one_holder() {
 
 /// Interruptions are not the job's fault as long as it makes progress.
 #[tokio::test]
-async fn interruptions_count_only_while_a_job_gets_no_further() {
+async fn interruptions_count_only_without_progress() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
@@ -236,7 +236,7 @@ async fn interruptions_count_only_while_a_job_gets_no_further() {
 }
 
 #[tokio::test]
-async fn a_job_that_brings_its_server_down_fails_in_the_end() {
+async fn a_job_that_keeps_crashing_its_server_fails() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
@@ -251,7 +251,7 @@ async fn a_job_that_brings_its_server_down_fails_in_the_end() {
 }
 
 #[tokio::test]
-async fn no_kind_waits_for_another() {
+async fn job_kinds_do_not_block_each_other() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, ScriptedJob::default(), &shutdown)];
@@ -271,7 +271,7 @@ async fn no_kind_waits_for_another() {
 
 /// A key with ten jobs does not block a key with one.
 #[tokio::test]
-async fn keys_take_turns() {
+async fn jobs_of_keys_run_round_robin() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     for (key, what) in [("a", "a1"), ("a", "a2"), ("a", "a3"), ("b", "b1"), ("b", "b2")] {
@@ -285,7 +285,7 @@ async fn keys_take_turns() {
 }
 
 #[tokio::test]
-async fn a_full_queue_says_so() {
+async fn a_full_queue_rejects_jobs() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     for _ in 0..10 {
@@ -301,7 +301,7 @@ async fn a_full_queue_says_so() {
 /// A key that fills the queue leaves a place for a key without jobs. The last job in the queue
 /// reports how many are ahead of it.
 #[tokio::test]
-async fn one_key_does_not_fill_the_queue() {
+async fn one_key_cannot_fill_the_queue() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let ask = async |key| jobs.submit::<ScriptedJob>("s", &String::new(), Some(key)).await;
@@ -316,7 +316,7 @@ async fn one_key_does_not_fill_the_queue() {
 
 /// The lane's task is aborted, like after a panic.
 #[tokio::test]
-async fn a_lane_that_ends_is_known_by_its_kind() {
+async fn a_stopped_lane_is_reported_by_kind() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, ScriptedJob::default(), &shutdown)];

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn an_item_goes_before_the_defaults() {
+    fn item_fields_override_defaults() {
         let defaults = fields(
             json!({"query": "the sofa", "top_k": 3, "min_confidence": 0.1, "\"odd\"\n": [1, {"a": null}]}),
         );
@@ -125,7 +125,7 @@ mod tests {
     /// Batches of earlier versions store whole questions. They are returned unchanged, without
     /// parsing.
     #[test]
-    fn whole_questions_stay_as_they_are() {
+    fn complete_questions_are_not_changed_by_merging() {
         let none = BatchDefaults::from_stored(None).unwrap();
         assert!(matches!(
             none.merge("{ \"query\" : 1.50 }").unwrap(),
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn an_item_that_names_no_scene_asks_about_the_shared_one() {
+    fn items_without_a_scene_use_the_shared_scene() {
         for (own, scene) in [
             (json!({"query": "a"}), "shared"),
             (json!({"scene_id": "own"}), "own"),
@@ -153,7 +153,7 @@ mod tests {
         /// However the fields are divided between shared and own ones, the merged question equals
         /// the text of an item that stores all of them.
         #[test]
-        fn merged_questions_are_those_that_were_stored_whole(
+        fn merging_reproduces_the_complete_question(
             shared in proptest::collection::btree_map("[a-c\"\\\\]{0,2}", "\\PC{0,8}", 0..4),
             own in proptest::collection::btree_map("[a-c\"\\\\]{0,2}", any::<f64>(), 0..4),
         ) {

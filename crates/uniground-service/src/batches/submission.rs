@@ -419,7 +419,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_batch_is_as_large_as_it_may_be_and_no_larger() {
+    fn batch_size_limit_is_exact() {
         assert!(check_size(MAX_STORED_BYTES).is_ok());
         let refused = check_size(MAX_STORED_BYTES + 1).unwrap_err();
         assert_eq!(

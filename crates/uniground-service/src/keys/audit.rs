@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_somebody_did_who_left_is_written_down_all_the_same() {
+    async fn requests_of_disconnected_clients_are_audited() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder).await;
         keys.begin_audit(Caller::operator(), done("/answered")).record_status(204).await;
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn entries_of_a_flood_are_written_or_counted() {
+    async fn under_load_audit_entries_are_written_or_counted_as_dropped() {
         const FLOOD: usize = MAX_QUEUED + 100;
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn entries_that_the_database_refuses_are_counted() {
+    async fn entries_that_the_database_rejects_are_counted_as_dropped() {
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
         let store = store(&folder).await;

@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_link_opens_its_path_until_it_is_over() {
+    async fn a_link_opens_only_its_path_until_it_expires() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(
             Utf8Path::from_path(folder.path()).unwrap(),
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_signed_before_there_were_keys_opens_nothing_after() {
+    async fn links_signed_before_keys_existed_are_invalid_afterwards() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(
             Utf8Path::from_path(folder.path()).unwrap(),
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn only_paths_of_one_thing_get_links() {
+    async fn links_are_created_only_for_resource_paths() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(
             Utf8Path::from_path(folder.path()).unwrap(),

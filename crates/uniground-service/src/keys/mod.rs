@@ -498,7 +498,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn only_the_key_itself_is_known_until_it_is_revoked() {
+    async fn a_key_authenticates_until_it_is_revoked() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder, None).await;
         assert_eq!(keys.caller(None).unwrap().scope, Scope::Admin, "nobody has made a key yet");
@@ -538,7 +538,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_key_expires_and_has_a_rate() {
+    async fn keys_expire_and_are_rate_limited() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder, None).await;
         let late =

@@ -193,7 +193,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn settings_and_models_make_the_hash() {
+    fn settings_hash_covers_settings_and_models() {
         let models = |encoder: &str| ParseModels { masks: "m".into(), encoder: encoder.into() };
         let (default, paper) = (
             ParseSettings::default(),

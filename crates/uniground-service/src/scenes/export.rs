@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_name_of_a_scene_makes_a_name_of_a_file() {
+    fn every_scene_name_yields_a_valid_file_name() {
         for (name, expected) in [
             ("living room", "living_room.glb"),
             ("../../etc/passwd", "etc_passwd.glb"),

@@ -238,7 +238,7 @@ mod tests {
     use uniground_types::placement::SceneToMap;
 
     #[test]
-    fn frames_told_in_a_map_are_led_back_to_the_scene() {
+    fn frames_in_map_coordinates_are_transformed_to_the_scene() {
         let s = std::f64::consts::FRAC_1_SQRT_2;
         let map = SceneToFrame::to_map(&SceneToMap {
             rotation: [0.0, 0.0, s, s],

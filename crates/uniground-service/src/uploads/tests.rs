@@ -125,7 +125,7 @@ proptest! {
     /// Whatever happens to the parts, the stored bytes equal the sent bytes, and the offset never
     /// exceeds them.
     #[test]
-    fn parts_broken_anywhere_come_to_the_same_bytes(
+    fn interrupted_parts_reassemble_to_the_same_bytes(
         length in 4usize..60_000,
         parts in prop::collection::vec((0usize..20_000, prop::sample::select(vec![
             PartDelivery::Arrives, PartDelivery::BreaksOff, PartDelivery::Checked, PartDelivery::Damaged, PartDelivery::CheckedAndCut, PartDelivery::Misplaced, PartDelivery::TooLong, PartDelivery::Killed,
@@ -176,7 +176,7 @@ proptest! {
 }
 
 #[tokio::test]
-async fn two_senders_at_once_are_told_apart() {
+async fn concurrent_senders_never_mix_bytes() {
     let rested = UploadFixture::new().await;
     let (bytes, id) = (archive(3000), rested.begun(3001).await);
     let (mut sender, receiver) = futures::channel::mpsc::channel(0);
@@ -210,7 +210,7 @@ async fn two_senders_at_once_are_told_apart() {
 
 /// Bytes beyond the announced length are rejected. The bytes that fit are stored.
 #[tokio::test]
-async fn a_body_that_does_not_end_is_cut() {
+async fn an_endless_body_is_cut_at_the_limit() {
     let rested = UploadFixture::new().await;
     let (bytes, id) = (archive(30_000), rested.begun(20_000).await);
     let long = rested.append(&id, part(0, None, body(&bytes, None))).await;
@@ -221,7 +221,7 @@ async fn a_body_that_does_not_end_is_cut() {
 
 /// A backup contains the record but not the file. A file without a record is an orphan.
 #[tokio::test]
-async fn a_record_without_its_file_begins_anew() {
+async fn an_upload_whose_file_is_missing_restarts_at_zero() {
     let rested = UploadFixture::new().await;
     let id = rested.begun(9000).await;
     rested.append(&id, part(0, None, body(&archive(5000), None))).await.unwrap();
@@ -237,7 +237,7 @@ async fn a_record_without_its_file_begins_anew() {
 }
 
 #[tokio::test]
-async fn what_is_no_scan_is_refused_by_its_first_bytes() {
+async fn files_that_are_no_scan_are_rejected_by_their_first_bytes() {
     let rested = UploadFixture::new().await;
     let id = rested.begun(1 << 30).await;
     let upload = rested.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();

@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_server_that_is_gone_is_tried_now_and_then_by_one_at_a_time() {
+    fn an_open_circuit_admits_one_probe_at_a_time() {
         let (circuit, start) = (CircuitBreaker::default(), Instant::now());
         let after = |seconds| start + Duration::from_secs(seconds);
         assert!(circuit.admit(start).is_ok() && circuit.condition().is_ok());
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn some_failures_are_none_and_a_question_that_is_refused_closes_nothing() {
+    fn failures_in_a_row_open_the_circuit() {
         let (circuit, now) = (CircuitBreaker::default(), Instant::now());
         let failing = |calls: u32| {
             (0..calls).for_each(|_| circuit.record(CallSignal::Failing, "refused", now))

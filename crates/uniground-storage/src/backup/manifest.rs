@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_manifest_is_read_as_it_was_written() {
+    fn a_manifest_round_trips() {
         assert_eq!(
             Manifest::from_sealed_bytes(&manifest("p").to_sealed_bytes().unwrap()).unwrap(),
             manifest("p")
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_byte_is_flipped_it_is_refused() {
+    fn a_manifest_with_any_flipped_byte_is_rejected() {
         let whole = manifest("p").to_sealed_bytes().unwrap();
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn names_lead_nowhere_else() {
+    fn manifest_names_cannot_leave_the_backup() {
         for name in ["..", ".", "", "a/b", "/a", "../a", "a/"] {
             assert!(
                 matches!(

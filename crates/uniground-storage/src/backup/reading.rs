@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_read_whole_or_told_to_be_unsound() {
+    fn a_folder_is_read_completely_or_reported_as_damaged() {
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();
         fs::create_dir(folder.join("views")).unwrap();

@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_are_as_old_as_their_last_change() {
+    fn folder_age_is_that_of_the_last_change() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         for id in ["a", "b"] {
@@ -112,7 +112,7 @@ mod tests {
 
     /// Opening a log updates its time; starting a parse updates the time of the folder.
     #[test]
-    fn checkpoints_are_in_order_of_their_last_use() {
+    fn checkpoints_are_listed_by_last_use() {
         let data = tempfile::tempdir().unwrap();
         let (blobs, now) = (open_blobs(&data), SystemTime::now());
         for (hash, days) in [("first", 9), ("second", 5), ("third", 7)] {

@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_not_used_for_longest_goes_and_what_is_in_use_stays() {
+    async fn the_least_recently_used_folder_is_evicted_unless_pinned() {
         let root = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(root.path()).unwrap();
         let tmp = folder(root, "tmp");
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_lies_there_already_goes_by_its_age() {
+    async fn existing_folders_are_evicted_by_age() {
         let root = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(root.path()).unwrap();
         let tmp = folder(root, "tmp");

@@ -221,7 +221,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_upload_may_bring_checksums_of_its_own() {
+    fn uploads_cannot_contain_a_checksum_file() {
         assert!(uniground_ingest::is_reserved(Utf8Path::new(SUMS)));
     }
 }

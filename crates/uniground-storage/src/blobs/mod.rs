@@ -470,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_told_and_a_damaged_folder_is_replaced() {
+    fn damage_is_reported_and_publishing_replaces_a_damaged_folder() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let publish = || {
@@ -543,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_folder_has_its_place() {
+    fn folder_paths_follow_their_kind() {
         let data = tempfile::tempdir().unwrap();
         let (blobs, root) = (open_blobs(&data), Utf8Path::from_path(data.path()).unwrap());
         assert_eq!(blobs.content("h"), root.join("blobs/contents/h"));
@@ -565,7 +565,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scratch_folder_lies_under_tmp_and_goes_when_it_is_dropped() {
+    fn a_scratch_folder_is_removed_on_drop() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let (scratch, other) =
@@ -578,7 +578,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_prepared_is_sealed_and_seen_only_once_it_is_published() {
+    fn a_prepared_folder_is_visible_only_after_publishing() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.content("h");
@@ -599,7 +599,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_prepared_and_not_published_goes_again() {
+    fn an_unpublished_prepared_folder_is_removed() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.content("h");
@@ -609,7 +609,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_who_publish_the_same_the_first_stays() {
+    fn the_first_of_two_publishers_wins() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.parse("p");
@@ -625,7 +625,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_is_not_whole_gives_way_to_one_that_is() {
+    fn an_incomplete_folder_is_replaced_by_a_complete_one() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.parse("p");
@@ -639,7 +639,7 @@ mod tests {
     }
 
     #[test]
-    fn files_whose_sums_are_known_are_not_read_again() {
+    fn files_with_known_checksums_are_not_read_again() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.content("h");
@@ -658,7 +658,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_not_be_moved_into_place_is_an_error_and_goes() {
+    fn a_failed_publish_is_an_error_and_removes_the_folder() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let nowhere = blobs.root.join("no/such/kind");
@@ -668,7 +668,7 @@ mod tests {
     }
 
     #[test]
-    fn a_published_folder_shares_its_files_and_their_sums() {
+    fn a_published_folder_links_its_files_and_checksums() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.content("h");
@@ -689,7 +689,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_discarded_is_gone_at_once_and_nothing_stays_behind() {
+    async fn discarded_folders_disappear_at_once_and_completely() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let (place, other) = (blobs.parse("p"), blobs.parse("q"));
@@ -704,7 +704,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_only_looked_at_is_never_discarded() {
+    async fn read_only_blobs_discard_nothing() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.parse("p");
@@ -716,7 +716,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_set_aside_is_put_back_unless_there_is_another() {
+    async fn a_folder_set_aside_is_put_back_unless_replaced() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let (place, missing) = (blobs.parse("p"), blobs.parse("q"));
@@ -741,7 +741,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_set_aside_goes_when_it_is_removed_later() {
+    async fn remove_later_removes_folders_set_aside() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         blobs.publish(write_scratch(&blobs, &[("a", "1")]), &blobs.parse("p")).unwrap();
@@ -753,14 +753,14 @@ mod tests {
 
     /// Outside of a runtime a task could not be begun.
     #[test]
-    fn removing_nothing_begins_no_task() {
+    fn removing_nothing_spawns_no_task() {
         let data = tempfile::tempdir().unwrap();
         open_blobs(&data).remove_later(Vec::new());
     }
 
     /// Only a missing folder is no error.
     #[test]
-    fn what_can_not_be_taken_away_is_an_error() {
+    fn a_folder_that_cannot_be_moved_is_an_error() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         assert!(blobs.move_to_tmp(&blobs.parse("p")).unwrap().is_none());
@@ -771,7 +771,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_of_a_kind_are_told_by_name_and_files_among_them_are_strays() {
+    fn folders_are_listed_by_name_and_files_among_them_are_stray() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         assert!(blobs.names("parses").unwrap().is_empty());
@@ -791,7 +791,7 @@ mod tests {
     }
 
     #[test]
-    fn who_only_looks_does_not_miss_a_kind_that_is_not_there() {
+    fn a_read_only_open_tolerates_missing_kinds() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         fs::create_dir(blobs.answer("a")).unwrap();
@@ -804,7 +804,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_not_changed_for_long_is_left_behind() {
+    fn unchanged_temporary_files_are_leftovers() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let minute = Duration::from_mins(1);
@@ -835,7 +835,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn what_a_link_points_to_stays_when_the_link_is_removed() {
+    fn removing_a_link_keeps_its_target() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let kept = blobs.parse("kept");

@@ -425,7 +425,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_one_machine_publishes_another_reads_file_by_file_or_whole() {
+    async fn published_folders_can_be_read_on_other_machines() {
         let site = Site::new(3, u64::MAX, DAY).await;
         site.run_on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
         site.run_on(1, |blobs| {
@@ -465,7 +465,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn files_without_a_seal_are_no_folder() {
+    async fn unsealed_files_are_not_a_folder() {
         let site = Site::new(2, u64::MAX, DAY).await;
         // The writer ended before it put the seal.
         for (file, _) in FILES {
@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn of_two_who_publish_the_same_the_first_counts_and_nothing_of_the_other_stays() {
+    async fn the_first_of_two_publishers_wins_and_the_other_leaves_nothing() {
         let site = Site::new(2, u64::MAX, DAY).await;
         // Both machines start before either has finished.
         let prepared = site
@@ -522,7 +522,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_folder_that_is_removed_is_gone_for_all_and_may_be_published_anew() {
+    async fn a_removed_folder_is_gone_everywhere_and_can_be_republished() {
         let site = Site::new(2, u64::MAX, DAY).await;
         site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         site.run_on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply").unwrap()).await;
@@ -546,7 +546,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_folder_that_was_taken_away_is_put_back_unless_there_is_another() {
+    async fn a_folder_moved_away_is_put_back_unless_replaced() {
         let site = Site::new(2, u64::MAX, DAY).await;
         let [one, other] = [0, 1].map(|at| site.machines[at].1.clone());
         site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
@@ -567,7 +567,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_damaged_copy_is_brought_anew_and_damaged_objects_are_told() {
+    async fn a_damaged_copy_is_downloaded_again_and_missing_objects_are_reported() {
         let site = Site::new(2, u64::MAX, DAY).await;
         site.run_on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
         site.run_on(1, |blobs| {
@@ -589,7 +589,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_takes_longer_than_half_of_the_grace_publishes_nothing() {
+    async fn a_publish_slower_than_half_the_grace_period_fails() {
         let site = Site::new(1, u64::MAX, Duration::from_millis(100)).await;
         let told = site.run_on(0, |blobs| {
             let prepared = blobs.prepare(write_scratch(&blobs), &blobs.content("c")).unwrap();
@@ -601,7 +601,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn copies_go_when_they_are_too_many_and_come_back() {
+    async fn copies_are_evicted_and_downloaded_again() {
         let site = Site::new(1, 600, DAY).await;
         site.run_on(0, |blobs| {
             for name in ["a", "b", "c"] {
@@ -619,7 +619,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_folder_is_of_one_object_store() {
+    async fn a_cache_folder_belongs_to_one_object_store() {
         let site = Site::new(1, u64::MAX, DAY).await;
         let other = Objects::new(Arc::new(InMemory::new()), "", DAY);
         let (folder, blobs) = &site.machines[0];

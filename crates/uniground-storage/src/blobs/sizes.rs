@@ -105,7 +105,7 @@ mod tests {
     use std::fs;
 
     #[tokio::test]
-    async fn sizes_are_those_of_the_files_and_follow_them() {
+    async fn sizes_follow_the_files() {
         let data = tempfile::tempdir().unwrap();
         let blobs = Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),

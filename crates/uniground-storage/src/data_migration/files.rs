@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_change_gets_a_second_name_and_what_grows_a_copy() {
+    fn unchanging_files_are_hard_linked_and_growing_ones_copied() {
         let (_root, from, to) = folders();
         let (kinds, damaged) = run_file_migration(&from, &to);
         let told: Vec<_> =
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn another_try_completes_what_the_first_has_brought() {
+    fn a_second_attempt_completes_the_first() {
         let (_root, from, to) = folders();
         run_file_migration(&from, &to);
         // Removed at the source, and incomplete at the target.
@@ -300,7 +300,7 @@ mod tests {
     /// As for another disk: checks every file against its checksum, and keeps files that were
     /// damaged before as they are.
     #[test]
-    fn a_copy_is_whole_or_told() {
+    fn a_copy_is_complete_or_reported_as_damaged() {
         let (_root, from, to) = folders();
         let (source, place) = (from.parse("p"), to.parse("p"));
         let mut damaged = DamagedFolders::new();

@@ -315,7 +315,7 @@ mod tests {
     /// Every table of the migrations must be migrated or be listed as an exception, and no table
     /// comes before one that it refers to.
     #[tokio::test]
-    async fn no_table_is_forgotten() {
+    async fn every_table_is_migrated() {
         let place = tempfile::tempdir().unwrap();
         let store = Store::open_without_recovery(
             Utf8Path::from_path(place.path()).unwrap(),
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn a_statement_writes_many_rows() {
+    fn one_statement_inserts_many_rows() {
         let columns = [("id".to_owned(), ColumnType::Text), ("usd".to_owned(), ColumnType::Real)];
         assert_eq!(
             insert_statement("t", &columns, 2),

@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn servers_in_one_process_count_apart() {
+    fn metrics_of_two_servers_are_independent() {
         let (one, other) = (Metrics::default(), Metrics::default());
         one.questions.record_failure("overloaded");
         assert!(

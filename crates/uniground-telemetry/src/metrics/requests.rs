@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn odd_methods_and_paths_make_no_labels_of_their_own() {
+    fn unknown_methods_and_paths_share_one_label() {
         let requests = RequestMetrics::new(&mut Registry::default());
         requests.begin("BREW", None).finish(405);
         drop(requests.begin("GET", Some("/v1/scenes")));

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 use std::{fmt, io};
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 
 /// `s3://BUCKET/PREFIX`
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -85,7 +85,7 @@ impl Bucket {
         links: Links,
         grace: Duration,
     ) -> io::Result<Objects> {
-        choose_cryptography();
+        install_crypto_provider();
         let options = ClientOptions::new()
             .with_timeout_disabled()
             .with_connect_timeout(CONNECTING)
@@ -128,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bucket_is_told_by_its_name_and_where_in_it() {
+    fn bucket_urls_are_parsed_and_formatted() {
         let parse_and_format = |text: &str| text.parse::<Bucket>().map(|bucket| bucket.to_string());
         assert_eq!(parse_and_format("s3://rooms/a/b/"), Ok("s3://rooms/a/b".into()));
         assert_eq!(parse_and_format("s3://rooms"), Ok("s3://rooms/".into()));
