@@ -228,14 +228,14 @@ async fn handle_notifications(
     const SILENCE: Duration = Duration::from_secs(10);
     const TROUBLE: Duration = Duration::from_secs(2);
     // Notifications before the first one count as missed too.
-    let mut news = DbNotification::Missed;
+    let mut news = DbNotification::ConnectionLost;
     loop {
         match &news {
-            DbNotification::JobWaits { kind } => jobs.wake_lanes(Some(kind)),
+            DbNotification::JobQueued { kind } => jobs.wake_lanes(Some(kind)),
             DbNotification::KeysChanged => {}
-            DbNotification::Missed => jobs.wake_lanes(None),
+            DbNotification::ConnectionLost => jobs.wake_lanes(None),
         }
-        if !matches!(news, DbNotification::JobWaits { .. })
+        if !matches!(news, DbNotification::JobQueued { .. })
             && let Err(error) = keys.reload().await
         {
             tracing::warn!(
@@ -253,9 +253,9 @@ async fn handle_notifications(
                     "notification listener disconnected; polling instead"
                 );
                 let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
-                DbNotification::Missed
+                DbNotification::ConnectionLost
             }
-            Some(Err(_)) => DbNotification::Missed,
+            Some(Err(_)) => DbNotification::ConnectionLost,
         };
     }
 }

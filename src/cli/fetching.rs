@@ -58,16 +58,16 @@ struct ProgressBarView<'a> {
 impl ProgressBarView<'_> {
     fn handle_event(&mut self, event: Event) {
         match event {
-            Event::There(folder) => self.print_line(&format!("{folder} is there")),
-            Event::Placed(file) => self.print_line(file.as_str()),
-            Event::Begins(package, bytes) if io::stderr().is_terminal() => {
+            Event::AlreadyInstalled(folder) => self.print_line(&format!("{folder} is there")),
+            Event::Installed(file) => self.print_line(file.as_str()),
+            Event::Started(package, bytes) if io::stderr().is_terminal() => {
                 self.bar = Some(progress_bar(package, bytes));
             }
-            Event::Begins(package, bytes) => {
+            Event::Started(package, bytes) => {
                 eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6);
             }
             Event::Received(bytes) => self.bar.iter().for_each(|bar| bar.set_position(bytes)),
-            Event::Arrived => self.bar.take().into_iter().for_each(|bar| bar.finish_and_clear()),
+            Event::Downloaded => self.bar.take().into_iter().for_each(|bar| bar.finish_and_clear()),
         }
     }
 

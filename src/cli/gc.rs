@@ -43,7 +43,7 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
     let dependencies = Dependencies::offline(store.clone(), limits.service_limits()).await?;
     let services = Services::new(dependencies);
-    let removed = services.maintenance.apply_retention(RunMode::Nobody).await?;
+    let removed = services.maintenance.apply_retention(RunMode::Offline).await?;
     let (entries, bytes) = removed
         .iter()
         .fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));

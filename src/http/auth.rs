@@ -105,7 +105,7 @@ fn unauthorized(denied: KeyRejection) -> Response {
         KeyRejection::Expired => "this key has expired",
         KeyRejection::Revoked => "this key was revoked",
         KeyRejection::BadLink => "this link was not signed by this server, or is for another path",
-        KeyRejection::LinkOver => "this link has expired: POST /v1/links makes another",
+        KeyRejection::LinkExpired => "this link has expired: POST /v1/links makes another",
     };
     let mut refused =
         ProblemResponse::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();

@@ -63,8 +63,8 @@ pub async fn send_download(
     asked: &HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     match file {
-        FileDownload::Here(file) => send_file(&file, media_type, asked).await,
-        FileDownload::There(link) => {
+        FileDownload::Local(file) => send_file(&file, media_type, asked).await,
+        FileDownload::Redirect(link) => {
             let headers = [(header::LOCATION, link.as_str()), (header::CACHE_CONTROL, "no-store")];
             Ok((StatusCode::TEMPORARY_REDIRECT, headers).into_response())
         }

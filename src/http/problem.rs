@@ -237,7 +237,7 @@ fn status_of(error: &Error) -> StatusCode {
         Error::UploadExpired { .. } => StatusCode::GONE,
         Error::UploadBusy { .. } => StatusCode::LOCKED,
         Error::ChecksumMismatch => checksum_mismatch(),
-        Error::Store(_) | Error::Io(_) | Error::AnswerNotKept | Error::Background(_) => {
+        Error::Store(_) | Error::Io(_) | Error::AnswerNotStored | Error::Background(_) => {
             StatusCode::INTERNAL_SERVER_ERROR
         }
     }

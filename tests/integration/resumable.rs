@@ -436,7 +436,7 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
         Store::open(folder, &location(folder), &blobs(folder).blob_home().unwrap()).await.unwrap();
     let limits = LimitsConfig::default().service_limits();
     let services = Services::new(Dependencies::offline(store.clone(), limits).await.unwrap());
-    let removed = services.maintenance.apply_retention(RunMode::Nobody).await.unwrap();
+    let removed = services.maintenance.apply_retention(RunMode::Offline).await.unwrap();
     let removed = removed.iter().find(|removed| removed.kind == "uploads in parts").unwrap();
     assert_eq!((removed.entries, removed.bytes), (1, 6000));
     store.close().await;

@@ -50,7 +50,7 @@ struct ChildExit {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum StopReason {
     Cancelled,
-    TooLate,
+    TimedOut,
 }
 
 impl ChildProcess {
@@ -142,7 +142,7 @@ fn follow(
             let why = match () {
                 () if stopped.is_some() => None,
                 () if progress.check().is_err() => Some(StopReason::Cancelled),
-                () if Instant::now() >= deadline => Some(StopReason::TooLate),
+                () if Instant::now() >= deadline => Some(StopReason::TimedOut),
                 () => None,
             };
             if why.is_some() {
@@ -215,7 +215,7 @@ fn task_outcome(
     let file = task.subject();
     let too_costly =
         |limit: String| Err(IngestError::TooCostly { file: file.clone(), limit }.into());
-    let out_of_time = stopped == Some(StopReason::TooLate) || status.signal() == Some(SIGXCPU);
+    let out_of_time = stopped == Some(StopReason::TimedOut) || status.signal() == Some(SIGXCPU);
     match last {
         Some(told) if status.success() => {
             if !stderr.trim().is_empty() {

@@ -194,7 +194,7 @@ impl Jobs {
                         Ok(false) => {}
                         // Cancellation was requested through another process.
                         Ok(true) => running.cancel.cancel(),
-                        Err(StoreError::NotHeld) => {
+                        Err(StoreError::LeaseLost) => {
                             lost.cancel();
                             running.cancel.cancel();
                         }
@@ -267,7 +267,7 @@ impl Jobs {
     ) -> Result<(), StoreError> {
         loop {
             match self.try_record_outcome(lease, end).await {
-                Err(StoreError::NotHeld) => {
+                Err(StoreError::LeaseLost) => {
                     tracing::warn!(
                         "lease lost: another worker has this job, its result here is discarded"
                     );

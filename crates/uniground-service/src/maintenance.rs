@@ -42,11 +42,11 @@ impl MaintenanceService {
         self.recovery.recover_while_shared().await;
         // Every process has its own local copies of blobs.
         if self.blobs.is_cache() {
-            self.orphan_repository.collect_orphans(RunMode::TheServer.min_age()).await?;
+            self.orphan_repository.collect_orphans(RunMode::Serving.min_age()).await?;
         }
         // One process does the rest for all.
         let Some(_turn) = self.service_locks.try_lock_maintenance().await? else { return Ok(()) };
-        self.apply_retention(RunMode::TheServer).await?;
+        self.apply_retention(RunMode::Serving).await?;
         self.room_index_repository.delete_unused_names().await?;
         // A retired parse is known to be damaged. It is stored only for its answers.
         for parse in

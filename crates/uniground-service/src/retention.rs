@@ -48,16 +48,16 @@ impl RemovedSoFar {
 /// Who else uses the store during a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunMode {
-    Nobody,
+    Offline,
     /// Questions come first, and data that is being written is left alone.
-    TheServer,
+    Serving,
 }
 
 impl RunMode {
     /// Pauses between two steps.
     async fn pause(self) {
         const STEP_PAUSE: Duration = Duration::from_millis(50);
-        if self == Self::TheServer {
+        if self == Self::Serving {
             sleep(STEP_PAUSE).await;
         }
     }
@@ -65,8 +65,8 @@ impl RunMode {
     /// Returns the age below which data may be incomplete.
     pub(super) fn min_age(self) -> Duration {
         match self {
-            Self::Nobody => Duration::ZERO,
-            Self::TheServer => Duration::from_hours(1),
+            Self::Offline => Duration::ZERO,
+            Self::Serving => Duration::from_hours(1),
         }
     }
 }

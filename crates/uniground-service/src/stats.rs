@@ -71,7 +71,7 @@ impl StatsService {
             .figures
             .get(AGE, self.cached_figures())
             .await
-            .map_err(StoreError::Together)?;
+            .map_err(StoreError::Shared)?;
         let sizes = self.cached_sizes().await;
         let process = &self.metrics.process;
         let Figures { scenes, parses, instances, answers, database_bytes, free_bytes, .. } =

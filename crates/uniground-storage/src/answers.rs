@@ -83,7 +83,7 @@ impl AnswerQueue {
                     Err(error) => {
                         let error = Arc::new(error);
                         callers.into_iter().for_each(|caller| {
-                            drop(caller.send(Err(StoreError::Together(error.clone()))));
+                            drop(caller.send(Err(StoreError::Shared(error.clone()))));
                         });
                     }
                 }

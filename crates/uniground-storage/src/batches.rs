@@ -111,18 +111,18 @@ pub struct ItemRow {
 /// The result of resuming a batch.
 pub enum ResumeOutcome {
     /// A new job.
-    By(Box<JobRow>),
+    Resumed(Box<JobRow>),
     /// Its job was still queued or running.
-    GoesOn,
+    AlreadyRunning,
     /// It has finished or was cancelled.
-    Over,
+    Finished,
 }
 
 /// The result of submitting a batch.
 pub enum SubmitOutcome {
     New(JobRow),
     /// The batch that was submitted earlier under the same idempotency key.
-    MadeBefore(BatchRow),
+    AlreadyExists(BatchRow),
     KeyReused,
 }
 
@@ -214,7 +214,7 @@ impl BatchRepository {
                 tx.rollback().await?;
                 let same = before.request.as_deref() == Some(request);
                 return Ok(if same {
-                    SubmitOutcome::MadeBefore(before)
+                    SubmitOutcome::AlreadyExists(before)
                 } else {
                     SubmitOutcome::KeyReused
                 });
@@ -391,7 +391,7 @@ impl BatchRepository {
     /// Stores the results of items in one transaction, under the lease of the batch's job.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn close_batch_items(
         &self,
         lease: &JobLease,
@@ -456,14 +456,14 @@ impl BatchRepository {
         let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = $1 AND state IN ('running', 'paused')";
         if sqlx::query(resume).bind(id).execute(&mut *tx).await?.rows_affected() == 0 {
             tx.rollback().await?;
-            return Ok(ResumeOutcome::Over);
+            return Ok(ResumeOutcome::Finished);
         }
         let works = "SELECT count(*) FROM jobs JOIN batches ON jobs.id = job_id
                      WHERE batches.id = $1 AND jobs.state IN ('queued', 'running')";
         let works: i64 = sqlx::query_scalar(works).bind(id).fetch_one(&mut *tx).await?;
         if works > 0 {
             tx.commit().await?;
-            return Ok(ResumeOutcome::GoesOn);
+            return Ok(ResumeOutcome::AlreadyRunning);
         }
         let job = super::jobs::insert(&mut tx, &self.database.new_id(), id, job).await?;
         sqlx::query("UPDATE batches SET job_id = $1 WHERE id = $2")
@@ -472,7 +472,7 @@ impl BatchRepository {
             .execute(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(ResumeOutcome::By(Box::new(job)))
+        Ok(ResumeOutcome::Resumed(Box::new(job)))
     }
 
     /// Returns items in order from a position on, each with its answer.

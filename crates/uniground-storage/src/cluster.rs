@@ -48,9 +48,9 @@ pub const LEASE: Duration = Duration::from_secs(30);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StoreAccess {
     /// As the database allows: PostgreSQL allows it, SQLite does not.
-    Welcome,
+    Shared,
     /// Exclusive access.
-    None,
+    Exclusive,
 }
 
 /// This process as a member of the cluster that uses the store. Cheap to clone.
@@ -148,13 +148,13 @@ impl ClusterMembership {
                 waited = true;
                 continue;
             }
-            if access == StoreAccess::Welcome
+            if access == StoreAccess::Shared
                 && call_lock_function(&mut connection, "pg_try_advisory_lock_shared", MEMBERS)
                     .await?
             {
                 break false;
             }
-            let patience = if access == StoreAccess::Welcome { CLEARING } else { HANDOVER };
+            let patience = if access == StoreAccess::Shared { CLEARING } else { HANDOVER };
             if begun.elapsed() >= patience {
                 return Err(StoreError::DatabaseInUse);
             }
@@ -218,7 +218,7 @@ impl ClusterMembership {
         let Some(session) = &self.session else {
             return Ok(NamedLock { _local: Some(local), shared: None });
         };
-        let shared = session.clone().acquire(lock_key(name), LockWait::AsLongAsItTakes).await?;
+        let shared = session.clone().acquire(lock_key(name), LockWait::Wait).await?;
         Ok(NamedLock { _local: None, shared: shared.map(|shared| shared.with_local_lock(local)) })
     }
 
@@ -231,7 +231,7 @@ impl ClusterMembership {
         let Some(session) = &self.session else {
             return Ok(Some(NamedLock { _local: Some(local), shared: None }));
         };
-        let shared = session.clone().acquire(lock_key(name), LockWait::NotAtAll).await?;
+        let shared = session.clone().acquire(lock_key(name), LockWait::NoWait).await?;
         Ok(shared
             .map(|shared| NamedLock { _local: None, shared: Some(shared.with_local_lock(local)) }))
     }
@@ -370,8 +370,8 @@ impl ProcessLease {
 }
 
 enum LockWait {
-    NotAtAll,
-    AsLongAsItTakes,
+    NoWait,
+    Wait,
 }
 
 impl Session {
@@ -391,7 +391,7 @@ impl Session {
                 if taken {
                     return Ok(Some(AdvisoryLock { session: self, key, number, local: None }));
                 }
-                if matches!(waiting, LockWait::NotAtAll) || wanted.is_cancelled() {
+                if matches!(waiting, LockWait::NoWait) || wanted.is_cancelled() {
                     return Ok(None);
                 }
                 sleep(wait).await;

@@ -41,7 +41,8 @@ impl Store {
             Ok::<_, StoreError>((folder, elsewhere, database))
         });
         let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
-        let members = ClusterMembership::join(&Location::Folder, StoreAccess::None, LEASE).await?;
+        let members =
+            ClusterMembership::join(&Location::Folder, StoreAccess::Exclusive, LEASE).await?;
         let store = Self::connect(
             Connections::open_file(&database).await?,
             None,

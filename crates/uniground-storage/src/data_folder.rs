@@ -53,7 +53,7 @@ impl DataFolder {
     /// Checks that a folder, if it is a data folder already, belongs to this database engine.
     ///
     /// # Errors
-    /// [`StoreError::OtherDatabase`], [`StoreError::HalfMoved`], or an error of the file system.
+    /// [`StoreError::OtherDatabase`], [`StoreError::UnfinishedMigration`], or an error of the file system.
     pub fn check_engine(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
         Self::check_complete(path)?;
         let kept_in = match fs::read(path.join(MARKER)) {
@@ -76,7 +76,7 @@ impl DataFolder {
     /// Checks that no unfinished data migration has this folder as its target.
     fn check_complete(path: &Utf8Path) -> Result<(), StoreError> {
         match path.join(MOVING).exists() && !path.join(MARKER).exists() {
-            true => Err(StoreError::HalfMoved),
+            true => Err(StoreError::UnfinishedMigration),
             false => Ok(()),
         }
     }
@@ -84,7 +84,7 @@ impl DataFolder {
     /// Opens a data folder. Creates it in a folder that is empty or missing.
     ///
     /// # Errors
-    /// [`StoreError::NotOurs`] for a folder with other content, [`StoreError::InUse`], or an error
+    /// [`StoreError::HoldsOtherFiles`] for a folder with other content, [`StoreError::InUse`], or an error
     /// of the file system.
     pub fn open(path: &Utf8Path, engine: Engine) -> Result<Self, StoreError> {
         fs::create_dir_all(path)?;
@@ -97,7 +97,7 @@ impl DataFolder {
             .find(|entry| !is_harmless(entry.file_name()))
             && !is_ours
         {
-            return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
+            return Err(StoreError::HoldsOtherFiles { found: stranger.file_name().to_owned() });
         }
         let lock = File::create(path.join(LOCK))?;
         let taken = |taken| match taken {
@@ -138,12 +138,12 @@ impl DataFolder {
     /// Locks a data folder that no server uses and whose database is SQLite. Writes nothing.
     ///
     /// # Errors
-    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or an
+    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::RequiresSqlite`], or an
     /// error of the file system.
     pub fn open_read_only(path: &Utf8Path) -> Result<Self, StoreError> {
         let (id, engine) = Self::read_identity(path)?;
         if engine != Engine::Sqlite {
-            return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() });
+            return Err(StoreError::RequiresSqlite { kept_in: engine.name() });
         }
         let lock = match File::open(path.join(LOCK)) {
             Ok(lock) => Some(lock),
@@ -281,6 +281,9 @@ mod tests {
         let other = tempfile::tempdir().unwrap();
         let other = Utf8Path::from_path(other.path()).unwrap();
         fs::write(other.join("thesis.txt"), "words").unwrap();
-        assert!(matches!(DataFolder::open(other, Engine::Sqlite), Err(StoreError::NotOurs { .. })));
+        assert!(matches!(
+            DataFolder::open(other, Engine::Sqlite),
+            Err(StoreError::HoldsOtherFiles { .. })
+        ));
     }
 }

@@ -24,11 +24,11 @@ pub struct SceneGrowth<'a> {
 
 /// The result of growing a scene.
 pub enum GrowthOutcome {
-    Now(SceneRow, Box<JobRow>),
+    Grown(SceneRow, Box<JobRow>),
     /// The scene was deleted, or has another content.
     Overtaken,
     /// The same request was made earlier under this key.
-    Before(SceneRow),
+    AlreadyGrown(SceneRow),
     /// The key was used for another request.
     KeyReused,
 }
@@ -56,7 +56,7 @@ impl SceneRepository {
         {
             tx.rollback().await?;
             return Ok(if before.is_some_and(|before| before == request) {
-                GrowthOutcome::Before(scene)
+                GrowthOutcome::AlreadyGrown(scene)
             } else {
                 GrowthOutcome::KeyReused
             });
@@ -95,7 +95,7 @@ impl SceneRepository {
             .fetch_one(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(GrowthOutcome::Now(scene, Box::new(job)))
+        Ok(GrowthOutcome::Grown(scene, Box::new(job)))
     }
 
     /// Returns the changes from each version of a scene to the next, for versions after `since`, in

@@ -83,7 +83,7 @@ impl JobLease {
         let sql = "SELECT count(*) FROM jobs WHERE id = $1 AND holder = $2 AND state = 'running'";
         let held: i64 =
             sqlx::query_scalar(sql).bind(&self.job_id).bind(&self.holder).fetch_one(tx).await?;
-        if held > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
+        if held > 0 { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 }
 
@@ -296,7 +296,7 @@ impl JobRepository {
     /// Stores the progress of a job. Returns whether cancellation was requested.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn save_job_progress(
         &self,
         lease: &JobLease,
@@ -310,14 +310,14 @@ impl JobRepository {
             .bind(&lease.job_id)
             .bind(&lease.holder);
         let wished: i64 =
-            save.fetch_optional(self.database.writer.pool()).await?.ok_or(StoreError::NotHeld)?;
+            save.fetch_optional(self.database.writer.pool()).await?.ok_or(StoreError::LeaseLost)?;
         Ok(wished != 0)
     }
 
     /// Finishes a job under its lease. Fails if the job is already finished.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn finish_job(
         &self,
         lease: &JobLease,
@@ -327,7 +327,7 @@ impl JobRepository {
     ) -> Result<(), StoreError> {
         let ended =
             self.finish_job_as(&lease.job_id, Some(&lease.holder), state, message, error).await?;
-        if ended { Ok(()) } else { Err(StoreError::NotHeld) }
+        if ended { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 
     /// Finishes a job that is queued or running, whoever holds its lease.
@@ -401,7 +401,7 @@ impl JobRepository {
     /// over. A planned shutdown does not count as an attempt.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn requeue_job(&self, lease: &JobLease) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
                    WHERE id = $1 AND holder = $2 AND state = 'running'";
@@ -410,14 +410,14 @@ impl JobRepository {
             .bind(&lease.holder)
             .execute(self.database.writer.pool())
             .await?;
-        if requeued.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
+        if requeued.rows_affected() > 0 { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 
     /// Returns a running job to the queue, to be retried after a delay. Stores its failures in a
     /// row and its progress.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn requeue_job_after(
         &self,
         lease: &JobLease,
@@ -435,7 +435,7 @@ impl JobRepository {
             .bind(&lease.holder)
             .execute(self.database.writer.pool())
             .await?;
-        if requeued.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
+        if requeued.rows_affected() > 0 { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 
     /// Requests the cancellation of a job.
@@ -604,7 +604,7 @@ mod tests {
 
     #[track_caller]
     fn assert_not_held<T: std::fmt::Debug>(written: Result<T, StoreError>) {
-        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
+        assert!(matches!(written, Err(StoreError::LeaseLost)), "{written:?}");
     }
 
     const RECOVERY: JobRecovery =

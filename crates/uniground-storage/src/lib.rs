@@ -124,31 +124,31 @@ pub enum StoreError {
     #[error(
         "its rows are kept in {kept_in}, and this is for SQLite's file only: use {kept_in}'s own tools (a copy of the rows first, then of blobs/)"
     )]
-    OnlyOfSqlite { kept_in: &'static str },
+    RequiresSqlite { kept_in: &'static str },
     #[error("its scans and parses are kept in {kept_in}: say so with --blobs (or UNIGROUND_BLOBS)")]
     BlobsElsewhere { kept_in: String },
     #[error(
         "its scans and parses are kept in {kept_in}, and this is for those in a data folder only: use the object store's own versions or replication, and \
          the database's own backups (a copy of the rows first)"
     )]
-    OnlyOfFolder { kept_in: String },
+    RequiresLocalFiles { kept_in: String },
     #[error(
         "this data folder holds scans and parses of its own: with an object store (--blobs) use an empty folder, which caches copies"
     )]
-    BlobsHere,
+    FolderHasOwnBlobs,
     #[error(
         "this data folder, database and object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
     )]
-    NotTogether,
+    StoresDoNotMatch,
     #[error(
         "a migration to this folder is unfinished: run the same `uniground migrate` again, or choose another folder"
     )]
-    HalfMoved,
+    UnfinishedMigration,
     #[error("this database is in use by another server and cannot be opened exclusively")]
     DatabaseInUse,
     /// The lease of this job has passed to another worker.
     #[error("the lease of this job was lost, and another worker has it")]
-    NotHeld,
+    LeaseLost,
     #[error("vectors cannot be stored (--vectors pgvector): {why}")]
     NoVectors { why: String },
     #[error("another server uses this data folder")]
@@ -156,14 +156,14 @@ pub enum StoreError {
     #[error(
         "it holds other files ({found}) and is not a data folder of uniground: choose an empty folder"
     )]
-    NotOurs { found: String },
+    HoldsOtherFiles { found: String },
     #[error("{folder} is not a data folder of uniground")]
     NoDataFolder { folder: Utf8PathBuf },
     #[error("a stored record could not be read")]
     Record(#[from] serde_json::Error),
     /// The one error of several writes that were made in one transaction.
     #[error(transparent)]
-    Together(Arc<StoreError>),
+    Shared(Arc<StoreError>),
 }
 
 impl StoreError {
@@ -180,7 +180,7 @@ impl StoreError {
                 matches!(database_error_code(error).as_deref(), Some("13" | "4874" | "53100"))
             }
             Self::Blobs(error) => is_disk_full(error),
-            Self::Together(error) => error.is_full(),
+            Self::Shared(error) => error.is_full(),
             _ => false,
         }
     }
@@ -205,7 +205,7 @@ impl StoreError {
                     _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
                 })
             }
-            Self::Together(error) => error.is_busy(),
+            Self::Shared(error) => error.is_busy(),
             _ => false,
         }
     }
@@ -220,7 +220,7 @@ impl StoreError {
                 let number = code.parse::<i32>().ok().filter(|_| code.len() < 5);
                 number.is_some_and(|number| matches!(number & 0xff, 11 | 26) || number == 522)
             }),
-            Self::Together(error) => error.is_damaged(),
+            Self::Shared(error) => error.is_damaged(),
             _ => false,
         }
     }
@@ -230,7 +230,7 @@ impl StoreError {
     pub fn is_object_store_unavailable(&self) -> bool {
         match self {
             Self::Blobs(error) => ObjectStoreUnavailable::is_behind(error),
-            Self::Together(error) => error.is_object_store_unavailable(),
+            Self::Shared(error) => error.is_object_store_unavailable(),
             _ => false,
         }
     }
@@ -323,8 +323,8 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, FileAccess::Used),
-            StoreAccess::Welcome,
+            (home, FileAccess::ReadWrite),
+            StoreAccess::Shared,
             LeftoverPolicy::Clear { lease },
         )
         .await
@@ -343,8 +343,8 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, FileAccess::Untouched),
-            StoreAccess::Welcome,
+            (home, FileAccess::RowsOnly),
+            StoreAccess::Shared,
             LeftoverPolicy::Keep,
         )
         .await
@@ -362,8 +362,8 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, FileAccess::Used),
-            StoreAccess::None,
+            (home, FileAccess::ReadWrite),
+            StoreAccess::Exclusive,
             LeftoverPolicy::Keep,
         )
         .await
@@ -579,7 +579,7 @@ impl Store {
         if self.database.engine == Engine::Postgres
             && (known.is_some() || self.blobs.has_scans().await?)
         {
-            return Err(StoreError::NotTogether);
+            return Err(StoreError::StoresDoNotMatch);
         }
         let mut tx = self.database.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;

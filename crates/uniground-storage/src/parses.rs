@@ -91,7 +91,7 @@ impl ParseRepository {
     /// last scene was deleted meanwhile.
     ///
     /// # Errors
-    /// [`StoreError`]; [`StoreError::NotHeld`] if the lease of its job has passed to another
+    /// [`StoreError`]; [`StoreError::LeaseLost`] if the lease of its job has passed to another
     /// worker.
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
         let NewParse {

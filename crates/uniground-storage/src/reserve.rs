@@ -194,7 +194,7 @@ mod tests {
         write(folder).unwrap();
         for error in [
             StoreError::InUse,
-            StoreError::HalfMoved,
+            StoreError::UnfinishedMigration,
             StoreError::Blobs(io::ErrorKind::PermissionDenied.into()),
         ] {
             assert!(!make_room_to_open(folder, &error), "{error}");

@@ -84,7 +84,7 @@ pub struct NewSceneRow<'a> {
 pub enum InsertOutcome {
     New(SceneRow, Option<Box<JobRow>>),
     /// The scene that was created earlier under the same key.
-    MadeBefore(SceneRow),
+    AlreadyExists(SceneRow),
     /// The key was used for another request.
     KeyReused,
 }
@@ -122,7 +122,7 @@ impl SceneRepository {
             // Old servers did not store the request: accept the key.
             let same = before.is_none_or(|before| before == request);
             return Ok(if same {
-                InsertOutcome::MadeBefore(scene)
+                InsertOutcome::AlreadyExists(scene)
             } else {
                 InsertOutcome::KeyReused
             });

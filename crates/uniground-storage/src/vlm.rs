@@ -23,8 +23,8 @@ pub struct SpendRequest<'a> {
 /// The owner of a daily budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BudgetOwner {
-    OfAll,
-    OfKey,
+    Server,
+    Key,
 }
 
 /// The budget is too small for the request.
@@ -156,7 +156,7 @@ impl SpendingRepository {
     /// that is used up allows no calls, not even calls that seem to be free.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`]: the lease of this process has expired; [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`]: the lease of this process has expired; [`StoreError::Database`].
     pub async fn reserve_spending(
         &self,
         id: &str,
@@ -169,11 +169,11 @@ impl SpendingRepository {
         let of_key = "SELECT coalesce((SELECT usd FROM key_spending WHERE day = $1 AND key_id = $2), 0.0)
                            + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1 AND key_id = $2), 0.0)";
         for (whose, sql, limit_usd) in
-            [(BudgetOwner::OfKey, of_key, key_daily_usd), (BudgetOwner::OfAll, of_all, daily_usd)]
+            [(BudgetOwner::Key, of_key, key_daily_usd), (BudgetOwner::Server, of_all, daily_usd)]
         {
             let Some(limit_usd) = limit_usd else { continue };
             let spent = sqlx::query_scalar(sql).bind(day);
-            let spent = if whose == BudgetOwner::OfKey { spent.bind(key_id) } else { spent };
+            let spent = if whose == BudgetOwner::Key { spent.bind(key_id) } else { spent };
             let spent: f64 = spent.fetch_one(&mut *tx).await?;
             let left_usd = limit_usd - spent;
             if left_usd <= 0.0 || usd > left_usd {
@@ -193,7 +193,7 @@ impl SpendingRepository {
             .bind(self.database.members.id().to_string());
         if query.execute(&mut *tx).await?.rows_affected() == 0 {
             tx.rollback().await?;
-            return Err(StoreError::NotHeld);
+            return Err(StoreError::LeaseLost);
         }
         tx.commit().await?;
         Ok(Ok(()))

@@ -195,7 +195,7 @@ async fn only_the_lease_holder_may_write() {
     jobs.repository.recover_jobs(ScriptedJob::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
     let not_held = |written: Result<(), StoreError>| {
-        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
+        assert!(matches!(written, Err(StoreError::LeaseLost)), "{written:?}");
     };
     not_held(jobs.repository.save_job_progress(&first, "stage", 0.5).await.map(drop));
     not_held(

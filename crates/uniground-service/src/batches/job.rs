@@ -141,7 +141,7 @@ impl BatchRunner {
                     .await?;
                 return Ok(run.summary("done"));
             }
-            if run.ask(items, &caller).await? == BudgetState::Spent {
+            if run.ask(items, &caller).await? == BudgetState::Exhausted {
                 return run.pause(reason::BUDGET_SPENT, "its money is spent").await;
             }
         }
@@ -151,8 +151,8 @@ impl BatchRunner {
 /// Whether the budget of the batch sufficed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum BudgetState {
-    Enough,
-    Spent,
+    Available,
+    Exhausted,
 }
 
 impl BatchRun {
@@ -176,7 +176,7 @@ impl BatchRun {
         let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
         let (mut closed, mut written, mut money) =
-            (Vec::new(), Instant::now(), BudgetState::Enough);
+            (Vec::new(), Instant::now(), BudgetState::Available);
         // Why the run stops, and how long it waits for questions in progress, which have been paid
         // for.
         let (mut stop, mut is_cancelled): (Option<(Error, tokio::time::Instant)>, bool) =
@@ -188,7 +188,7 @@ impl BatchRun {
             let end = tokio::select! {
                 // The lease is lost. Returning drops the calls in progress: another worker makes
                 // them now.
-                () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
+                () = self.lost.cancelled() => return Err(StoreError::LeaseLost.into()),
                 end = ends.next() => end,
                 () = sleep_until(stop.as_ref().map_or_else(when_it_is_back, |(_, until)| *until)), if stop.is_some() => None,
                 cancelled = until_cancelled(&self.progress), if !is_cancelled => {
@@ -201,7 +201,7 @@ impl BatchRun {
             match end {
                 None => break,
                 Some(Ok(ItemOutcome::Closed(item))) => closed.push(item),
-                Some(Ok(ItemOutcome::OverBudget)) => money = BudgetState::Spent,
+                Some(Ok(ItemOutcome::OverBudget)) => money = BudgetState::Exhausted,
                 // The database is failing. Finished items are still written, and the job is
                 // retried.
                 Some(Err(error)) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
@@ -217,7 +217,7 @@ impl BatchRun {
                     Err(error) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
                 }
             }
-            if money == BudgetState::Spent || stop.is_some() {
+            if money == BudgetState::Exhausted || stop.is_some() {
                 asking.store(false, Relaxed);
             }
         }
@@ -307,7 +307,7 @@ impl BatchRunner {
                 may_name: true,
             };
             match self.grounding_service.ground_for(&scene_id, request.clone(), asker).await {
-                Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotKept),
+                Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotStored),
                 Ok(answer) => {
                     let status = serde_json::to_value(answer.status)?
                         .as_str()

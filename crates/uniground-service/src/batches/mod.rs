@@ -100,9 +100,9 @@ impl BatchService {
             done: None,
         };
         match self.batch_repository.resume_batch(id, &job).await? {
-            ResumeOutcome::By(job) => drop(self.jobs.notify_worker::<BatchJob>(*job)),
-            ResumeOutcome::GoesOn => {}
-            ResumeOutcome::Over => {
+            ResumeOutcome::Resumed(job) => drop(self.jobs.notify_worker::<BatchJob>(*job)),
+            ResumeOutcome::AlreadyRunning => {}
+            ResumeOutcome::Finished => {
                 return Err(Error::BatchOver { id: id.into(), state: row.state });
             }
         }

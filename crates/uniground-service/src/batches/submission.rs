@@ -387,7 +387,7 @@ impl BatchService {
                 self.jobs.notify_worker::<BatchJob>(job);
                 self.batch(&id).await
             }
-            Ok(SubmitOutcome::MadeBefore(before)) => {
+            Ok(SubmitOutcome::AlreadyExists(before)) => {
                 unfinished.discard().await;
                 self.batch(&before.id).await
             }

@@ -148,7 +148,7 @@ impl Keyring {
             return Err(KeyRejection::BadLink);
         }
         if expires <= now.as_second() {
-            return Err(KeyRejection::LinkOver);
+            return Err(KeyRejection::LinkExpired);
         }
         let caller = match maker {
             NONE if self.has_keys() => return Err(KeyRejection::NoKey),
@@ -213,7 +213,7 @@ mod tests {
             reader,
             "no more than reading, whoever made it"
         );
-        assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(KeyRejection::LinkOver));
+        assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(KeyRejection::LinkExpired));
         for below in [cloud.clone(), format!("{SCENE}/instances/3/views/0.jpg")] {
             assert_eq!(opens(&links[1].token, &below, now), reader);
         }

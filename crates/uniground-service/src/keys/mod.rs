@@ -91,7 +91,7 @@ pub enum KeyRejection {
     /// A link that this server did not sign, or that is for another path.
     BadLink,
     /// A link that has expired.
-    LinkOver,
+    LinkExpired,
 }
 
 impl KnownKey {

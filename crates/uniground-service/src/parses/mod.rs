@@ -32,9 +32,9 @@ use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 /// A file that a caller downloads.
 pub enum FileDownload {
-    Here(PinnedPath),
+    Local(PinnedPath),
     /// A URL of the object store that works for a limited time.
-    There(String),
+    Redirect(String),
 }
 
 /// Starts parses and serves their files and reports.
@@ -138,8 +138,8 @@ impl ParseService {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
         match self.parsed_scenes.public_link(&parse_id, file).await? {
-            Some(link) => Ok(FileDownload::There(link)),
-            None => Ok(FileDownload::Here(
+            Some(link) => Ok(FileDownload::Redirect(link)),
+            None => Ok(FileDownload::Local(
                 self.parsed_scenes
                     .check_and_pin_file(&parse_id, file.path_in(&self.blobs.parse(&parse_id)))
                     .await?,

@@ -39,11 +39,11 @@ impl MediaService {
     pub async fn points(&self, scene_id: &str) -> Result<FileDownload, Error> {
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         if let Some(link) = self.parsed_scenes.public_link(&parse_id, ParseFile::Points).await? {
-            return Ok(FileDownload::There(link));
+            return Ok(FileDownload::Redirect(link));
         }
         let (scene, file) = self.pin_parse_file(scene_id, ParseFile::Points).await?;
         if let Some(file) = file {
-            return Ok(FileDownload::Here(file));
+            return Ok(FileDownload::Local(file));
         }
         let made = self.draw(scene, |service, scene| {
             if let Some(made) = service.parse_cache.points.get(&scene.parse.id) {
@@ -53,7 +53,7 @@ impl MediaService {
             service.parse_cache.points.put(scene.parse.id.clone(), made.clone(), 1);
             Ok(made)
         });
-        Ok(FileDownload::Here(made.await?.path().join(POINTS).into()))
+        Ok(FileDownload::Local(made.await?.path().join(POINTS).into()))
     }
 
     /// Returns a small picture of the room of a scene's current parse.

@@ -138,11 +138,11 @@ impl GrowthService {
         let grew = grew.await?;
         drop(references);
         match grew {
-            GrowthOutcome::Now(row, job) => Ok((
+            GrowthOutcome::Grown(row, job) => Ok((
                 self.scene_lookup.to_scene(row).await?,
                 self.jobs.notify_worker::<ParseJob>(*job),
             )),
-            GrowthOutcome::Before(row) => self.growth_under_key(row).await,
+            GrowthOutcome::AlreadyGrown(row) => self.growth_under_key(row).await,
             GrowthOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
             GrowthOutcome::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),
         }

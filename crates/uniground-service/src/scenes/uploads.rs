@@ -265,7 +265,7 @@ impl ImportService {
                 self.scene_lookup.to_scene(row).await?,
                 job.map(|job| self.jobs.notify_worker::<ParseJob>(*job)),
             )),
-            InsertOutcome::MadeBefore(row) => self.scene_under_key(row, parse, caller).await,
+            InsertOutcome::AlreadyExists(row) => self.scene_under_key(row, parse, caller).await,
             InsertOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
         }
     }

@@ -11,7 +11,7 @@ pub enum CallSignal {
     /// It answered.
     Up,
     /// It cannot be reached. One such call is enough to open the circuit.
-    Gone,
+    Unreachable,
     /// It reported that it cannot answer now. A few such calls in a row open the circuit.
     Failing,
     /// It answered, but not this question. Says nothing about other questions.
@@ -82,11 +82,11 @@ impl CircuitBreaker {
             state.failing.take().unwrap_or_else(|| (0, word, Timestamp::now().to_string()));
         state.failing = Some((calls + 1, word, since));
         state.down = match sign {
-            CallSignal::Gone | CallSignal::Failing => state.down + 1,
+            CallSignal::Unreachable | CallSignal::Failing => state.down + 1,
             // The server is up.
             CallSignal::Up | CallSignal::Unclear => 0,
         };
-        let is_down = sign == CallSignal::Gone || state.down >= FAILURES;
+        let is_down = sign == CallSignal::Unreachable || state.down >= FAILURES;
         let wait = state.open.as_ref().map_or(FIRST_WAIT, |open| (open.wait * 2).min(LONGEST_WAIT));
         state.open = is_down.then(|| OpenCircuit { until: now + wait, wait, trying: None });
     }
@@ -116,12 +116,12 @@ mod tests {
         let (circuit, start) = (CircuitBreaker::default(), Instant::now());
         let after = |seconds| start + Duration::from_secs(seconds);
         assert!(circuit.admit(start).is_ok() && circuit.condition().is_ok());
-        circuit.record(CallSignal::Gone, "unreachable", start);
+        circuit.record(CallSignal::Unreachable, "unreachable", start);
         assert_eq!(circuit.admit(after(1)), Err(Duration::from_secs(4)));
         assert!(circuit.condition().unwrap_err().starts_with("unreachable since"));
         assert!(circuit.admit(after(5)).is_ok(), "one tries it");
         assert!(circuit.admit(after(5)).is_err(), "and nobody beside");
-        circuit.record(CallSignal::Gone, "unreachable", after(6));
+        circuit.record(CallSignal::Unreachable, "unreachable", after(6));
         assert_eq!(circuit.admit(after(6)), Err(Duration::from_secs(10)));
         assert!(circuit.admit(after(16)).is_ok());
         circuit.release_probe();

@@ -52,7 +52,7 @@ fn call_signal(answered: &Result<ChatReply, ChatFailure>) -> Option<CallSignal> 
     match answered {
         Ok(_) => Some(CallSignal::Up),
         Err(ChatFailure { error, .. }) => match error {
-            ChatError::Transport(_) => Some(CallSignal::Gone),
+            ChatError::Transport(_) => Some(CallSignal::Unreachable),
             ChatError::Refused { status: 429 | 500..=599, .. } => Some(CallSignal::Failing),
             ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(CallSignal::Unclear),
             ChatError::NotRecorded(_)
@@ -126,7 +126,7 @@ impl MeteredModel {
         let reserved =
             reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
         if let Err(BudgetExceeded { whose, limit_usd, left_usd }) = reserved {
-            let of = if whose == BudgetOwner::OfKey { OF_KEY } else { OF_EVERYBODY };
+            let of = if whose == BudgetOwner::Key { OF_KEY } else { OF_EVERYBODY };
             call.open = None;
             return Err(never_asked(
                 OverBudget { of, limit_usd, left_usd, wanted_usd: thought_usd }.into(),

@@ -67,7 +67,11 @@ impl Vlm {
 
     /// Records that a probe could not reach the server, so that no question has to find out.
     pub fn record_unreachable(&self) {
-        self.model.circuit().record(circuit::CallSignal::Gone, "unreachable", Instant::now());
+        self.model.circuit().record(
+            circuit::CallSignal::Unreachable,
+            "unreachable",
+            Instant::now(),
+        );
     }
 
     pub(super) fn name(&self) -> &str {

@@ -56,7 +56,7 @@ pub enum BackupError {
     )]
     Newer { program: String },
     #[error("the data folder changes faster than it can be copied")]
-    Restless,
+    ChangesTooFast,
     #[error("{file}")]
     File { file: Utf8PathBuf, source: io::Error },
 }
@@ -118,7 +118,7 @@ pub async fn back_up(
     let opening = spawn_blocking(move || {
         let (id, engine) = DataFolder::read_identity(&path)?;
         if engine != Engine::Sqlite {
-            return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() }.into());
+            return Err(StoreError::RequiresSqlite { kept_in: engine.name() }.into());
         }
         let source = Blobs::open_read_only(&path)?;
         Ok::<_, BackupError>((id, source, BackupSink::open(opened, &path)?))
@@ -144,7 +144,7 @@ pub async fn back_up(
                 .map_err(io::Error::other)?;
         }
     }
-    Err(BackupError::Restless)
+    Err(BackupError::ChangesTooFast)
 }
 
 /// Copies the folders that a snapshot refers to and the backup does not have.
@@ -170,8 +170,8 @@ fn copy(
             }
             // A model's prompt and reply have a retention time of their own: they may be removed
             // before their answer.
-            Err(CopyFailure::Gone) if kind == "answers" => {}
-            Err(CopyFailure::Gone) => drop(progress.missing.insert(name, "missing".into())),
+            Err(CopyFailure::Missing) if kind == "answers" => {}
+            Err(CopyFailure::Missing) => drop(progress.missing.insert(name, "missing".into())),
             Err(CopyFailure::Damaged(what)) => drop(progress.missing.insert(name, what)),
             Err(CopyFailure::NotWritten(error)) => return Err(error.into()),
         }

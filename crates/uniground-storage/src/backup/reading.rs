@@ -12,7 +12,7 @@ use std::io::{self, Read};
 #[derive(Debug)]
 pub enum CopyFailure {
     /// It does not exist, or was removed meanwhile.
-    Gone,
+    Missing,
     /// Which file is damaged, and how.
     Damaged(String),
     /// The target could not be written.
@@ -32,7 +32,7 @@ pub fn read_checksum_file(folder: &Utf8Path) -> Result<Option<String>, CopyFailu
     match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => Ok(Some(sums)),
         Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => Ok(None),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(CopyFailure::Gone),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(CopyFailure::Missing),
         Err(error) => Err(CopyFailure::Damaged(format!("{SUMS}: {error}"))),
     }
 }
@@ -71,7 +71,7 @@ pub fn read_folder(
         let (sum, length) =
             read_file(&folder.join(file), |length, reader| take(file, length, reader)).map_err(
                 |unsound| match unsound {
-                    CopyFailure::Gone if folder.is_dir() => {
+                    CopyFailure::Missing if folder.is_dir() => {
                         CopyFailure::Damaged(format!("{file} missing"))
                     }
                     CopyFailure::Damaged(what) => CopyFailure::Damaged(format!("{file} {what}")),
@@ -94,7 +94,7 @@ pub fn read_file(
 ) -> Result<(String, u64), CopyFailure> {
     let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
     let (length, file) = opened.map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => CopyFailure::Gone,
+        io::ErrorKind::NotFound => CopyFailure::Missing,
         _ => CopyFailure::Damaged(error.to_string()),
     })?;
     let mut summing = HashingReader { file, hasher: Sha256::new(), failed: None };
@@ -109,7 +109,7 @@ pub fn read_file(
 
 fn to_copy_failure(folder: &Utf8Path, error: &io::Error) -> CopyFailure {
     match error.kind() {
-        io::ErrorKind::NotFound if !folder.is_dir() => CopyFailure::Gone,
+        io::ErrorKind::NotFound if !folder.is_dir() => CopyFailure::Missing,
         _ => CopyFailure::Damaged(error.to_string()),
     }
 }

@@ -60,9 +60,9 @@ const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// What a caller needs from a backup.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum ManifestRequest {
-    Everything,
+    Full,
     /// Only to check it.
-    Word,
+    CheckOnly,
 }
 
 /// How a backup's folders are read.
@@ -72,7 +72,7 @@ enum FolderTransfer {
     /// It was unpacked to a temporary folder, so it can be moved.
     Move,
     /// Folders are checked and stay where they are.
-    Look,
+    CheckOnly,
 }
 
 /// Restores a backup to a data folder. Every byte is checked before anything is moved into place.
@@ -88,7 +88,7 @@ pub async fn restore(
         spawn_blocking(move || RestoreTarget::open(path)).await.map_err(io::Error::other)??;
     // Dropping it removes everything that is unfinished.
     let gathering = spawn_blocking(move || {
-        let gathered = stage_backup(&source, &place.staging(), ManifestRequest::Everything)?;
+        let gathered = stage_backup(&source, &place.staging(), ManifestRequest::Full)?;
         Ok::<_, BackupError>((place, gathered))
     });
     let (place, manifest) = gathering.await.map_err(io::Error::other)??;
@@ -110,7 +110,11 @@ pub async fn check(source: BackupSource) -> Result<RestoreReport, BackupError> {
     let looking = spawn_blocking(move || {
         let scratch = tempfile::tempdir()?;
         let staging = Utf8PathBuf::try_from(scratch.path().to_owned()).map_err(io::Error::other)?;
-        Ok(RestoreReport::from_manifest(stage_backup(&source, &staging, ManifestRequest::Word)?))
+        Ok(RestoreReport::from_manifest(stage_backup(
+            &source,
+            &staging,
+            ManifestRequest::CheckOnly,
+        )?))
     });
     looking.await.map_err(io::Error::other)?
 }
@@ -221,7 +225,7 @@ fn stage_backup(
             (unpacked.as_path(), FolderTransfer::Move)
         }
     };
-    let take = if wanted == ManifestRequest::Word { FolderTransfer::Look } else { take };
+    let take = if wanted == ManifestRequest::CheckOnly { FolderTransfer::CheckOnly } else { take };
     let manifest = match fs::read(folder.join(manifest::FILE)) {
         Ok(bytes) => Manifest::from_sealed_bytes(&bytes)?,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -271,7 +275,7 @@ fn restore_folder(
     }
     let read: Result<CopiedFolder, CopyFailure> = match take {
         FolderTransfer::Copy => copy_folder(&from, &to),
-        FolderTransfer::Move | FolderTransfer::Look => {
+        FolderTransfer::Move | FolderTransfer::CheckOnly => {
             read_folder(&from, |_, _, reader| io::copy(reader, &mut io::sink()).map(drop))
         }
     };
@@ -280,7 +284,7 @@ fn restore_folder(
         fs::create_dir_all(to.parent().unwrap_or(new))?;
         fs::rename(&from, &to)?;
     }
-    if take == FolderTransfer::Look {
+    if take == FolderTransfer::CheckOnly {
         return Ok(());
     }
     // Keep the original time, so that retention counts from it.
@@ -294,7 +298,7 @@ fn damaged(place: &str, what: &str) -> BackupError {
 
 fn to_backup_error(place: &str, unsound: CopyFailure) -> BackupError {
     match unsound {
-        CopyFailure::Gone => damaged(place, "missing"),
+        CopyFailure::Missing => damaged(place, "missing"),
         CopyFailure::Damaged(what) => damaged(place, &what),
         CopyFailure::NotWritten(error) => error.into(),
     }

@@ -100,7 +100,7 @@ impl BackupSink {
     ) -> Result<(BackupFolder, bool), CopyFailure> {
         let published = fs::metadata(source)
             .and_then(|folder| folder.modified())
-            .map_err(|_| CopyFailure::Gone)?;
+            .map_err(|_| CopyFailure::Missing)?;
         let (whole, is_new) = match self {
             Self::Folder(sink) => sink.add_folder(kind, name, source)?,
             Self::Archive(sink) => (sink.add_folder(kind, name, source)?, true),

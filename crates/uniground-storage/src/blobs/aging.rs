@@ -90,7 +90,7 @@ mod tests {
         Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &super::super::BlobHome::Folder,
-            super::super::FileAccess::Used,
+            super::super::FileAccess::ReadWrite,
         )
         .unwrap()
     }

@@ -63,8 +63,8 @@ pub enum BlobHome {
 /// Whether the opened store will access files, or rows only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileAccess {
-    Used,
-    Untouched,
+    ReadWrite,
+    RowsOnly,
 }
 
 /// The object store that a folder holds copies of.
@@ -81,7 +81,7 @@ impl Blobs {
         home: &BlobHome,
         files: FileAccess,
     ) -> Result<Self, StoreError> {
-        let blobs = Self::for_data_dir(data_dir, WriteMode::Free);
+        let blobs = Self::for_data_dir(data_dir, WriteMode::ReadWrite);
         let kept_in = read_source_store(data_dir)?;
         if let (BlobHome::Folder, Some(CopiesOf { bucket, .. })) = (home, &kept_in) {
             return Err(StoreError::BlobsElsewhere { kept_in: bucket.clone() });
@@ -96,12 +96,12 @@ impl Blobs {
         };
         let objects = bucket.objects(keys.as_ref(), *links, *grace)?;
         match files {
-            FileAccess::Used => {
+            FileAccess::ReadWrite => {
                 blobs.with_object_store(objects, &bucket.to_string(), kept_in, *cache_bytes)
             }
-            FileAccess::Untouched => {
+            FileAccess::RowsOnly => {
                 let id = objects.block_on(objects.id())?;
-                Ok(Self { id: Some(id.into()), hands: WriteMode::Tied, ..blobs })
+                Ok(Self { id: Some(id.into()), hands: WriteMode::ReadOnly, ..blobs })
             }
         }
     }
@@ -118,12 +118,12 @@ impl Blobs {
         let id = objects.block_on(objects.id())?;
         let mark = self.root.join(CACHE_OF);
         match known {
-            Some(known) if known.id != id => return Err(StoreError::NotTogether),
+            Some(known) if known.id != id => return Err(StoreError::StoresDoNotMatch),
             Some(_) => {}
             None => {
                 for kind in SEALED {
                     if !self.names(kind)?.is_empty() {
-                        return Err(StoreError::BlobsHere);
+                        return Err(StoreError::FolderHasOwnBlobs);
                     }
                 }
                 write_synced(
@@ -165,8 +165,10 @@ impl Blobs {
     /// [`StoreError::BlobsElsewhere`].
     pub(crate) fn open_read_only(data_dir: &Utf8Path) -> Result<Self, StoreError> {
         match read_source_store(data_dir)? {
-            Some(CopiesOf { bucket, .. }) => Err(StoreError::OnlyOfFolder { kept_in: bucket }),
-            None => Ok(Self::for_data_dir(data_dir, WriteMode::Tied)),
+            Some(CopiesOf { bucket, .. }) => {
+                Err(StoreError::RequiresLocalFiles { kept_in: bucket })
+            }
+            None => Ok(Self::for_data_dir(data_dir, WriteMode::ReadOnly)),
         }
     }
 

@@ -63,9 +63,9 @@ pub struct Blobs {
 /// Whether folders may be changed, or only read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum WriteMode {
-    Free,
+    ReadWrite,
     /// Nothing that exists is moved or removed.
-    Tied,
+    ReadOnly,
 }
 
 /// A temporary folder: one being written, or one being removed.
@@ -124,7 +124,7 @@ impl Blobs {
 
     /// Returns whether folders may be moved and removed.
     pub(super) fn is_writable(&self) -> bool {
-        self.hands == WriteMode::Free
+        self.hands == WriteMode::ReadWrite
     }
 
     /// Wraps a path under `tmp/` that is to be removed.
@@ -445,8 +445,12 @@ mod tests {
     use super::*;
 
     fn open_blobs(data: &tempfile::TempDir) -> Blobs {
-        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &BlobHome::Folder, FileAccess::Used)
-            .unwrap()
+        Blobs::open(
+            Utf8Path::from_path(data.path()).unwrap(),
+            &BlobHome::Folder,
+            FileAccess::ReadWrite,
+        )
+        .unwrap()
     }
 
     /// Thousands of nested folders, whose full path is longer than the system allows.

@@ -284,10 +284,10 @@ impl Blobs {
         }
         objects.block_on(async {
             match objects.put_seal(name, &seal).await? {
-                SealOutcome::Ours => files.keep(),
+                SealOutcome::Sealed => files.keep(),
                 // Same name, same content. But an old folder may be about to be removed, and an
                 // incomplete one is of no use.
-                SealOutcome::Theirs(theirs) => {
+                SealOutcome::AlreadySealed(theirs) => {
                     let is_young = theirs.made.elapsed().unwrap_or_default() < objects.grace / 2;
                     if is_young && objects.list_missing_files(name).await?.is_empty() {
                         return Ok(());
@@ -353,7 +353,7 @@ mod tests {
                     let blobs = Blobs::open(
                         Utf8Path::from_path(folder.path()).unwrap(),
                         &BlobHome::Folder,
-                        FileAccess::Used,
+                        FileAccess::ReadWrite,
                     )
                     .unwrap();
                     let blobs =
@@ -628,11 +628,14 @@ mod tests {
         let again = spawn_blocking(move || {
             blobs.with_object_store(other, "memory", known, u64::MAX).map(drop)
         });
-        assert!(matches!(again.await.unwrap(), Err(crate::StoreError::NotTogether)));
+        assert!(matches!(again.await.unwrap(), Err(crate::StoreError::StoresDoNotMatch)));
         assert!(matches!(
-            Blobs::open(path, &BlobHome::Folder, FileAccess::Used),
+            Blobs::open(path, &BlobHome::Folder, FileAccess::ReadWrite),
             Err(crate::StoreError::BlobsElsewhere { .. })
         ));
-        assert!(matches!(Blobs::open_read_only(path), Err(crate::StoreError::OnlyOfFolder { .. })));
+        assert!(matches!(
+            Blobs::open_read_only(path),
+            Err(crate::StoreError::RequiresLocalFiles { .. })
+        ));
     }
 }

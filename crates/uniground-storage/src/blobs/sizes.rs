@@ -110,7 +110,7 @@ mod tests {
         let blobs = Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &super::super::BlobHome::Folder,
-            super::super::FileAccess::Used,
+            super::super::FileAccess::ReadWrite,
         )
         .unwrap();
         for i in 0..STEP + 3 {

@@ -138,7 +138,7 @@ fn copy_folder(
     match copied {
         Ok(()) => {}
         Err(CopyFailure::NotWritten(error)) => return Err(error),
-        Err(CopyFailure::Gone) => return Err(io::ErrorKind::NotFound.into()),
+        Err(CopyFailure::Missing) => return Err(io::ErrorKind::NotFound.into()),
         Err(CopyFailure::Damaged(what)) => {
             damaged.push((name_of(source), what));
             scratch = to.scratch()?;
@@ -219,7 +219,7 @@ mod tests {
             Blobs::open(
                 &Utf8Path::from_path(root.path()).unwrap().join(name),
                 &BlobHome::Folder,
-                FileAccess::Used,
+                FileAccess::ReadWrite,
             )
             .unwrap()
         });

@@ -121,8 +121,8 @@ pub type OnProgress = Arc<dyn Fn(MigrationProgress) + Send + Sync>;
 /// Whether files are migrated.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum FileTransfer {
-    Move,
-    Stay,
+    Copy,
+    InPlace,
 }
 
 /// Migrates everything. The source stays unchanged, except that its schema is updated. In place, a
@@ -164,8 +164,8 @@ async fn copy_store(
     on_progress: &OnProgress,
 ) -> Result<(TargetFolder, MigrationReport), MigrationError> {
     let (path, engine) = (to.data_dir.clone(), to.database.engine()?);
-    let current =
-        (files == FileTransfer::Stay).then(|| (source.folder.id.clone(), source.database.engine));
+    let current = (files == FileTransfer::InPlace)
+        .then(|| (source.folder.id.clone(), source.database.engine));
     let opening = spawn_blocking(move || match current {
         Some((id, engine_before)) => TargetFolder::in_place(path, &id, engine_before, engine),
         None => TargetFolder::open(path, engine),
@@ -182,7 +182,7 @@ async fn copy_store(
         damaged: Vec::new(),
         set_aside: None,
     };
-    if files == FileTransfer::Move {
+    if files == FileTransfer::Copy {
         let (from, to, on_progress) = (source.blobs.clone(), folder.clone(), on_progress.clone());
         let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &on_progress));
         (moved.files, moved.damaged) = moving.await.map_err(io::Error::other)??;
@@ -205,14 +205,14 @@ fn choose_file_transfer(
     let other = nearest.canonicalize_utf8()?;
     let is_there = nearest == to.data_dir;
     let files = match own == other && is_there {
-        true => FileTransfer::Stay,
+        true => FileTransfer::InPlace,
         false if other.starts_with(&own) || (is_there && own.starts_with(&other)) => {
             return Err(MigrationError::Within { data_dir: from.data_dir.clone() });
         }
-        false => FileTransfer::Move,
+        false => FileTransfer::Copy,
     };
     match from.database == to.database
-        && (files == FileTransfer::Stay || from.database != Location::Folder)
+        && (files == FileTransfer::InPlace || from.database != Location::Folder)
     {
         true => Err(MigrationError::SameDatabase),
         false => Ok(files),

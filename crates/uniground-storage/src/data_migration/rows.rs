@@ -83,8 +83,9 @@ impl TargetDatabase {
     ) -> Result<Self, MigrationError> {
         let not_used =
             |source: StoreError| MigrationError::To { place: location.to_string(), source };
-        let members =
-            ClusterMembership::join(location, StoreAccess::None, LEASE).await.map_err(not_used)?;
+        let members = ClusterMembership::join(location, StoreAccess::Exclusive, LEASE)
+            .await
+            .map_err(not_used)?;
         let (mut server, mut is_begun) = (None, false);
         if let Location::Postgres(url) = location {
             let connections = Connections::connect_to_server(url).await.map_err(not_used)?;

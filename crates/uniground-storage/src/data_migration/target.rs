@@ -105,7 +105,7 @@ impl TargetFolder {
     }
 
     pub fn blobs(&self) -> Result<Blobs, StoreError> {
-        Blobs::open(&self.path, &BlobHome::Folder, FileAccess::Used)
+        Blobs::open(&self.path, &BlobHome::Folder, FileAccess::ReadWrite)
     }
 
     /// Returns the path of an unfinished SQLite database, where no server looks for it.

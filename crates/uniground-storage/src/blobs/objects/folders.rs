@@ -38,8 +38,8 @@ pub struct Seal {
 /// Which edition of a folder won.
 #[derive(Debug)]
 pub enum SealOutcome {
-    Ours,
-    Theirs(Seal),
+    Sealed,
+    AlreadySealed(Seal),
 }
 
 /// Objects that nothing refers to. They are removed in the background on drop. If the process ends
@@ -80,7 +80,7 @@ impl UnsealedObjects {
         let Some((folder, seal)) = self.was.take() else { return Ok(()) };
         // Where the outcome is unknown, orphan collection removes them if needed.
         self.is_kept = true;
-        self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, SealOutcome::Ours);
+        self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, SealOutcome::Sealed);
         Ok(())
     }
 }
@@ -169,12 +169,12 @@ impl Objects {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                 match self.seal(folder).await? {
                     // This was a retry: the first attempt succeeded, but its response was lost.
-                    Some(seal) if seal.text == text => Ok(SealOutcome::Ours),
-                    Some(theirs) => Ok(SealOutcome::Theirs(theirs)),
+                    Some(seal) if seal.text == text => Ok(SealOutcome::Sealed),
+                    Some(theirs) => Ok(SealOutcome::AlreadySealed(theirs)),
                     None => Err(error),
                 }
             }
-            put => put.map(|()| SealOutcome::Ours),
+            put => put.map(|()| SealOutcome::Sealed),
         }
     }
 
