@@ -225,7 +225,7 @@ async fn handle_notifications(
     shutdown: CancellationToken,
 ) {
     /// Notifications can get lost without an error. After this time, everything is checked.
-    const SILENCE: Duration = Duration::from_secs(10);
+    const POLL_INTERVAL: Duration = Duration::from_secs(10);
     const TROUBLE: Duration = Duration::from_secs(2);
     // Notifications before the first one count as missed too.
     let mut news = DbNotification::ConnectionLost;
@@ -243,7 +243,7 @@ async fn handle_notifications(
                 "API keys could not be reloaded"
             );
         }
-        let next = timeout(SILENCE, Box::pin(listen.next()));
+        let next = timeout(POLL_INTERVAL, Box::pin(listen.next()));
         news = match shutdown.run_until_cancelled(next).await {
             None => return,
             Some(Ok(Ok(news))) => news,

@@ -51,7 +51,7 @@ const QUESTIONS: [&str; 4] = [
 /// How the same goes with models.
 const WITH_MODELS: &str = "With two small networks more is found, in minutes instead of seconds:\n  uniground models fetch && uniground demo --masks auto --encoder auto";
 /// How many of the found objects are listed.
-const LISTED: usize = 12;
+const MAX_LISTED: usize = 12;
 
 pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
@@ -131,7 +131,7 @@ async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {
         objects.clone().count(),
         instances.len() - objects.clone().count()
     );
-    println!("{}\n", table::instances_table(objects.take(LISTED)));
+    println!("{}\n", table::instances_table(objects.take(MAX_LISTED)));
     Ok(())
 }
 

@@ -9,7 +9,7 @@ use uniground_types::scenes::{Scene, SceneStatus};
 /// As many as a page holds.
 const PAGE: u32 = 100;
 /// Scenes that an error lists.
-const LISTED: usize = 12;
+const MAX_LISTED: usize = 12;
 /// Characters of an id that is written out.
 const ID: usize = 36;
 
@@ -126,9 +126,9 @@ fn format_list(scenes: &[&Scene]) -> String {
             table::format_age(&scene.created_at)
         )
     };
-    let mut lines: Vec<String> = scenes.iter().take(LISTED).map(line).collect();
-    if scenes.len() > LISTED {
-        lines.push(format!("  and {} more", scenes.len() - LISTED));
+    let mut lines: Vec<String> = scenes.iter().take(MAX_LISTED).map(line).collect();
+    if scenes.len() > MAX_LISTED {
+        lines.push(format!("  and {} more", scenes.len() - MAX_LISTED));
     }
     lines.join("\n")
 }

@@ -41,7 +41,7 @@ struct MinimumRate {
 }
 
 /// The rule for bodies that are read as a whole, a megabyte at most.
-const WHOLE: MinimumRate = MinimumRate {
+const WHOLE_BODY_RATE: MinimumRate = MinimumRate {
     silence: Duration::from_secs(20),
     grace: Duration::from_secs(20),
     bytes_per_s: None,
@@ -49,7 +49,7 @@ const WHOLE: MinimumRate = MinimumRate {
 };
 /// The rule for uploads and lists of questions. An upload that takes longer than a day has to be
 /// sent in parts (`/v1/uploads`), each a body of its own.
-const STREAM: MinimumRate = MinimumRate {
+const STREAM_RATE: MinimumRate = MinimumRate {
     silence: Duration::from_secs(20),
     grace: Duration::from_secs(30),
     bytes_per_s: Some(1 << 10),
@@ -69,8 +69,8 @@ impl MinimumRate {
                 .eq_ignore_ascii_case("application/json")
         };
         match STREAMED.contains(&route) || (route == STREAMED_UNLESS_JSON && !is_json()) {
-            true => STREAM,
-            false => WHOLE,
+            true => STREAM_RATE,
+            false => WHOLE_BODY_RATE,
         }
     }
 
@@ -220,7 +220,7 @@ mod tests {
     use tower::ServiceExt;
     use uniground_types::problem::Problem;
 
-    const QUICK: MinimumRate = MinimumRate {
+    const FAST_RATE: MinimumRate = MinimumRate {
         silence: Duration::from_millis(200),
         grace: Duration::from_millis(400),
         bytes_per_s: None,
@@ -251,7 +251,7 @@ mod tests {
         for (what, apart) in
             [("it drips", Duration::from_millis(20)), ("it stops", Duration::from_hours(1))]
         {
-            let response = answer(QUICK, usize::MAX, apart).await;
+            let response = answer(FAST_RATE, usize::MAX, apart).await;
             assert_eq!(response.status(), StatusCode::REQUEST_TIMEOUT, "{what}");
             assert_eq!(response.headers()[header::CONNECTION], "close", "{what}");
             assert_eq!(response.headers()["location"], "/here", "{what}");
@@ -259,14 +259,14 @@ mod tests {
                 response.extensions().get::<Problem>().map(|problem| problem.code.as_str());
             assert_eq!(problem, Some("body_too_slow"), "{what}");
         }
-        let streamed = MinimumRate { bytes_per_s: Some(1 << 10), ..QUICK };
+        let streamed = MinimumRate { bytes_per_s: Some(1 << 10), ..FAST_RATE };
         let response = answer(streamed, usize::MAX, Duration::from_millis(20)).await;
         assert_eq!(response.extensions().get::<Problem>().unwrap().code, "upload_too_slow");
     }
 
     #[tokio::test]
     async fn a_body_that_arrives_in_time_is_read() {
-        let response = answer(QUICK, 5, Duration::from_millis(1)).await;
+        let response = answer(FAST_RATE, 5, Duration::from_millis(1)).await;
         assert_eq!(
             (response.status(), response.headers().get(header::CONNECTION)),
             (StatusCode::OK, None)
@@ -289,12 +289,12 @@ mod tests {
             (1 << 40, s(86_400), s(0)),
         ] {
             assert_eq!(
-                STREAM.time_left(received, waited),
+                STREAM_RATE.time_left(received, waited),
                 patience,
                 "{received} bytes in {waited:?}"
             );
         }
-        assert_eq!(WHOLE.time_left(1 << 20, s(19)), s(1));
+        assert_eq!(WHOLE_BODY_RATE.time_left(1 << 20, s(19)), s(1));
     }
 
     #[test]

@@ -17,9 +17,9 @@ use uniground_service::FileDownload;
 use uniground_service::error::Error;
 
 /// For the caller alone, and to be asked about each time.
-const ASK_AGAIN: HeaderValue = HeaderValue::from_static("private, no-cache");
+const REVALIDATE: HeaderValue = HeaderValue::from_static("private, no-cache");
 /// Larger bodies are not marked here: files have marks of their own.
-const MOST_BYTES: u64 = 2 << 20;
+const MAX_ETAG_BYTES: u64 = 2 << 20;
 
 /// A stored file, whole or the part that `asked` names (`Range`), or nothing where the caller has
 /// it (`If-None-Match`).
@@ -52,7 +52,7 @@ pub async fn send_file(
     }
     let mut response = served.map(Body::new);
     response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(media_type));
-    response.headers_mut().insert(header::CACHE_CONTROL, ASK_AGAIN);
+    response.headers_mut().insert(header::CACHE_CONTROL, REVALIDATE);
     Ok(response)
 }
 
@@ -85,7 +85,7 @@ pub fn send_bytes(
         true => StatusCode::NOT_MODIFIED.into_response(),
         false => ([(header::CONTENT_TYPE, media_type)], bytes).into_response(),
     };
-    response.headers_mut().insert(header::CACHE_CONTROL, ASK_AGAIN);
+    response.headers_mut().insert(header::CACHE_CONTROL, REVALIDATE);
     if let Ok(etag) = HeaderValue::from_str(&etag) {
         response.headers_mut().insert(header::ETAG, etag);
     }
@@ -98,20 +98,20 @@ pub async fn add_etag(request: Request, next: Next) -> Response {
     let is_read = request.method() == Method::GET;
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let response = next.run(request).await;
-    let is_small = response.body().size_hint().exact().is_some_and(|bytes| bytes <= MOST_BYTES);
+    let is_small = response.body().size_hint().exact().is_some_and(|bytes| bytes <= MAX_ETAG_BYTES);
     let is_marked = response.headers().contains_key(header::ETAG)
         || response.headers().contains_key(header::CACHE_CONTROL);
     if !is_read || response.status() != StatusCode::OK || !is_small || is_marked {
         return response;
     }
     let (mut parts, body) = response.into_parts();
-    let Ok(bytes) = to_bytes(body, MOST_BYTES as usize).await else {
+    let Ok(bytes) = to_bytes(body, MAX_ETAG_BYTES as usize).await else {
         return ProblemResponse::internal().into_response();
     };
     let hash: String =
         Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();
     let etag = format!("W/\"{hash}\"");
-    parts.headers.insert(header::CACHE_CONTROL, ASK_AGAIN);
+    parts.headers.insert(header::CACHE_CONTROL, REVALIDATE);
     let is_known = known
         .as_ref()
         .and_then(|known| known.to_str().ok())

@@ -33,7 +33,7 @@ use utoipa::openapi::{Content, Header, Ref, RefOr, Response, ResponseBuilder, Sc
 pub struct Description;
 
 /// Most entries of any list: of a batch, its questions.
-const MOST_ITEMS: usize = 1_000_000;
+const MAX_ITEMS: usize = 1_000_000;
 const PROBLEM: &str = "application/problem+json";
 const FILE: &str = "application/octet-stream";
 
@@ -251,7 +251,7 @@ fn bound_list(schema: &mut RefOr<Schema>) {
     let RefOr::T(schema) = schema else { return };
     match schema {
         Schema::Array(array) => {
-            array.max_items.get_or_insert(MOST_ITEMS);
+            array.max_items.get_or_insert(MAX_ITEMS);
         }
         Schema::Object(object) => object.properties.values_mut().for_each(bound_list),
         Schema::OneOf(one_of) => one_of.items.iter_mut().for_each(bound_list),

@@ -278,9 +278,9 @@ fn header_layer(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer
 /// A caller's own request id is taken where it is one: short, and nothing that could pass for
 /// something else in a log.
 fn remove_invalid_request_id(mut request: Request) -> Request {
-    const LONGEST: usize = 128;
+    const MAX_ID_CHARS: usize = 128;
     let fits = |id: &[u8]| {
-        (1..=LONGEST).contains(&id.len())
+        (1..=MAX_ID_CHARS).contains(&id.len())
             && id.iter().all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b))
     };
     if request.headers().get(REQUEST_ID).is_some_and(|id| !fits(id.as_bytes())) {

@@ -28,10 +28,10 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 
 /// The first file: it names the others, so it is asked for anew each time.
 const INDEX: &str = "index.html";
-const ASK_AGAIN: &str = "no-cache";
+const REVALIDATE: &str = "no-cache";
 
 /// The others have a hash of their bytes in their names.
-const FOR_EVER: &str = "public, max-age=31536000, immutable";
+const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
 /// A file of the page, as it is and compressed.
 struct File {
@@ -108,13 +108,13 @@ pub fn router<S: Clone + Send + Sync + 'static>() -> Router<S> {
 async fn index(headers: HeaderMap) -> Response {
     FILES.get(INDEX).map_or_else(
         || StatusCode::NOT_FOUND.into_response(),
-        |file| file.answer(&headers, ASK_AGAIN),
+        |file| file.answer(&headers, REVALIDATE),
     )
 }
 
 async fn asset(Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Response {
     match FILES.get(&format!("assets/{name}")) {
-        Some(file) => file.answer(&headers, FOR_EVER),
+        Some(file) => file.answer(&headers, IMMUTABLE),
         None => no_such_route(uri).await.into_response(),
     }
 }

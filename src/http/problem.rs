@@ -254,10 +254,10 @@ fn checksum_mismatch() -> StatusCode {
 }
 
 /// What is repeated of a request in its refusal: enough to see what is meant.
-const LONGEST_TEXT: usize = 1000;
+const MAX_TEXT_CHARS: usize = 1000;
 
 fn shorten(text: &mut String) {
-    if let Some((cut, _)) = text.char_indices().nth(LONGEST_TEXT) {
+    if let Some((cut, _)) = text.char_indices().nth(MAX_TEXT_CHARS) {
         text.truncate(cut);
         text.push_str("...");
     }

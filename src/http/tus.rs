@@ -29,11 +29,11 @@ pub const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-method-o
 pub const SCENE_ID: HeaderName = HeaderName::from_static("uniground-scene-id");
 pub const JOB_ID: HeaderName = HeaderName::from_static("uniground-job-id");
 
-const SPOKEN: HeaderValue = HeaderValue::from_static("1.0.0");
+const SUPPORTED_VERSION: HeaderValue = HeaderValue::from_static("1.0.0");
 const EXTENSIONS: &str = "creation,creation-with-upload,checksum,expiration,termination";
 const PART: &str = "application/offset+octet-stream";
 /// Longest metadata kept, bytes.
-const MOST_METADATA: usize = 8 << 10;
+const MAX_METADATA_CHARS: usize = 8 << 10;
 
 /// The version of tus that is spoken here.
 #[derive(utoipa::ToSchema)]
@@ -47,19 +47,20 @@ pub enum Version {
 pub async fn check_version(request: Request, next: Next) -> Response {
     let is_asked =
         matches!(*request.method(), Method::POST | Method::HEAD | Method::PATCH | Method::DELETE);
-    let mut response = match is_asked && request.headers().get(RESUMABLE) != Some(&SPOKEN) {
-        true => {
-            let detail = "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0";
-            let refused = ProblemResponse::new(
-                StatusCode::PRECONDITION_FAILED,
-                "tus_version_unknown",
-                detail,
-            );
-            ([(VERSION, SPOKEN)], refused).into_response()
-        }
-        false => next.run(request).await,
-    };
-    response.headers_mut().insert(RESUMABLE, SPOKEN);
+    let mut response =
+        match is_asked && request.headers().get(RESUMABLE) != Some(&SUPPORTED_VERSION) {
+            true => {
+                let detail = "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0";
+                let refused = ProblemResponse::new(
+                    StatusCode::PRECONDITION_FAILED,
+                    "tus_version_unknown",
+                    detail,
+                );
+                ([(VERSION, SUPPORTED_VERSION)], refused).into_response()
+            }
+            false => next.run(request).await,
+        };
+    response.headers_mut().insert(RESUMABLE, SUPPORTED_VERSION);
     response
 }
 
@@ -162,9 +163,9 @@ pub struct Metadata {
 /// When it can not be read.
 pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
-    let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
+    let value = value.to_str().ok().filter(|value| value.len() <= MAX_METADATA_CHARS);
     let value = value.ok_or_else(|| {
-        invalid_header(&METADATA, &format!("at most {MOST_METADATA} visible characters"))
+        invalid_header(&METADATA, &format!("at most {MAX_METADATA_CHARS} visible characters"))
     })?;
     let pairs = value.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
         let (key, coded) = pair.split_once(' ').unwrap_or((pair, ""));

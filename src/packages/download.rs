@@ -10,7 +10,7 @@ use std::time::Duration;
 use uniground_client::install_crypto_provider;
 
 /// Timeout for connecting to a registry, for its response, and between two chunks of an archive.
-const PATIENCE: Duration = Duration::from_mins(1);
+const NETWORK_TIMEOUT: Duration = Duration::from_mins(1);
 const CONNECT: Duration = Duration::from_secs(15);
 /// Number of bytes that are read at once.
 const PIECE_BYTES: usize = 1 << 16;
@@ -30,7 +30,7 @@ pub fn download_archive(
     let registry = registries.registry_of(package);
     let broken = |why: String| registry.unreachable(package, why);
     let client = Client::builder()
-        .timeout(PATIENCE)
+        .timeout(NETWORK_TIMEOUT)
         .connect_timeout(CONNECT)
         .build()
         .map_err(|e| broken(describe_error(e)))?;

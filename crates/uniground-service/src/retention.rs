@@ -29,7 +29,7 @@ pub struct RetentionReport {
 }
 
 /// Rows removed in one transaction.
-const TOGETHER: u32 = 200;
+const ROWS_PER_TRANSACTION: u32 = 200;
 const DAY: Duration = Duration::from_hours(24);
 
 /// What has been removed of one kind so far.
@@ -157,7 +157,7 @@ impl RetentionRun<'_> {
         })
         .await??;
         let mut gone = RemovedSoFar::default();
-        for names in old.chunks(TOGETHER as usize) {
+        for names in old.chunks(ROWS_PER_TRANSACTION as usize) {
             let folders = names.iter().map(|name| self.service.blobs.answer(name)).collect();
             gone.bytes += self.discard(folders).await?;
             gone.entries += names.len() as u64;
@@ -181,7 +181,7 @@ impl RetentionRun<'_> {
         let blobs = &self.service.blobs;
         let mut after = String::new();
         loop {
-            let due = rows.due(aged, &before, &after, TOGETHER).await?;
+            let due = rows.due(aged, &before, &after, ROWS_PER_TRANSACTION).await?;
             let Some(last) = due.last() else { break };
             after.clone_from(&last.id);
             let removed = rows
@@ -253,7 +253,7 @@ impl RetentionRun<'_> {
         if days == 0 {
             return Ok(gone.into_report(KIND, "kept for ever".into()));
         }
-        for hash in service.content_repository.outgrown_contents(TOGETHER).await? {
+        for hash in service.content_repository.outgrown_contents(ROWS_PER_TRANSACTION).await? {
             let folders = {
                 let _references = (
                     service.service_locks.lock_content_references().await?,

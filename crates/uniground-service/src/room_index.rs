@@ -19,7 +19,7 @@ use uniground_storage::{
 use uniground_types::labels::Labels;
 
 /// Rooms read for indexing at once.
-const AT_ONCE: u32 = 64;
+const ROOMS_PER_ROUND: u32 = 64;
 /// The pause between two rooms, so that indexing does not slow down other work.
 const PAUSE: Duration = Duration::from_millis(10);
 /// The names looked up for each object in a question: those that fit it best.
@@ -27,7 +27,7 @@ const NAMES: usize = 32;
 /// The rooms looked up for each name: those with the highest weight.
 const ROOMS: u32 = 512;
 /// The maximum number of scenes with the same parse that are scanned.
-const SAME_ROOM: u32 = 20;
+const MAX_SCENES_PER_PARSE: u32 = 20;
 /// The maximum age of the list of names.
 const AGE: Duration = Duration::from_secs(10);
 
@@ -56,7 +56,7 @@ impl RoomSearch {
     /// # Errors
     /// [`Error`] of the store. Rooms that were indexed stay indexed.
     pub async fn index_rooms(&self) -> Result<(), Error> {
-        let mut wanted = self.room_index_repository.parses_to_index(AT_ONCE).await?;
+        let mut wanted = self.room_index_repository.parses_to_index(ROOMS_PER_ROUND).await?;
         if wanted.is_empty() {
             return Ok(());
         }
@@ -92,7 +92,7 @@ impl RoomSearch {
                 }
                 tokio::time::sleep(PAUSE).await;
             }
-            wanted = self.room_index_repository.parses_to_index(AT_ONCE).await?;
+            wanted = self.room_index_repository.parses_to_index(ROOMS_PER_ROUND).await?;
         }
         Ok(())
     }
@@ -175,8 +175,10 @@ impl RoomSearch {
         let rank: HashMap<&str, usize> =
             chosen.iter().enumerate().map(|(rank, room)| (room.as_str(), rank)).collect();
         // A room that was uploaded many times must not crowd out the others.
-        let scenes =
-            self.room_index_repository.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
+        let scenes = self
+            .room_index_repository
+            .scenes_of_parses(&chosen, labels, MAX_SCENES_PER_PARSE)
+            .await?;
         let rank_of =
             |scene: &SceneRow| scene.parse_id.as_deref().and_then(|parse| rank.get(parse).copied());
         let mut scenes: Vec<_> =

@@ -28,8 +28,8 @@ const AGE: Duration = Duration::from_secs(1);
 /// and of the measured file sizes.
 const SIZES_AGE: Duration = Duration::from_mins(1);
 /// How long a scrape waits for fresh figures. The first scrape waits longer.
-const PATIENCE: Duration = Duration::from_millis(8);
-const FIRST_PATIENCE: Duration = Duration::from_secs(5);
+const SCRAPE_TIMEOUT: Duration = Duration::from_millis(8);
+const FIRST_SCRAPE_TIMEOUT: Duration = Duration::from_secs(5);
 
 type Sizes = Arc<BTreeMap<&'static str, u64>>;
 
@@ -108,7 +108,7 @@ impl StatsService {
     /// state of the store.
     pub async fn scrape(&self) -> String {
         let is_first = self.figures.figures.last().is_none();
-        let patience = if is_first { FIRST_PATIENCE } else { PATIENCE };
+        let patience = if is_first { FIRST_SCRAPE_TIMEOUT } else { SCRAPE_TIMEOUT };
         let service = self.clone();
         let figures = self
             .figures
@@ -206,7 +206,7 @@ impl StatsService {
                 .inspect_err(|error| tracing::warn!(%error, "file sizes could not be measured"));
             sizes.ok().map(Arc::new).or(before)
         };
-        self.figures.sizes.get_within(SIZES_AGE, PATIENCE, look).await.flatten()
+        self.figures.sizes.get_within(SIZES_AGE, SCRAPE_TIMEOUT, look).await.flatten()
     }
 
     /// Returns today's spending in US dollars.

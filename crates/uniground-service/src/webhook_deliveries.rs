@@ -19,10 +19,10 @@ use uniground_types::batch::Batch;
 /// The interval between checks for jobs that have ended.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Webhooks delivered at once.
-const TOGETHER: u32 = 8;
+const MAX_CONCURRENT_DELIVERIES: u32 = 8;
 /// The wait after the first failed attempt. It doubles up to the longest wait.
-const FIRST_WAIT: Duration = Duration::from_secs(5);
-const LONGEST_WAIT: Duration = Duration::from_hours(2);
+const MIN_BACKOFF: Duration = Duration::from_secs(5);
+const MAX_BACKOFF: Duration = Duration::from_hours(2);
 /// The maximum number of attempts. They take about twelve hours.
 const TRIES: u32 = 17;
 
@@ -96,7 +96,7 @@ impl WebhookService {
         if turn.is_none() {
             return Ok(false);
         }
-        let due = self.webhook_repository.due_deliveries(TOGETHER).await?;
+        let due = self.webhook_repository.due_deliveries(MAX_CONCURRENT_DELIVERIES).await?;
         let any = !due.is_empty();
         join_all(
             due.into_iter().map(|(job_id, tried)| {
@@ -163,7 +163,7 @@ impl WebhookService {
                 self.webhook_repository.delete_delivery(job_id).await?;
             }
             Err(error) => {
-                let wait = FIRST_WAIT.saturating_mul(1 << tried.min(16)).min(LONGEST_WAIT);
+                let wait = MIN_BACKOFF.saturating_mul(1 << tried.min(16)).min(MAX_BACKOFF);
                 let again_in_s = wait.as_secs();
                 tracing::warn!(
                     job_id,

@@ -62,16 +62,16 @@ struct QueuedAnswer {
 pub(super) struct AnswerQueue(mpsc::Sender<QueuedAnswer>);
 
 /// Capacity of the queue. Further callers wait for a free place.
-const MOST_WAITING: usize = 1024;
+const QUEUE_CAPACITY: usize = 1024;
 /// Answers written in one transaction.
-const MOST_TOGETHER: usize = 128;
+const ANSWERS_PER_TRANSACTION: usize = 128;
 
 impl AnswerQueue {
     pub fn start(writer: Writer) -> Self {
-        let (sender, mut queue) = mpsc::channel::<QueuedAnswer>(MOST_WAITING);
+        let (sender, mut queue) = mpsc::channel::<QueuedAnswer>(QUEUE_CAPACITY);
         tokio::spawn(async move {
             let mut together = Vec::new();
-            while queue.recv_many(&mut together, MOST_TOGETHER).await > 0 {
+            while queue.recv_many(&mut together, ANSWERS_PER_TRANSACTION).await > 0 {
                 let (answers, callers): (Vec<_>, Vec<_>) =
                     together.drain(..).map(|waiting| (waiting.answer, waiting.kept)).unzip();
                 // A caller that left needs no result.

@@ -26,21 +26,21 @@ use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
 /// How long a process that wants exclusive access waits for previous processes to end.
-const HANDOVER: Duration = Duration::from_secs(5);
+const HANDOVER_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a process waits for another one that has exclusive access, while that one cleans up or
 /// updates the schema before it lets others join.
-const CLEARING: Duration = Duration::from_mins(1);
+const CLEANUP_TIMEOUT: Duration = Duration::from_mins(1);
 /// Interval of heartbeats. A member whose session is gone and that has missed three heartbeats is
 /// removed.
-const BEAT: Duration = Duration::from_secs(2);
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
 /// How long members get to reconnect after the database was away: one heartbeat, and one failed
 /// attempt before it.
-const COMING_BACK: Duration = Duration::from_secs(8);
+const RECONNECT_TIMEOUT: Duration = Duration::from_secs(8);
 /// Longest interval between attempts to take a lock. Processes that take locks one after the other
 /// pause longer in between (`RunMode::pause`).
-const LONGEST_LOOK: Duration = Duration::from_millis(25);
+const MAX_LOCK_POLL_INTERVAL: Duration = Duration::from_millis(25);
 /// Timeout of calls on the session's connection.
-const PATIENCE: Duration = Duration::from_secs(2);
+const CALL_TIMEOUT: Duration = Duration::from_secs(2);
 /// Duration of a lease: a member without a heartbeat for so long loses its work to others.
 pub const LEASE: Duration = Duration::from_secs(30);
 
@@ -144,7 +144,7 @@ impl ClusterMembership {
                 }
                 // They were killed, or are reconnecting to a database that was away itself.
                 call_lock_function(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
-                sleep(COMING_BACK).await;
+                sleep(RECONNECT_TIMEOUT).await;
                 waited = true;
                 continue;
             }
@@ -154,11 +154,12 @@ impl ClusterMembership {
             {
                 break false;
             }
-            let patience = if access == StoreAccess::Shared { CLEARING } else { HANDOVER };
+            let patience =
+                if access == StoreAccess::Shared { CLEANUP_TIMEOUT } else { HANDOVER_TIMEOUT };
             if begun.elapsed() >= patience {
                 return Err(StoreError::DatabaseInUse);
             }
-            sleep(HANDOVER / 50).await;
+            sleep(HANDOVER_TIMEOUT / 50).await;
         };
         let session = Session {
             options,
@@ -251,7 +252,7 @@ impl ClusterMembership {
             }
         };
         // A server that does not answer notices by itself that the session is gone.
-        let _ = timeout(PATIENCE, leaving).await;
+        let _ = timeout(CALL_TIMEOUT, leaving).await;
     }
 }
 
@@ -268,10 +269,11 @@ impl ProcessLease {
         held: Weak<Mutex<Option<AnyConnection>>>,
         number: Arc<AtomicU64>,
     ) {
-        let (mut steady_since, mut beaten, mut wait) = (Instant::now(), Instant::now(), BEAT);
+        let (mut steady_since, mut beaten, mut wait) =
+            (Instant::now(), Instant::now(), HEARTBEAT_INTERVAL);
         loop {
             sleep(wait).await;
-            wait = BEAT;
+            wait = HEARTBEAT_INTERVAL;
             let Some(held) = held.upgrade() else { return };
             let mut held = held.lock().await;
             if number.load(Relaxed) == LEFT {
@@ -279,13 +281,13 @@ impl ProcessLease {
             }
             // A process that was suspended or disconnected cannot tell which other members are
             // gone.
-            let stood_still = beaten.elapsed() > BEAT * 3;
+            let stood_still = beaten.elapsed() > HEARTBEAT_INTERVAL * 3;
             if stood_still {
                 steady_since = Instant::now();
             }
             beaten = Instant::now();
             let id_before = self.id();
-            let seen = timeout(PATIENCE * 2, async {
+            let seen = timeout(CALL_TIMEOUT * 2, async {
                 let connection = match &mut *held {
                     Some(connection) => connection,
                     gone => gone.insert(reconnect(&options).await?),
@@ -350,7 +352,7 @@ impl ProcessLease {
         let gone: Vec<(String, i64)> = sqlx::query_as(sqlx::AssertSqlSafe(sql))
             .bind(&*self.id())
             .bind(self.lease.as_secs_f64())
-            .bind((BEAT * 3).as_secs_f64())
+            .bind((HEARTBEAT_INTERVAL * 3).as_secs_f64())
             .fetch_all(&mut *connection)
             .await?;
         for (id, session) in gone {
@@ -395,7 +397,7 @@ impl Session {
                     return Ok(None);
                 }
                 sleep(wait).await;
-                wait = (wait * 2).min(LONGEST_LOOK);
+                wait = (wait * 2).min(MAX_LOCK_POLL_INTERVAL);
             }
         });
         taking.await.map_err(|error| StoreError::Blobs(std::io::Error::other(error)))?
@@ -417,7 +419,7 @@ impl Session {
         key: i64,
     ) -> Result<bool, StoreError> {
         let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
-        let called = timeout(PATIENCE, call_lock_function(connection, function, key)).await;
+        let called = timeout(CALL_TIMEOUT, call_lock_function(connection, function, key)).await;
         let called = called.unwrap_or_else(|_| Err(sqlx::Error::PoolTimedOut.into()));
         if called.is_err() {
             *held = None;

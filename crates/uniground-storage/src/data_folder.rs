@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 pub const MARKER: &str = "uniground-data.json";
 /// Marks the target folder of a data migration.
-pub const MOVING: &str = "uniground-moving.json";
+pub const MIGRATION_MARKER: &str = "uniground-moving.json";
 /// Left behind when the process is killed while it writes the marker.
 const UNFINISHED_MARKER: &str = "uniground-data.json.new";
 pub const DATABASE: &str = "uniground.sqlite";
@@ -75,7 +75,7 @@ impl DataFolder {
 
     /// Checks that no unfinished data migration has this folder as its target.
     fn check_complete(path: &Utf8Path) -> Result<(), StoreError> {
-        match path.join(MOVING).exists() && !path.join(MARKER).exists() {
+        match path.join(MIGRATION_MARKER).exists() && !path.join(MARKER).exists() {
             true => Err(StoreError::UnfinishedMigration),
             false => Ok(()),
         }

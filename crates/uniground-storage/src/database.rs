@@ -102,9 +102,9 @@ pub(super) enum Engine {
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
 /// Timeout for the write connection, and for any connection to PostgreSQL. SQLite's own timeout for
 /// a lock is shorter.
-const TURN: Duration = Duration::from_secs(2);
+const WRITER_TIMEOUT: Duration = Duration::from_secs(2);
 /// Timeout for a read connection to a SQLite file.
-const READERS_TURN: Duration = Duration::from_secs(30);
+const READER_TIMEOUT: Duration = Duration::from_secs(30);
 /// Timeout of a PostgreSQL statement.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(30);
 /// A transaction that is idle for longer is rolled back: its process hangs, and all other writers
@@ -141,9 +141,9 @@ impl Connections {
             "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL",
             BUSY_TIMEOUT.as_millis()
         );
-        let writer = pool(1, TURN, settings).connect_with(options("rwc")?).await?;
+        let writer = pool(1, WRITER_TIMEOUT, settings).connect_with(options("rwc")?).await?;
         let settings = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
-        let reader = pool(READERS, READERS_TURN, settings).connect_lazy_with(options("ro")?);
+        let reader = pool(READERS, READER_TIMEOUT, settings).connect_lazy_with(options("ro")?);
         Ok(Self { engine: Engine::Sqlite, reader, writer })
     }
 
@@ -156,8 +156,9 @@ impl Connections {
             STATEMENT_TIMEOUT.as_millis(),
             IDLE_IN_TRANSACTION.as_millis()
         );
-        let writer = pool(WRITERS, TURN, settings.clone()).connect_with(options.clone()).await?;
-        let reader = pool(READERS, TURN, settings).connect_lazy_with(options);
+        let writer =
+            pool(WRITERS, WRITER_TIMEOUT, settings.clone()).connect_with(options.clone()).await?;
+        let reader = pool(READERS, WRITER_TIMEOUT, settings).connect_lazy_with(options);
         Ok(Self { engine: Engine::Postgres, reader, writer })
     }
 }

@@ -167,7 +167,7 @@ pub struct JobRecovery {
 /// How often a worker that lost the race for a job tries another one before it waits.
 const TRIES_TO_CLAIM: u32 = 8;
 /// A longer delay is ignored: the clock was set back since it was stored.
-const LONGEST_WAIT: Duration = Duration::from_hours(2);
+const MAX_DELAY: Duration = Duration::from_hours(2);
 
 /// Repository of background jobs.
 #[derive(Clone)]
@@ -269,7 +269,7 @@ impl JobRepository {
         let due = "SELECT id FROM jobs AS due WHERE kind = $1 AND state = 'queued' AND (not_before IS NULL OR not_before <= $2 OR not_before > $3)
                    ORDER BY CASE WHEN key_id IS NULL THEN (SELECT max(started_at) FROM jobs WHERE kind = $1 AND key_id IS NULL)
                    ELSE (SELECT max(started_at) FROM jobs WHERE kind = $1 AND key_id = due.key_id) END NULLS FIRST, id LIMIT 1";
-        let (time, too_late) = (now(), time_after(LONGEST_WAIT));
+        let (time, too_late) = (now(), time_after(MAX_DELAY));
         for _ in 0..TRIES_TO_CLAIM {
             // Search with a reader first: polling an empty queue then writes nothing.
             let id = sqlx::query_scalar(due).bind(kind).bind(&time).bind(&too_late);
@@ -530,7 +530,7 @@ impl JobRepository {
             .await?;
         for interruptions in at_once..give_up_after {
             let due = time_after(
-                wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(LONGEST_WAIT / 2),
+                wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(MAX_DELAY / 2),
             );
             let sql =
                 format!("UPDATE jobs SET not_before = $2 WHERE {LEFT} AND interruptions = $3");

@@ -34,7 +34,7 @@ pub struct RoomMatch {
 }
 
 /// Rows per INSERT statement.
-const TOGETHER: usize = 50;
+const ROWS_PER_STATEMENT: usize = 50;
 
 /// Repository of the room index: words and vectors.
 #[derive(Clone)]
@@ -75,7 +75,7 @@ impl RoomIndexRepository {
             .bind(&room.parse_id)
             .execute(&mut *tx)
             .await?;
-        for entries in entries.chunks(TOGETHER) {
+        for entries in entries.chunks(ROWS_PER_STATEMENT) {
             let row =
                 |at: usize| format!("($1, ${}, ${}, ${})", 3 * at + 2, 3 * at + 3, 3 * at + 4);
             let rows: Vec<String> = (0..entries.len()).map(row).collect();

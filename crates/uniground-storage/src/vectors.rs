@@ -23,9 +23,9 @@ const NEAREST: u32 = 1000;
 /// has better recall and is slower.
 const IN_HAND: u32 = 1000;
 /// Rows per INSERT statement.
-const TOGETHER: usize = 50;
+const ROWS_PER_STATEMENT: usize = 50;
 /// The longest vectors that the extension can index.
-const LONGEST: usize = 2000;
+const MAX_DIMENSIONS: usize = 2000;
 
 impl RoomIndexRepository {
     /// Enables vectors: creates the tables and, if they are new, has every room indexed again.
@@ -92,7 +92,8 @@ impl RoomIndexRepository {
             .execute(&mut *tx)
             .await?;
         let dim = seen.and_then(|seen| seen.vectors.first()).map_or(0, Vec::len);
-        let Some(RoomVectors { encoder, vectors }) = seen.filter(|_| (1..=LONGEST).contains(&dim))
+        let Some(RoomVectors { encoder, vectors }) =
+            seen.filter(|_| (1..=MAX_DIMENSIONS).contains(&dim))
         else {
             return Ok(tx.commit().await?);
         };
@@ -105,7 +106,7 @@ impl RoomIndexRepository {
             quote_literal(encoder)
         );
         tx.execute(AssertSqlSafe(sql)).await?;
-        for vectors in vectors.chunks(TOGETHER) {
+        for vectors in vectors.chunks(ROWS_PER_STATEMENT) {
             let rows: Vec<String> =
                 (0..vectors.len()).map(|at| format!("($1, $2, ${}::vector)", at + 3)).collect();
             let sql = format!(

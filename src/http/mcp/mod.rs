@@ -34,7 +34,7 @@ const INSTRUCTIONS: &str = "Finds things in scanned rooms by plain words. Start 
     one scene. A status other than grounded means that the thing is not surely known: ask the person, or look with render_view.";
 
 /// A message has at most so many bytes: what is no method is told again, and logged.
-const MOST_BYTES: usize = 64 << 10;
+const MAX_MESSAGE_BYTES: usize = 64 << 10;
 
 /// The use cases as tools.
 #[derive(Clone)]
@@ -54,7 +54,7 @@ impl Mcp {
         let config = StreamableHttpServerConfig::default()
             .with_legacy_session_mode(false)
             .with_json_response(true)
-            .with_max_request_body_bytes(MOST_BYTES)
+            .with_max_request_body_bytes(MAX_MESSAGE_BYTES)
             .with_cancellation_token(shutdown)
             // Hosts and origins are looked at once for all routes.
             .disable_allowed_hosts()
@@ -209,7 +209,7 @@ pub(super) async fn answer(State(app): State<App>, request: Request) -> Response
         StatusCode::UNSUPPORTED_MEDIA_TYPE if says_json => StatusCode::BAD_REQUEST,
         status => status,
     };
-    let words = to_bytes(answered.into_body(), MOST_BYTES).await.unwrap_or_default();
+    let words = to_bytes(answered.into_body(), MAX_MESSAGE_BYTES).await.unwrap_or_default();
     let code = match status {
         StatusCode::BAD_REQUEST if says_json => "malformed_json",
         StatusCode::UNSUPPORTED_MEDIA_TYPE => "unsupported_media_type",

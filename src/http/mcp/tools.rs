@@ -2,7 +2,7 @@
 
 use super::schema;
 use super::values::{
-    Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED,
+    Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MAX_MARKED,
     ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView, SceneBrief, SceneBriefs, ViewKind,
 };
 use crate::http::paging;
@@ -219,10 +219,10 @@ async fn approach(
 
 async fn render_view(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let RenderView { scene_id, instance_ids, view } = parse_arguments(arguments)?;
-    if instance_ids.len() > MOST_MARKED {
+    if instance_ids.len() > MAX_MARKED {
         return Err(Error::invalid(
             "/instance_ids",
-            format!("at most {MOST_MARKED} are marked in one picture"),
+            format!("at most {MAX_MARKED} are marked in one picture"),
         ));
     }
     let ids: Vec<InstanceId> = instance_ids.into_iter().map(InstanceId).collect();

@@ -326,7 +326,7 @@ pub(super) struct RenderView {
 }
 
 /// Instances that are marked in one picture.
-pub(super) const MOST_MARKED: usize = 20;
+pub(super) const MAX_MARKED: usize = 20;
 
 #[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]

@@ -13,9 +13,9 @@ use uniground_render::jpeg;
 
 /// Tokens of a question with five candidates, for models with one token per 28 x 28 pixels: a
 /// render, seven collages, two photographs, the text, and a reply.
-const TOKENS_OF_A_QUESTION: u64 = 10_000;
+const QUESTION_TOKENS: u64 = 10_000;
 /// A render, collages of five candidates and two anchors, and two photographs.
-const PICTURES_OF_A_QUESTION: usize = 10;
+const QUESTION_PICTURES: usize = 10;
 /// Timeout of one check.
 const CHECK_TIMEOUT: Duration = Duration::from_secs(20);
 
@@ -47,8 +47,8 @@ impl ChatClient {
             return Vec::new();
         };
         let too_short = |tokens: u64, what_to_do: &str| {
-            (tokens < TOKENS_OF_A_QUESTION).then(|| {
-                format!("{model} reads at most {tokens} tokens here, a question takes about {TOKENS_OF_A_QUESTION} and more with more candidates: {what_to_do}")
+            (tokens < QUESTION_TOKENS).then(|| {
+                format!("{model} reads at most {tokens} tokens here, a question takes about {QUESTION_TOKENS} and more with more candidates: {what_to_do}")
             })
         };
         let by_length = found
@@ -64,7 +64,7 @@ impl ChatClient {
                 ),
                 None => Some(format!(
                     "Ollama cuts what is longer than its context without a word, by default 4096 tokens on cards under 24 GB; a question \
-                     takes about {TOKENS_OF_A_QUESTION}: set OLLAMA_CONTEXT_LENGTH=16384"
+                     takes about {QUESTION_TOKENS}: set OLLAMA_CONTEXT_LENGTH=16384"
                 )),
             },
             _ => None,
@@ -77,7 +77,7 @@ impl ChatClient {
     async fn picture_limit_advice(&self) -> Option<String> {
         let picture =
             format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg(&RgbImage::new(56, 56))));
-        let pictures = (0..PICTURES_OF_A_QUESTION)
+        let pictures = (0..QUESTION_PICTURES)
             .map(|_| json!({"type": "image_url", "image_url": {"url": picture}}));
         let content: Vec<Value> = pictures.chain([json!({"type": "text", "text": "?"})]).collect();
         let body = json!({"model": self.endpoint.model, "max_tokens": 1, "messages": [{"role": "user", "content": content}]});
@@ -91,7 +91,7 @@ impl ChatClient {
         }
         let told = super::read_limited(response).await.ok().flatten().unwrap_or_default();
         Some(format!(
-            "{} refuses {PICTURES_OF_A_QUESTION} pictures in one prompt, which a question has ({}): start vLLM with \
+            "{} refuses {QUESTION_PICTURES} pictures in one prompt, which a question has ({}): start vLLM with \
              --limit-mm-per-prompt '{{\"image\": 25}}' (older versions: image=25)",
             self.endpoint.model,
             super::detail(&self.redact_key(&told))

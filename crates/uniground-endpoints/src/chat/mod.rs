@@ -148,9 +148,9 @@ const MAX_REDIRECTS: usize = 3;
 const CHECK_TIMEOUT: Duration = Duration::from_secs(5);
 /// Servers count tokens differently, above all for pictures. A count that differs from the estimate
 /// by more than this factor is implausible.
-const MOST_PROMPT_TIMES: u64 = 20;
+const MAX_PROMPT_FACTOR: u64 = 20;
 /// The same factor for replies. It is large: models bill the tokens of their hidden reasoning too.
-const MOST_COMPLETION_TIMES: u64 = 1000;
+const MAX_COMPLETION_FACTOR: u64 = 1000;
 /// Tokens around even the shortest question.
 const PROMPT_OVERHEAD_TOKENS: u64 = 1000;
 
@@ -234,12 +234,12 @@ impl ChatClient {
                     let prompt_tokens = plausible_token_count(
                         prompt_tokens,
                         Tokens::of(request).total(),
-                        MOST_PROMPT_TIMES,
+                        MAX_PROMPT_FACTOR,
                     );
                     let completion_tokens = plausible_token_count(
                         completion_tokens,
                         Tokens::of_text(&text),
-                        MOST_COMPLETION_TIMES,
+                        MAX_COMPLETION_FACTOR,
                     );
                     return Ok(ChatReply {
                         text,

@@ -23,8 +23,8 @@ use uniground_models::with_causes;
 
 const HEADER_LENGTH: &str = "Inference-Header-Content-Length";
 const ATTEMPTS: u32 = 4;
-const FIRST_WAIT: Duration = Duration::from_millis(250);
-const LONGEST_WAIT: Duration = Duration::from_secs(10);
+const MIN_BACKOFF: Duration = Duration::from_millis(250);
+const MAX_BACKOFF: Duration = Duration::from_secs(10);
 /// Larger responses are rejected.
 const MAX_ANSWER_BYTES: u64 = 1 << 30;
 
@@ -76,7 +76,7 @@ impl RemoteServer {
         install_crypto_provider();
         let address = address.trim_end_matches('/').to_owned();
         let client =
-            Client::builder().timeout(timeout).connect_timeout(timeout.min(LONGEST_WAIT)).build();
+            Client::builder().timeout(timeout).connect_timeout(timeout.min(MAX_BACKOFF)).build();
         let client = client
             .map_err(|e| ModelError::Remote { network: address.clone(), why: with_causes(&e) })?;
         Ok(Self { address, client })
@@ -362,7 +362,7 @@ const REFUSED: &str = "refused";
 
 /// Repeats a request until it is answered, refused, or out of attempts.
 fn send_with_retries(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
-    let mut wait = FIRST_WAIT;
+    let mut wait = MIN_BACKOFF;
     let mut attempt = 1;
     loop {
         let (why, told) = match request().send() {
@@ -389,7 +389,7 @@ fn send_with_retries(request: impl Fn() -> RequestBuilder) -> Result<Response, S
         if attempt == ATTEMPTS {
             return Err(format!("{why} ({ATTEMPTS} attempts)"));
         }
-        sleep(told.unwrap_or(wait).min(LONGEST_WAIT));
+        sleep(told.unwrap_or(wait).min(MAX_BACKOFF));
         wait *= 2;
         attempt += 1;
     }

@@ -19,7 +19,7 @@ use uniground_types::many::{MOST_SCENES, ManyAnswers, ManyGroundRequest, NotAske
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
 /// Scenes of one question that are asked concurrently.
-const AT_ONCE: usize = 4;
+const MAX_CONCURRENT_SCENES: usize = 4;
 /// Up to this many scenes stay in memory after they were scanned.
 const FEW_SCENES: usize = 32;
 /// How many scenes are scanned if more match than can be scanned.
@@ -51,7 +51,7 @@ impl GroundingService {
                 let seen = Box::pin(self.scan_scene(&row, &glance_at, &caller, start, stays)).await;
                 (row, seen)
             })
-            .buffered(AT_ONCE)
+            .buffered(MAX_CONCURRENT_SCENES)
             .collect()
             .await;
         let (mut looked_into, mut likely, mut not_asked, mut first_error) =
@@ -87,7 +87,7 @@ impl GroundingService {
                         .await;
                 (row, answer)
             })
-            .buffered(AT_ONCE)
+            .buffered(MAX_CONCURRENT_SCENES)
             .collect()
             .await;
         let (mut answers, mut first_error) = (Vec::new(), None);

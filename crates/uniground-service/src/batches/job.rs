@@ -58,7 +58,7 @@ const WRITE_AFTER: usize = 64;
 /// Attempts at a question after transient errors, and the wait before the second attempt. Each
 /// later wait is twice as long.
 const TRIES: u32 = 4;
-const FIRST_WAIT: Duration = Duration::from_secs(1);
+const MIN_BACKOFF: Duration = Duration::from_secs(1);
 /// The wait of a question that found no free permit. Interactive questions go first.
 const RETRY_DELAY: Duration = Duration::from_millis(50);
 
@@ -297,7 +297,7 @@ impl BatchRunner {
                 Ok(request) => request,
                 Err(error) => return Ok(to_failed_item(item, &error)),
             };
-        let (mut tries, mut wait) = (0, FIRST_WAIT);
+        let (mut tries, mut wait) = (0, MIN_BACKOFF);
         loop {
             let asker = QuestionCaller {
                 caller: caller.clone(),

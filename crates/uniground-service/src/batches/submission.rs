@@ -35,8 +35,8 @@ pub enum BatchBody<S> {
 
 /// The maximum number of items, and of their bytes, in one transaction. Small enough that questions
 /// do not wait long for the database.
-const TOGETHER: usize = 500;
-const BYTES_TOGETHER: usize = 1 << 20;
+const MAX_ITEMS_PER_TRANSACTION: usize = 500;
+const MAX_BYTES_PER_TRANSACTION: usize = 1 << 20;
 /// The maximum length of a line in bytes. All defaults together have the same limit.
 const MAX_LINE_BYTES: usize = 64 << 10;
 /// The maximum bytes of all items of a batch and its defaults, as they are stored.
@@ -146,7 +146,9 @@ impl BatchReceiver<'_> {
         }
         self.waiting.push(NewItem { scene_id, request });
         self.waiting_bytes += bytes;
-        if self.waiting.len() >= TOGETHER || self.waiting_bytes >= BYTES_TOGETHER {
+        if self.waiting.len() >= MAX_ITEMS_PER_TRANSACTION
+            || self.waiting_bytes >= MAX_BYTES_PER_TRANSACTION
+        {
             self.write().await
         } else {
             Ok(())

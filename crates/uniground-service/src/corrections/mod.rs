@@ -22,7 +22,7 @@ use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::settings::ParsingSettings;
 
 /// The maximum number of corrections of a parse.
-const MOST: u32 = 5000;
+const MAX_CORRECTIONS: u32 = 5000;
 const MAX_NAME_CHARS: usize = 100;
 const MAX_IDS: usize = 100;
 
@@ -89,9 +89,9 @@ impl CorrectionService {
         let author = caller.key.as_ref().map(|key| key.row.name.as_str());
         let new = NewCorrection { parse_id: &parse_id, change: &change, author, made };
         self.correction_repository
-            .insert_correction(new, MOST)
+            .insert_correction(new, MAX_CORRECTIONS)
             .await?
-            .ok_or(Error::TooManyCorrections { most: MOST })
+            .ok_or(Error::TooManyCorrections { most: MAX_CORRECTIONS })
     }
 
     /// Lists the corrections of a scene's current parse, newest first.

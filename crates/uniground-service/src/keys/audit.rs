@@ -63,7 +63,7 @@ const MAX_WAIT: Duration = Duration::from_secs(2);
 /// The maximum number of queued entries.
 const MAX_QUEUED: usize = 4096;
 /// The maximum number of entries written in one transaction.
-const MAX_TOGETHER: usize = 256;
+const ENTRIES_PER_TRANSACTION: usize = 256;
 /// Attempts to write entries while the database is busy, and the pause between attempts.
 const ATTEMPTS: u32 = 5;
 const RETRY_AFTER: Duration = Duration::from_millis(200);
@@ -112,7 +112,7 @@ async fn write_entries(
     dropped: Arc<DroppedEntries>,
 ) {
     let mut pending = Vec::new();
-    while queue.recv_many(&mut pending, MAX_TOGETHER).await > 0 {
+    while queue.recv_many(&mut pending, ENTRIES_PER_TRANSACTION).await > 0 {
         let (entries, callers): (Vec<_>, Vec<_>) =
             pending.drain(..).map(|pending| (pending.entry, pending.written)).unzip();
         if let Err(error) = write(&writer, &entries).await {

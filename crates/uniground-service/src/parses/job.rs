@@ -135,7 +135,7 @@ impl ParseRunner {
     /// Waits until the object store is available again. Returns `false` if that takes too long or
     /// the job is cancelled.
     async fn wait_for_object_store(&self, progress: &Progress) -> bool {
-        const PATIENCE: Duration = Duration::from_mins(10);
+        const OBJECT_STORE_TIMEOUT: Duration = Duration::from_mins(10);
         const POLL_INTERVAL: Duration = Duration::from_secs(2);
         let back = async {
             while self.health_probe.health().await.blobs.is_some() {
@@ -143,7 +143,7 @@ impl ParseRunner {
             }
         };
         tokio::select! {
-            back = timeout(PATIENCE, back) => back.is_ok(),
+            back = timeout(OBJECT_STORE_TIMEOUT, back) => back.is_ok(),
             _ = until_cancelled(progress) => false,
         }
     }

@@ -96,9 +96,9 @@ impl StoredScene {
 
 /// Returns a scene's name as a file name that is valid on every system.
 fn file_name(scene: &str, format: ExportFormat) -> String {
-    const LONGEST: usize = 80;
+    const MAX_CHARS: usize = 80;
     let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let name: String = scene.chars().take(LONGEST).map(safe).collect();
+    let name: String = scene.chars().take(MAX_CHARS).map(safe).collect();
     // Strips what would make the file hidden, leave only an extension, or look like an option.
     let name = name.trim_matches(['.', '_', '-']);
     format!("{}.{}", if name.is_empty() { "scene" } else { name }, format.extension())

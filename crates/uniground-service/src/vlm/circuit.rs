@@ -19,8 +19,8 @@ pub enum CallSignal {
 }
 
 /// The wait before the server is first tried again. Each later wait is twice as long.
-const FIRST_WAIT: Duration = Duration::from_secs(5);
-const LONGEST_WAIT: Duration = Duration::from_mins(2);
+const MIN_BACKOFF: Duration = Duration::from_secs(5);
+const MAX_BACKOFF: Duration = Duration::from_mins(2);
 /// Failed calls in a row after which a reachable server counts as down.
 const FAILURES: u32 = 5;
 
@@ -65,7 +65,7 @@ impl CircuitBreaker {
             return Err(open.until - now);
         }
         if open.trying.is_some_and(|since| now.duration_since(since) < MAX_PROBE_DURATION) {
-            return Err(FIRST_WAIT);
+            return Err(MIN_BACKOFF);
         }
         open.trying = Some(now);
         Ok(())
@@ -87,7 +87,7 @@ impl CircuitBreaker {
             CallSignal::Up | CallSignal::Unclear => 0,
         };
         let is_down = sign == CallSignal::Unreachable || state.down >= FAILURES;
-        let wait = state.open.as_ref().map_or(FIRST_WAIT, |open| (open.wait * 2).min(LONGEST_WAIT));
+        let wait = state.open.as_ref().map_or(MIN_BACKOFF, |open| (open.wait * 2).min(MAX_BACKOFF));
         state.open = is_down.then(|| OpenCircuit { until: now + wait, wait, trying: None });
     }
 

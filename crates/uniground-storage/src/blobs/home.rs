@@ -17,7 +17,7 @@ use std::{fmt, io};
 use tokio::task::spawn_blocking;
 
 /// The file in `blobs/` that marks it as a cache, and names the object store.
-pub const CACHE_OF: &str = "copies-of.json";
+pub const CACHE_MARKER: &str = "copies-of.json";
 
 /// Where folders are stored, as configured.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -116,7 +116,7 @@ impl Blobs {
         cache_bytes: u64,
     ) -> Result<Self, StoreError> {
         let id = objects.block_on(objects.id())?;
-        let mark = self.root.join(CACHE_OF);
+        let mark = self.root.join(CACHE_MARKER);
         match known {
             Some(known) if known.id != id => return Err(StoreError::StoresDoNotMatch),
             Some(_) => {}
@@ -216,7 +216,7 @@ impl Blobs {
 
 /// Returns the object store that a data folder holds copies of, if any.
 pub(super) fn read_source_store(data_dir: &Utf8Path) -> Result<Option<CopiesOf>, StoreError> {
-    match fs::read(data_dir.join("blobs").join(CACHE_OF)) {
+    match fs::read(data_dir.join("blobs").join(CACHE_MARKER)) {
         Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes)?)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error.into()),

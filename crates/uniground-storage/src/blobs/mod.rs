@@ -100,7 +100,7 @@ pub const KINDS: [&str; 4] = ["contents", "parses", "checkpoints", "answers"];
 /// Kinds of folders that never change once they are published.
 const SEALED: [&str; 3] = ["contents", "parses", "answers"];
 /// Folders that are removed from an object store concurrently.
-const AT_ONCE: usize = 16;
+const MAX_CONCURRENT_REMOVALS: usize = 16;
 
 /// A folder that is completely written, to disk or to the object store, but not published yet.
 #[derive(Debug)]
@@ -173,7 +173,7 @@ impl Blobs {
         for folder in KINDS.map(|kind| self.root.join(kind)).iter().chain([&self.root]) {
             for entry in folder.read_dir_utf8()? {
                 let entry = entry?;
-                if !entry.file_type()?.is_dir() && entry.file_name() != home::CACHE_OF {
+                if !entry.file_type()?.is_dir() && entry.file_name() != home::CACHE_MARKER {
                     orphan_folders.push(entry.into_path());
                 }
             }
@@ -384,8 +384,9 @@ impl Blobs {
                 None
             }
         });
-        let unsealed =
-            objects.block_on(stream::iter(unsealed).buffer_unordered(AT_ONCE).collect::<Vec<_>>());
+        let unsealed = objects.block_on(
+            stream::iter(unsealed).buffer_unordered(MAX_CONCURRENT_REMOVALS).collect::<Vec<_>>(),
+        );
         let stages =
             folders.iter().filter(|folder| folder.starts_with(self.root.join("checkpoints")));
         let stages = stages.filter_map(|folder| {
@@ -785,7 +786,7 @@ mod tests {
         fs::create_dir(blobs.answer("a")).unwrap();
         fs::write(blobs.parse("note"), "x").unwrap();
         fs::write(blobs.root.join("readme"), "x").unwrap();
-        fs::write(blobs.root.join(home::CACHE_OF), "{}").unwrap();
+        fs::write(blobs.root.join(home::CACHE_MARKER), "{}").unwrap();
         let mut names = blobs.names("parses").unwrap();
         names.sort();
         assert_eq!(names, ["p", "q"]);

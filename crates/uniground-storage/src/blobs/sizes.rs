@@ -15,7 +15,7 @@ const PAUSE: Duration = Duration::from_millis(5);
 /// The kind of folder that changes after it was written. The others stay as published.
 const CHANGING: &str = "checkpoints";
 /// Folders next to `blobs/` that hold files.
-const BESIDE: [&str; 3] = ["uploads", "tmp", "quarantine"];
+const OTHER_FOLDERS: [&str; 3] = ["uploads", "tmp", "quarantine"];
 
 /// Sizes of folders measured before, by a hash of kind and name.
 #[derive(Debug, Default)]
@@ -63,7 +63,7 @@ impl Blobs {
             }
             sizes.insert(kind, total);
         }
-        for (kind, folder) in BESIDE.map(|kind| (kind, self.root.with_file_name(kind))) {
+        for (kind, folder) in OTHER_FOLDERS.map(|kind| (kind, self.root.with_file_name(kind))) {
             sizes.insert(kind, spawn_blocking(move || bytes_below(&folder)).await??);
         }
         measured.0 = known;

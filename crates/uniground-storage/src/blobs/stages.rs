@@ -15,9 +15,9 @@ use tokio::time::{sleep, timeout};
 /// Interval of checking the logs while a parse runs.
 const POLL_INTERVAL: Duration = Duration::from_secs(5);
 /// A log that has not grown for this long belongs to a stage that is finished, or slow.
-const AT_REST: Duration = Duration::from_secs(10);
+const STAGE_IDLE_TIME: Duration = Duration::from_secs(10);
 /// Timeout of the final upload at the end of a parse.
-const PATIENCE: Duration = Duration::from_secs(30);
+const FINAL_UPLOAD_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Uploads the checkpoint logs of a content while they grow.
 #[derive(Debug)]
@@ -35,7 +35,7 @@ impl CheckpointUpload {
     pub async fn finish(mut self) {
         let Some((looking, following)) = self.0.take() else { return };
         looking.abort();
-        if timeout(PATIENCE, following.upload_rest()).await.is_err() {
+        if timeout(FINAL_UPLOAD_TIMEOUT, following.upload_rest()).await.is_err() {
             tracing::warn!(
                 hash = following.hash,
                 "checkpoints could not be uploaded to the object store in time"
@@ -167,7 +167,7 @@ impl CheckpointSync {
         let Ok(logs) = self.list_local_logs().await else { return };
         for (name, bytes, changed) in logs {
             let before = put.get(&name).copied().unwrap_or(0);
-            let is_at_rest = changed.elapsed().unwrap_or_default() >= AT_REST;
+            let is_at_rest = changed.elapsed().unwrap_or_default() >= STAGE_IDLE_TIME;
             if bytes > before
                 && (is_at_rest || bytes - before > before / 4)
                 && self.upload_log(&name).await

@@ -35,8 +35,8 @@ impl FromStr for Bucket {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        const WANTED: &str = "\"folder\", or s3://BUCKET/PREFIX";
-        let place = text.strip_prefix("s3://").ok_or(WANTED)?;
+        const EXPECTED: &str = "\"folder\", or s3://BUCKET/PREFIX";
+        let place = text.strip_prefix("s3://").ok_or(EXPECTED)?;
         let (name, prefix) = place.split_once('/').unwrap_or((place, ""));
         let may_be = |c: char| c.is_ascii_alphanumeric() || "-._".contains(c);
         let is_name = name.len() >= 3 && name.chars().all(may_be);
@@ -48,7 +48,7 @@ impl FromStr for Bucket {
         if is_name && is_prefix {
             Ok(Self { name: name.to_owned(), prefix: prefix.to_owned() })
         } else {
-            Err(WANTED)
+            Err(EXPECTED)
         }
     }
 }
@@ -68,9 +68,9 @@ pub enum Links {
 }
 
 /// Timeout for opening a connection.
-const CONNECTING: Duration = Duration::from_secs(2);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 /// A connection without data for longer counts as lost.
-const SILENCE: Duration = Duration::from_secs(10);
+const READ_TIMEOUT: Duration = Duration::from_secs(10);
 
 impl Bucket {
     /// Returns the objects in the bucket. Address, region and keys come from the usual variables
@@ -88,8 +88,8 @@ impl Bucket {
         install_crypto_provider();
         let options = ClientOptions::new()
             .with_timeout_disabled()
-            .with_connect_timeout(CONNECTING)
-            .with_read_timeout(SILENCE);
+            .with_connect_timeout(CONNECT_TIMEOUT)
+            .with_read_timeout(READ_TIMEOUT);
         let retry = RetryConfig {
             backoff: BackoffConfig {
                 init_backoff: Duration::from_millis(100),

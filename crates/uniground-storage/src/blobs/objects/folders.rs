@@ -19,7 +19,7 @@ pub(super) const SEAL: &str = ".sha256sums";
 const FILES_AT_ONCE: usize = 16;
 
 /// Validity of a link. It is followed at once, but a large file may be requested in ranges.
-const LINKS_LIVE: Duration = Duration::from_mins(15);
+const LINK_LIFETIME: Duration = Duration::from_mins(15);
 
 /// Kind and name of a folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -254,7 +254,7 @@ impl Objects {
         let Some(signer) = &self.signer else { return Ok(None) };
         let place = self.file(folder, edition, file);
         let signed =
-            with_timeout(signer.signed_url(reqwest::Method::GET, &place, LINKS_LIVE)).await?;
+            with_timeout(signer.signed_url(reqwest::Method::GET, &place, LINK_LIFETIME)).await?;
         Ok(Some(signed.into()))
     }
 

@@ -40,7 +40,7 @@ const MARKER: &str = "uniground-data.json";
 /// Pieces of files in memory at once, over all uploads.
 const PIECES: usize = 16;
 /// Timeout for small objects.
-const BRIEFLY: Duration = Duration::from_secs(5);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// An object store and the prefix within it.
 #[derive(Debug, Clone)]
@@ -204,11 +204,11 @@ impl Objects {
 
 /// Runs short work with a timeout.
 async fn with_timeout<T>(work: impl Future<Output = object_store::Result<T>>) -> io::Result<T> {
-    match timeout(BRIEFLY, work).await {
+    match timeout(REQUEST_TIMEOUT, work).await {
         Ok(done) => done.map_err(to_io_error),
         Err(_) => Err(ObjectStoreUnavailable::wrap(format!(
             "it took longer than {} s",
-            BRIEFLY.as_secs()
+            REQUEST_TIMEOUT.as_secs()
         ))),
     }
 }

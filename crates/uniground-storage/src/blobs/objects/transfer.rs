@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 /// Larger files are uploaded in pieces of this size.
 const PIECE: usize = 8 << 20;
 /// Pieces of one file transferred concurrently.
-const AT_ONCE: usize = 4;
+const MAX_CONCURRENT_PIECES: usize = 4;
 
 impl Objects {
     /// Uploads a file.
@@ -60,7 +60,7 @@ impl Objects {
                 drop(room);
                 put
             });
-            if on_their_way.len() >= AT_ONCE
+            if on_their_way.len() >= MAX_CONCURRENT_PIECES
                 && let Some(put) = on_their_way.join_next().await
             {
                 put?.map_err(to_io_error)?;
