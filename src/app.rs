@@ -92,9 +92,9 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         let config = config.models.clone();
         move || config.load()
     });
-    let ChosenModels { models, told, warnings } = models.await??;
+    let ChosenModels { models, summary, warnings } = models.await??;
     warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-    tracing::info!("{told}");
+    tracing::info!("{summary}");
     for model in &models.loaded {
         tracing::info!(
             name = model.name,
@@ -333,7 +333,7 @@ async fn complete_pending_uploads(services: Services, shutdown: CancellationToke
 
 /// Returns the number of connections: at most `wanted`, and at most half of the available file
 /// descriptors. The other half is for files.
-fn most_connections(wanted: u32) -> usize {
+fn most_connections(requested: u32) -> usize {
     use rustix::process::{Resource, getrlimit, setrlimit};
     let mut limit = getrlimit(Resource::Nofile);
     limit.current = limit.maximum;
@@ -341,7 +341,7 @@ fn most_connections(wanted: u32) -> usize {
         tracing::debug!(%error, "open file limit could not be raised");
     }
     let files = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
-    usize::try_from(u64::from(wanted).min(files / 2)).unwrap_or(usize::MAX).max(8)
+    usize::try_from(u64::from(requested).min(files / 2)).unwrap_or(usize::MAX).max(8)
 }
 
 /// Time that running requests get to finish after the service stops.

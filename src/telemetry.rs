@@ -122,14 +122,14 @@ mod tests {
             "https://user:pass%20telemetry@host.example/v1?api-version=2026&key=telemetry%2Fkey",
         );
         let line = "authorization: Bearer sk-telemetry-test, https://user:pass%20telemetry@host.example/v1?key=telemetry%2Fkey telemetry/key";
-        let told = redact_secrets(line);
+        let redacted = redact_secrets(line);
         assert!(
-            !told.contains("sk-telemetry")
-                && !told.contains("pass%20telemetry")
-                && !told.contains("telemetry%2Fkey")
-                && !told.contains("telemetry/key"),
-            "{told}"
+            !redacted.contains("sk-telemetry")
+                && !redacted.contains("pass%20telemetry")
+                && !redacted.contains("telemetry%2Fkey")
+                && !redacted.contains("telemetry/key"),
+            "{redacted}"
         );
-        assert!(told.contains("host.example"));
+        assert!(redacted.contains("host.example"));
     }
 }

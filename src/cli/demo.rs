@@ -118,8 +118,9 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     let start = Instant::now();
     let created = client.create_scene(None, kind.media_type(), bytes).await?;
     let job = created.job.context("the server did not start to parse")?;
-    let told = job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
-    println!("Parsed in {:.1} s: {told}\n", start.elapsed().as_secs_f32());
+    let outcome =
+        job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
+    println!("Parsed in {:.1} s: {outcome}\n", start.elapsed().as_secs_f32());
     Ok(client.scene(&created.scene.id).await?)
 }
 

@@ -155,9 +155,10 @@ async fn ensure_parsed(
         return Ok(scene.id);
     }
     eprintln!("parsing {scan}");
-    let told = job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
+    let outcome =
+        job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
     eprintln!(
-        "parsed in {:.1} s: {told}; kept in {cache}, so that the next question needs no parse",
+        "parsed in {:.1} s: {outcome}; kept in {cache}, so that the next question needs no parse",
         begun.elapsed().as_secs_f32()
     );
     if client.models().await?.models.is_empty() {

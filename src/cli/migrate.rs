@@ -58,12 +58,12 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
     let begun = Instant::now();
     let shown = Arc::new(Mutex::new(ProgressBarView::default()));
     let teller = shown.clone();
-    let tell = move |progress| {
+    let on_progress = move |progress| {
         if let Ok(mut shown) = teller.lock() {
             shown.show_progress(progress);
         }
     };
-    let moved = migrate_data(&from, &to, Arc::new(tell)).await;
+    let moved = migrate_data(&from, &to, Arc::new(on_progress)).await;
     if let Ok(mut shown) = shown.lock() {
         shown.clear();
     }

@@ -73,9 +73,9 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
     let folder = ScanFolder::of(&args.scan)
         .map_err(|error| hints::with_scan_hint(error.into(), &args.scan))?;
-    let ChosenModels { models, told, warnings } = args.models.load()?;
+    let ChosenModels { models, summary, warnings } = args.models.load()?;
     warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    eprintln!("{told}");
+    eprintln!("{summary}");
 
     let progress = Progress::new(show_progress, || false);
     let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);

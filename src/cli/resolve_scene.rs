@@ -18,23 +18,23 @@ const ID: usize = 36;
 ///
 /// # Errors
 /// None, or several: the message lists what there is. [`ClientError`].
-pub async fn resolve_id(client: &Client, wanted: &str) -> anyhow::Result<String> {
-    if wanted.len() == ID && wanted.parse::<uuid::Uuid>().is_ok() {
-        return Ok(wanted.to_owned());
+pub async fn resolve_id(client: &Client, reference: &str) -> anyhow::Result<String> {
+    if reference.len() == ID && reference.parse::<uuid::Uuid>().is_ok() {
+        return Ok(reference.to_owned());
     }
     let scenes = list_scenes(client).await?;
-    let found = find_matching(&scenes, wanted);
+    let found = find_matching(&scenes, reference);
     match &found[..] {
         [only] => Ok(only.id.clone()),
         [] if scenes.is_empty() => bail!(
-            "there is no scene {wanted:?}: there are none yet\n`uniground upload SCAN` brings one"
+            "there is no scene {reference:?}: there are none yet\n`uniground upload SCAN` brings one"
         ),
         [] => bail!(
-            "there is no scene {wanted:?}; there are\n{}\n`uniground scenes` tells more of them",
+            "there is no scene {reference:?}; there are\n{}\n`uniground scenes` tells more of them",
             format_list(&scenes.iter().collect::<Vec<_>>())
         ),
         several => bail!(
-            "{wanted:?} may be any of {} scenes:\n{}\nsay more of the name, or of the id; `uniground scenes` tells more of them",
+            "{reference:?} may be any of {} scenes:\n{}\nsay more of the name, or of the id; `uniground scenes` tells more of them",
             several.len(),
             format_list(several)
         ),
@@ -44,7 +44,7 @@ pub async fn resolve_id(client: &Client, wanted: &str) -> anyhow::Result<String>
 /// What was to be done with a scene, and there is none such: what there is instead.
 pub async fn explain_unknown_scene(
     client: &Client,
-    wanted: &str,
+    reference: &str,
     error: ClientError,
 ) -> anyhow::Error {
     match &error {
@@ -52,13 +52,13 @@ pub async fn explain_unknown_scene(
             match list_scenes(client).await {
                 Ok(scenes) if scenes.is_empty() => {
                     anyhow::anyhow!(
-                        "there is no scene {wanted}: there are none yet\n`uniground upload SCAN` brings one"
+                        "there is no scene {reference}: there are none yet\n`uniground upload SCAN` brings one"
                     )
                 }
                 Ok(scenes) => {
                     let listed = format_list(&scenes.iter().collect::<Vec<_>>());
                     anyhow::anyhow!(
-                        "there is no scene {wanted}; there are\n{listed}\n`uniground scenes` tells more of them"
+                        "there is no scene {reference}; there are\n{listed}\n`uniground scenes` tells more of them"
                     )
                 }
                 Err(_) => error.into(),
@@ -95,11 +95,11 @@ pub fn shortest_reference(scenes: &[Scene], scene: &Scene) -> String {
 
 /// The first of these that finds any: the id, the name, the name in other letters, the beginning of
 /// an id or a name.
-fn find_matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
-    let lower = wanted.to_lowercase();
+fn find_matching<'a>(scenes: &'a [Scene], reference: &str) -> Vec<&'a Scene> {
+    let lower = reference.to_lowercase();
     let ways: [&dyn Fn(&Scene) -> bool; 4] = [
         &|scene| scene.id == lower,
-        &|scene| scene.name == wanted,
+        &|scene| scene.name == reference,
         &|scene| scene.name.to_lowercase() == lower,
         &|scene| scene.id.starts_with(&lower) || scene.name.to_lowercase().starts_with(&lower),
     ];
@@ -154,8 +154,11 @@ mod tests {
             scene("01a2-b0", "kitchen upstairs"),
             scene("01b0-00", "hall"),
         ];
-        let ids = |wanted: &str| {
-            find_matching(&scenes, wanted).iter().map(|scene| scene.id.clone()).collect::<Vec<_>>()
+        let ids = |reference: &str| {
+            find_matching(&scenes, reference)
+                .iter()
+                .map(|scene| scene.id.clone())
+                .collect::<Vec<_>>()
         };
         assert_eq!(ids("kitchen"), ["01a2-ab"]);
         assert_eq!(ids("KITCHEN"), ["01a2-aa", "01a2-ab"]);

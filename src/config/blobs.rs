@@ -116,7 +116,7 @@ mod tests {
             (keys.id.as_str(), keys.secret.as_str(), keys.session),
             ("MINE", "se/cret+=", None)
         );
-        let told = parse_access_keys(file, "other").unwrap_err().to_string();
-        assert!(told.contains("[other]") && !told.contains("OTHER"), "{told}");
+        let error = parse_access_keys(file, "other").unwrap_err().to_string();
+        assert!(error.contains("[other]") && !error.contains("OTHER"), "{error}");
     }
 }

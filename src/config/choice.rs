@@ -19,7 +19,7 @@ const SEGMENTER_COST: &str =
 pub struct ChosenModels {
     pub models: Models,
     /// Masks and encoder, and why these: one line for people.
-    pub told: String,
+    pub summary: String,
     /// What lies in the folder of bundles and can not be used.
     pub warnings: Vec<String>,
 }
@@ -95,7 +95,11 @@ impl ModelsConfig {
         let masks = choosing.choose(Role::Masks, masks).context("--masks")?;
         let encoder = choosing.choose(Role::Encoder, encoder).context("--encoder")?;
         let ModelChooser { models, warnings, .. } = choosing;
-        Ok(ChosenModels { models, told: format!("masks: {masks}; encoder: {encoder}"), warnings })
+        Ok(ChosenModels {
+            models,
+            summary: format!("masks: {masks}; encoder: {encoder}"),
+            warnings,
+        })
     }
 
     /// Whether a bundle would be used if it lay in the folder of bundles.

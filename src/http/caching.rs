@@ -26,19 +26,19 @@ const MAX_ETAG_BYTES: u64 = 2 << 20;
 pub async fn send_file(
     path: &Utf8Path,
     media_type: &'static str,
-    asked: &HeaderMap,
+    request_headers: &HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let serve = async |names: &[HeaderName]| {
         let mut request = Request::new(Body::empty());
         for name in names {
             request
                 .headers_mut()
-                .extend(asked.get(name).map(|value| (name.clone(), value.clone())));
+                .extend(request_headers.get(name).map(|value| (name.clone(), value.clone())));
         }
         let Ok(served) = ServeFile::new(path).oneshot(request).await;
         served
     };
-    let is_same = match asked.get(header::IF_RANGE) {
+    let is_same = match request_headers.get(header::IF_RANGE) {
         Some(mark) => serve(&[]).await.headers().get(header::ETAG) == Some(mark),
         None => true,
     };
@@ -60,10 +60,10 @@ pub async fn send_file(
 pub async fn send_download(
     file: FileDownload,
     media_type: &'static str,
-    asked: &HeaderMap,
+    request_headers: &HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     match file {
-        FileDownload::Local(file) => send_file(&file, media_type, asked).await,
+        FileDownload::Local(file) => send_file(&file, media_type, request_headers).await,
         FileDownload::Redirect(link) => {
             let headers = [(header::LOCATION, link.as_str()), (header::CACHE_CONTROL, "no-store")];
             Ok((StatusCode::TEMPORARY_REDIRECT, headers).into_response())
@@ -77,10 +77,10 @@ pub fn send_bytes(
     bytes: Vec<u8>,
     fingerprint: &str,
     media_type: &'static str,
-    asked: &HeaderMap,
+    request_headers: &HeaderMap,
 ) -> Response {
     let etag = format!("\"{fingerprint}\"");
-    let known = asked.get(header::IF_NONE_MATCH).and_then(|known| known.to_str().ok());
+    let known = request_headers.get(header::IF_NONE_MATCH).and_then(|known| known.to_str().ok());
     let mut response = match known.is_some_and(|known| etag_matches(known, &etag)) {
         true => StatusCode::NOT_MODIFIED.into_response(),
         false => ([(header::CONTENT_TYPE, media_type)], bytes).into_response(),

@@ -58,7 +58,7 @@ impl Origins {
             tus::METHOD_OVERRIDE,
             REQUEST_ID,
         ];
-        let told = [
+        let exposed = [
             header::ACCEPT_RANGES,
             header::CONTENT_DISPOSITION,
             header::CONTENT_RANGE,
@@ -92,7 +92,7 @@ impl Origins {
                 Method::OPTIONS,
             ])
             .allow_headers(asked)
-            .expose_headers(told)
+            .expose_headers(exposed)
             .max_age(REMEMBER)
     }
 

@@ -61,15 +61,15 @@ impl File {
         Self { media_type, plain: plain.into(), gzip: gzip.into() }
     }
 
-    fn answer(&self, asked: &HeaderMap, keep: &'static str) -> Response {
+    fn answer(&self, request_headers: &HeaderMap, cache_control: &'static str) -> Response {
         let headers = [
             (header::CONTENT_TYPE, self.media_type),
-            (header::CACHE_CONTROL, keep),
+            (header::CACHE_CONTROL, cache_control),
             (header::CONTENT_SECURITY_POLICY, POLICY),
             (header::VARY, "accept-encoding"),
         ];
         let mut response = headers.into_response();
-        if accepts_gzip(asked) && !self.gzip.is_empty() {
+        if accepts_gzip(request_headers) && !self.gzip.is_empty() {
             response
                 .headers_mut()
                 .insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
@@ -87,9 +87,11 @@ fn gzip_bytes(plain: &[u8]) -> std::io::Result<Vec<u8>> {
     encoder.finish()
 }
 
-fn accepts_gzip(asked: &HeaderMap) -> bool {
-    let taken =
-        asked.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+fn accepts_gzip(request_headers: &HeaderMap) -> bool {
+    let taken = request_headers
+        .get_all(header::ACCEPT_ENCODING)
+        .iter()
+        .filter_map(|value| value.to_str().ok());
     taken.flat_map(|value| value.split(',')).any(|coding| {
         let (name, weight) = coding.split_once(';').unwrap_or((coding, "q=1"));
         name.trim().eq_ignore_ascii_case("gzip")
@@ -150,13 +152,16 @@ mod tests {
 
     #[test]
     fn gzip_is_sent_only_when_accepted() {
-        let asked = |coding: &'static str| {
+        let request_headers = |coding: &'static str| {
             HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(coding))])
         };
-        assert!(accepts_gzip(&asked("br, gzip;q=0.8")) && accepts_gzip(&asked("GZIP")));
         assert!(
-            !accepts_gzip(&asked("br"))
-                && !accepts_gzip(&asked("gzip;q=0"))
+            accepts_gzip(&request_headers("br, gzip;q=0.8"))
+                && accepts_gzip(&request_headers("GZIP"))
+        );
+        assert!(
+            !accepts_gzip(&request_headers("br"))
+                && !accepts_gzip(&request_headers("gzip;q=0"))
                 && !accepts_gzip(&HeaderMap::new())
         );
     }

@@ -382,10 +382,10 @@ pub async fn name(
 pub async fn cloud(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Cloud).await?;
-    send_download(file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &request_headers).await
 }
 
 /// The cloud coloured by instance, PLY; each point carries its instance id.
@@ -404,10 +404,10 @@ pub async fn cloud(
 pub async fn instances_cloud(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Instances).await?;
-    send_download(file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &request_headers).await
 }
 
 /// What the instances look like: a numpy array of half floats, one unit vector per instance in
@@ -427,8 +427,8 @@ pub async fn instances_cloud(
 pub async fn embeddings(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Embeddings).await?;
-    send_download(file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &request_headers).await
 }

@@ -24,7 +24,7 @@ pub fn download_archive(
     package: &Package,
     registries: &Registries,
     to: &mut File,
-    tell: &mut dyn FnMut(Event),
+    on_event: &mut dyn FnMut(Event),
 ) -> Result<(), FetchError> {
     install_crypto_provider();
     let registry = registries.registry_of(package);
@@ -38,7 +38,7 @@ pub fn download_archive(
     let answer = client.get(address).send().and_then(reqwest::blocking::Response::error_for_status);
     // One byte more than expected, to detect an archive that is too long.
     let mut body = answer.map_err(|e| broken(describe_error(e)))?.take(package.bytes + 1);
-    tell(Event::Started(package.to_string(), package.bytes));
+    on_event(Event::Started(package.to_string(), package.bytes));
     let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);
     loop {
         let read =
@@ -50,7 +50,7 @@ pub fn download_archive(
         to.write_all(&piece[..read])
             .map_err(|e| broken(format!("the download can not be written down: {e}")))?;
         received += read as u64;
-        tell(Event::Received(received));
+        on_event(Event::Received(received));
     }
     if received != package.bytes {
         return Err(FetchError::WrongSize {

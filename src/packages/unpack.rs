@@ -35,13 +35,13 @@ pub fn extract_files(
     archive: File,
     wanted: &[&PackagedFile],
     folder: &Utf8Path,
-    tell: &mut dyn FnMut(Event),
+    on_event: &mut dyn FnMut(Event),
 ) -> Result<(), FetchError> {
     let broken = |why: String| FetchError::Archive { package: package.to_string(), why };
     let mut put = |file: &PackagedFile, bytes: &mut dyn Read| {
         let to = write_file(&folder.join(file.name), bytes, Some(file.sha256))
             .map_err(|problem| problem.of(&package.to_string()))?;
-        tell(Event::Installed(&to));
+        on_event(Event::Installed(&to));
         Ok::<_, FetchError>(())
     };
     match package.source {

@@ -77,11 +77,11 @@ fn exit_with_parent() -> io::Result<()> {
 }
 
 fn report_progress() -> Progress {
-    let told = Arc::new(Mutex::new(None::<Instant>));
+    let last_report = Arc::new(Mutex::new(None::<Instant>));
     let sink = move |stage: &'static str, done: f32| {
-        let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
-        if told.is_none_or(|told| told.elapsed() >= PROGRESS_EVERY) {
-            *told = Some(Instant::now());
+        let mut last_report = last_report.lock().unwrap_or_else(PoisonError::into_inner);
+        if last_report.is_none_or(|last_report| last_report.elapsed() >= PROGRESS_EVERY) {
+            *last_report = Some(Instant::now());
             // If the service does not read any more, it has killed this process.
             let _ = send_message(&Message::Progress { stage: stage.to_owned(), done });
         }

@@ -449,14 +449,14 @@ mod tests {
         let (lease, _) = claim_next(&jobs).await;
         let row = async || jobs.repository.job(&lease.job_id).await.unwrap().unwrap();
         assert_eq!(jobs.notify_worker::<Parsing>(row().await).state, JobState::Running);
-        let told = jobs.metrics().text();
-        assert!(!told.contains("kind=\"parsing\""), "one that runs counts nowhere: {told}");
+        let exported = jobs.metrics().text();
+        assert!(!exported.contains("kind=\"parsing\""), "one that runs counts nowhere: {exported}");
         jobs.repository.finish_job(&lease, JobState::Succeeded, Some("done"), None).await.unwrap();
         let job = jobs.notify_worker::<Parsing>(row().await);
         assert_eq!((job.state, job.message.as_deref()), (JobState::Succeeded, Some("done")));
-        let told = jobs.metrics().text();
+        let exported = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"succeeded\"} 1";
-        assert!(told.contains(counted), "{told}");
+        assert!(exported.contains(counted), "{exported}");
         assert!(!was_notified(&jobs, Parsing::NAME), "neither waits");
     }
 
@@ -558,10 +558,10 @@ mod tests {
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
         // Again: it stays, and is not counted twice.
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
-        let told = jobs.metrics().text();
+        let exported = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"cancelled\"} 1";
-        assert!(told.contains(counted), "{told}");
-        assert!(!told.contains("{kind=\"naming\",state=\"cancelled\"}"), "{told}");
+        assert!(exported.contains(counted), "{exported}");
+        assert!(!exported.contains("{kind=\"naming\",state=\"cancelled\"}"), "{exported}");
         assert!(matches!(jobs.cancel("nobody's").await, Err(JobsError::NotFound { .. })));
     }
 
@@ -571,9 +571,9 @@ mod tests {
         let jobs = jobs(&folder, 10).await;
         jobs.set_lane_running(Parsing::NAME, true);
         let (id, other) = (submit(&jobs, "s").await, submit(&jobs, "s").await);
-        let ((lease, running), (_, beside)) = (claim_next(&jobs).await, claim_next(&jobs).await);
+        let ((lease, running), (_, other_job)) = (claim_next(&jobs).await, claim_next(&jobs).await);
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "until its next look");
-        assert!(running.cancel.is_cancelled() && !beside.cancel.is_cancelled());
+        assert!(running.cancel.is_cancelled() && !other_job.cancel.is_cancelled());
         assert!(jobs.repository.is_cancel_requested(&id).await.unwrap());
         assert!(!jobs.repository.is_cancel_requested(&other).await.unwrap());
         assert!(!jobs.metrics().text().contains("state=\"cancelled\""), "its worker counts it");
@@ -625,9 +625,9 @@ mod tests {
         jobs.set_lane_running(Parsing::NAME, true);
         jobs.set_lane_running(Naming::NAME, false);
         assert_eq!(jobs.lane_states(), BTreeMap::from([("naming", false), ("parsing", true)]));
-        let told = jobs.metrics().text();
-        assert!(told.contains("uniground_lane_up{kind=\"parsing\"} 1"), "{told}");
-        assert!(told.contains("uniground_lane_up{kind=\"naming\"} 0"), "{told}");
+        let exported = jobs.metrics().text();
+        assert!(exported.contains("uniground_lane_up{kind=\"parsing\"} 1"), "{exported}");
+        assert!(exported.contains("uniground_lane_up{kind=\"naming\"} 0"), "{exported}");
         jobs.set_lane_running(Parsing::NAME, false);
         assert!(!jobs.lane_states()["parsing"]);
     }

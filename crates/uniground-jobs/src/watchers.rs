@@ -26,10 +26,10 @@ impl JobWatchers {
 
 /// Returns whether two states of a job look the same to a caller.
 fn is_same(a: &Job, b: &Job) -> bool {
-    let told = |job: &Job| {
+    let visible_state = |job: &Job| {
         (job.attempts, job.state, job.ahead, job.stage.clone(), (job.progress * 1000.0) as i32)
     };
-    told(a) == told(b)
+    visible_state(a) == visible_state(b)
 }
 
 impl Jobs {

@@ -156,13 +156,13 @@ impl RetentionRun<'_> {
             blobs.list_folders_older_than("answers", DAY * days, SystemTime::now())
         })
         .await??;
-        let mut gone = RemovedSoFar::default();
+        let mut removed_so_far = RemovedSoFar::default();
         for names in old.chunks(ROWS_PER_TRANSACTION as usize) {
             let folders = names.iter().map(|name| self.service.blobs.answer(name)).collect();
-            gone.bytes += self.discard(folders).await?;
-            gone.entries += names.len() as u64;
+            removed_so_far.bytes += self.discard(folders).await?;
+            removed_so_far.entries += names.len() as u64;
         }
-        Ok(gone.into_report("evidence", format!("{days} days after the answer")))
+        Ok(removed_so_far.into_report("evidence", format!("{days} days after the answer")))
     }
 
     /// Removes the expired rows of a kind, with their files.
@@ -172,9 +172,9 @@ impl RetentionRun<'_> {
         days: u32,
         kind: &'static str,
     ) -> Result<RetentionReport, Error> {
-        let mut gone = RemovedSoFar::default();
+        let mut removed_so_far = RemovedSoFar::default();
         if days == 0 {
-            return Ok(gone.into_report(kind, "kept for ever".into()));
+            return Ok(removed_so_far.into_report(kind, "kept for ever".into()));
         }
         let before = Cutoff::days_ago(days, self.now);
         let rows = &self.service.retention_repository;
@@ -191,25 +191,25 @@ impl RetentionRun<'_> {
                     &due.iter().map(|due| due.id.as_str()).collect::<Vec<_>>(),
                 )
                 .await?;
-            gone.count(&due, &removed);
-            let mode = match aged {
+            removed_so_far.count(&due, &removed);
+            let folders = match aged {
                 RetentionKind::Answers => removed.iter().map(|id| blobs.answer(id)).collect(),
                 RetentionKind::Uploads => removed.iter().map(|id| blobs.upload(id)).collect(),
                 _ => Vec::new(),
             };
-            gone.bytes += self.discard(mode).await?;
+            removed_so_far.bytes += self.discard(folders).await?;
             self.mode.pause().await;
         }
-        Ok(gone.into_report(kind, format!("over {days} days old")))
+        Ok(removed_so_far.into_report(kind, format!("over {days} days old")))
     }
 
     /// Removes parses one by one, because they are large with their instances.
     async fn remove_superseded_parses(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "superseded parses";
-        let (service, mut gone) = (self.service, RemovedSoFar::default());
+        let (service, mut removed_so_far) = (self.service, RemovedSoFar::default());
         service.retention_repository.mark_superseded_parses(self.now).await?;
         if days == 0 {
-            return Ok(gone.into_report(KIND, "kept for ever".into()));
+            return Ok(removed_so_far.into_report(KIND, "kept for ever".into()));
         }
         let before = Cutoff::days_ago(days, self.now);
         let mut after = String::new();
@@ -234,12 +234,12 @@ impl RetentionRun<'_> {
             for id in &removed {
                 service.parse_cache.forget(id);
                 service.parse_cache.render_scenes.remove(id);
-                gone.bytes += self.discard(vec![service.blobs.parse(id)]).await?;
+                removed_so_far.bytes += self.discard(vec![service.blobs.parse(id)]).await?;
             }
-            gone.count(&[due], &removed);
+            removed_so_far.count(&[due], &removed);
             self.mode.pause().await;
         }
-        Ok(gone.into_report(
+        Ok(removed_so_far.into_report(
             KIND,
             format!("no scene and no answer has referred to them for {days} days"),
         ))
@@ -249,9 +249,9 @@ impl RetentionRun<'_> {
     /// links are removed.
     async fn remove_outgrown_contents(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "outgrown scans";
-        let (service, mut gone) = (self.service, RemovedSoFar::default());
+        let (service, mut removed_so_far) = (self.service, RemovedSoFar::default());
         if days == 0 {
-            return Ok(gone.into_report(KIND, "kept for ever".into()));
+            return Ok(removed_so_far.into_report(KIND, "kept for ever".into()));
         }
         for hash in service.content_repository.outgrown_contents(ROWS_PER_TRANSACTION).await? {
             let folders = {
@@ -261,11 +261,11 @@ impl RetentionRun<'_> {
                 );
                 service.content_repository.remove_outgrown(&hash).await?
             };
-            gone.entries += u64::from(!folders.is_empty());
-            gone.bytes += self.discard(folders).await?;
+            removed_so_far.entries += u64::from(!folders.is_empty());
+            removed_so_far.bytes += self.discard(folders).await?;
             self.mode.pause().await;
         }
-        Ok(gone
+        Ok(removed_so_far
             .into_report(KIND, "their scenes have grown, and no parse is of them any more".into()))
     }
 
@@ -276,7 +276,7 @@ impl RetentionRun<'_> {
         let kept = spawn_blocking(move || blobs.list_checkpoints()).await??;
         let oldest =
             if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
-        let mut gone = RemovedSoFar::default();
+        let mut removed_so_far = RemovedSoFar::default();
         for StoredCheckpoints { hash, bytes, .. } in expired_checkpoints(kept, oldest, most) {
             // The locks prevent a parse from starting between the check and the removal.
             let references = (
@@ -285,13 +285,13 @@ impl RetentionRun<'_> {
             );
             if !self.service.retention_repository.contents_in_work().await?.contains(&hash) {
                 self.discard(vec![self.service.blobs.checkpoints(&hash)]).await?;
-                gone.entries += 1;
-                gone.bytes += bytes;
+                removed_so_far.entries += 1;
+                removed_so_far.bytes += bytes;
             }
             drop(references);
             self.mode.pause().await;
         }
-        Ok(gone.into_report(
+        Ok(removed_so_far.into_report(
             "checkpoints",
             format!(
                 "not used for {days} days, or together more than {most} bytes; they only save time"
@@ -310,20 +310,20 @@ impl RetentionRun<'_> {
 
     /// Removes orphan objects one by one. Each is checked again right before its removal.
     async fn remove_orphan_objects(&self) -> Result<RetentionReport, Error> {
-        let (service, mut gone) = (self.service, RemovedSoFar::default());
+        let (service, mut removed_so_far) = (self.service, RemovedSoFar::default());
         for orphan in service.orphan_repository.orphan_objects().await? {
             let references = (
                 service.service_locks.lock_content_references().await?,
                 service.service_locks.lock_parse_references().await?,
             );
             if service.orphan_repository.remove_orphan(&orphan).await? {
-                gone.entries += 1;
-                gone.bytes += orphan.bytes();
+                removed_so_far.entries += 1;
+                removed_so_far.bytes += orphan.bytes();
             }
             drop(references);
             self.mode.pause().await;
         }
-        Ok(gone.into_report(
+        Ok(removed_so_far.into_report(
             "orphaned objects",
             "no record speaks of them, for longer than the grace period".into(),
         ))

@@ -229,7 +229,7 @@ mod tests {
     async fn names_that_resolve_to_this_machine_are_not_connected_to() {
         let webhook = Webhook::new("http://localhost:9/hook", SECRET, false).unwrap();
         let error = webhook.deliver("msg_1", 1, "{}".into()).await.unwrap_err();
-        let told = uniground_models::with_causes(&error);
-        assert!(told.contains("its own network"), "{told}");
+        let message = uniground_models::with_causes(&error);
+        assert!(message.contains("its own network"), "{message}");
     }
 }

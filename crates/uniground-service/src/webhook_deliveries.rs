@@ -65,8 +65,8 @@ impl WebhookService {
     ) {
         let mut turn = None;
         while !shutdown.is_cancelled() {
-            let told = self.deliver_due(&webhook, &mut turn);
-            match shutdown.run_until_cancelled(told).await {
+            let delivering = self.deliver_due(&webhook, &mut turn);
+            match shutdown.run_until_cancelled(delivering).await {
                 // More webhooks may be due.
                 Some(Ok(true)) => continue,
                 Some(Ok(false)) | None => {}

@@ -53,7 +53,7 @@ pub struct NewAnswer {
 
 struct QueuedAnswer {
     answer: NewAnswer,
-    kept: oneshot::Sender<Result<bool, StoreError>>,
+    reply: oneshot::Sender<Result<bool, StoreError>>,
 }
 
 /// Queue of answers to be written. Each answer is on disk before its caller gets it. Answers that
@@ -73,13 +73,13 @@ impl AnswerQueue {
             let mut together = Vec::new();
             while queue.recv_many(&mut together, ANSWERS_PER_TRANSACTION).await > 0 {
                 let (answers, callers): (Vec<_>, Vec<_>) =
-                    together.drain(..).map(|waiting| (waiting.answer, waiting.kept)).unzip();
+                    together.drain(..).map(|waiting| (waiting.answer, waiting.reply)).unzip();
                 // A caller that left needs no result.
                 match write(&writer, &answers).await {
-                    Ok(kept) => callers
+                    Ok(reply) => callers
                         .into_iter()
-                        .zip(kept)
-                        .for_each(|(caller, kept)| drop(caller.send(Ok(kept)))),
+                        .zip(reply)
+                        .for_each(|(caller, reply)| drop(caller.send(Ok(reply)))),
                     Err(error) => {
                         let error = Arc::new(error);
                         callers.into_iter().for_each(|caller| {
@@ -100,7 +100,7 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
                ON CONFLICT (id) DO UPDATE SET id = answers.id";
     let time = now();
     let mut tx = writer.begin().await?;
-    let mut kept = Vec::with_capacity(answers.len());
+    let mut reply = Vec::with_capacity(answers.len());
     for NewAnswer { id, scene_id, parse_id, body } in answers {
         let inserted = sqlx::query(sql)
             .bind(id)
@@ -111,10 +111,10 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
             .bind(i64::from(RECORD_VERSION))
             .execute(&mut *tx)
             .await?;
-        kept.push(inserted.rows_affected() > 0);
+        reply.push(inserted.rows_affected() > 0);
     }
     tx.commit().await?;
-    Ok(kept)
+    Ok(reply)
 }
 
 /// Repository of answers.
@@ -150,10 +150,10 @@ impl AnswerRepository {
     /// # Errors
     /// [`StoreError`].
     pub async fn insert_answer(&self, answer: NewAnswer) -> Result<bool, StoreError> {
-        let (kept, told) = oneshot::channel();
+        let (reply, receiver) = oneshot::channel();
         let closed = || StoreError::Database(sqlx::Error::PoolClosed);
-        self.queue.0.send(QueuedAnswer { answer, kept }).await.map_err(|_| closed())?;
-        told.await.map_err(|_| closed())?
+        self.queue.0.send(QueuedAnswer { answer, reply }).await.map_err(|_| closed())?;
+        receiver.await.map_err(|_| closed())?
     }
 
     /// # Errors

@@ -76,7 +76,7 @@ struct ProcessLease {
 struct Session {
     options: AnyConnectOptions,
     /// `None` while the server is away.
-    held: Arc<Mutex<Option<AnyConnection>>>,
+    held_connection: Arc<Mutex<Option<AnyConnection>>>,
     /// Counts connections. A lock is lost with the connection on which it was taken.
     number: Arc<AtomicU64>,
 }
@@ -163,7 +163,7 @@ impl ClusterMembership {
         };
         let session = Session {
             options,
-            held: Arc::new(Mutex::new(Some(connection))),
+            held_connection: Arc::new(Mutex::new(Some(connection))),
             number: Arc::default(),
         };
         Ok(Self { member, local_locks, session: Some(session), was_alone })
@@ -186,14 +186,14 @@ impl ClusterMembership {
     pub async fn release_exclusive_access(&self) -> Result<(), StoreError> {
         let Some(session) = &self.session else { return Ok(()) };
         if self.was_alone {
-            let mut held = session.held.lock().await;
-            let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
+            let mut held_connection = session.held_connection.lock().await;
+            let connection = held_connection.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
             call_lock_function(connection, "pg_try_advisory_lock_shared", MEMBERS).await?;
             call_lock_function(connection, "pg_advisory_unlock", MEMBERS).await?;
         }
         tokio::spawn(self.member.clone().run_heartbeat(
             session.options.clone(),
-            Arc::downgrade(&session.held),
+            Arc::downgrade(&session.held_connection),
             session.number.clone(),
         ));
         Ok(())
@@ -241,9 +241,9 @@ impl ClusterMembership {
     pub async fn leave(&self) {
         let Some(session) = &self.session else { return };
         let leaving = async {
-            let mut held = session.held.lock().await;
+            let mut held_connection = session.held_connection.lock().await;
             session.number.store(LEFT, Relaxed);
-            if let Some(mut connection) = held.take() {
+            if let Some(mut connection) = held_connection.take() {
                 let _ = sqlx::query("DELETE FROM members WHERE id = $1")
                     .bind(&*self.id())
                     .execute(&mut connection)
@@ -266,7 +266,7 @@ impl ProcessLease {
     async fn run_heartbeat(
         self,
         options: AnyConnectOptions,
-        held: Weak<Mutex<Option<AnyConnection>>>,
+        held_connection: Weak<Mutex<Option<AnyConnection>>>,
         number: Arc<AtomicU64>,
     ) {
         let (mut steady_since, mut beaten, mut wait) =
@@ -274,8 +274,8 @@ impl ProcessLease {
         loop {
             sleep(wait).await;
             wait = HEARTBEAT_INTERVAL;
-            let Some(held) = held.upgrade() else { return };
-            let mut held = held.lock().await;
+            let Some(held_connection) = held_connection.upgrade() else { return };
+            let mut held_connection = held_connection.lock().await;
             if number.load(Relaxed) == LEFT {
                 return;
             }
@@ -288,7 +288,7 @@ impl ProcessLease {
             beaten = Instant::now();
             let id_before = self.id();
             let seen = timeout(CALL_TIMEOUT * 2, async {
-                let connection = match &mut *held {
+                let connection = match &mut *held_connection {
                     Some(connection) => connection,
                     gone => gone.insert(reconnect(&options).await?),
                 };
@@ -308,7 +308,7 @@ impl ProcessLease {
                 Err(_) => "it does not answer",
             };
             tracing::warn!(trouble, "database connection lost; reconnecting");
-            *held = None;
+            *held_connection = None;
             number.fetch_add(1, Relaxed);
             steady_since = Instant::now();
             // Other members have terminated its session: check at once whether its row was removed.
@@ -404,9 +404,9 @@ impl Session {
     }
 
     async fn lock(&self, key: i64) -> Result<(bool, u64), StoreError> {
-        let mut held = self.held.lock().await;
+        let mut held_connection = self.held_connection.lock().await;
         let number = self.number.load(Relaxed);
-        let taken = self.call(&mut held, "pg_try_advisory_lock", key).await?;
+        let taken = self.call(&mut held_connection, "pg_try_advisory_lock", key).await?;
         Ok((taken, number))
     }
 
@@ -414,15 +414,15 @@ impl Session {
     /// statement, is dropped; the next heartbeat opens a new one.
     async fn call(
         &self,
-        held: &mut Option<AnyConnection>,
+        held_connection: &mut Option<AnyConnection>,
         function: &'static str,
         key: i64,
     ) -> Result<bool, StoreError> {
-        let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
+        let connection = held_connection.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
         let called = timeout(CALL_TIMEOUT, call_lock_function(connection, function, key)).await;
         let called = called.unwrap_or_else(|_| Err(sqlx::Error::PoolTimedOut.into()));
         if called.is_err() {
-            *held = None;
+            *held_connection = None;
             self.number.fetch_add(1, Relaxed);
         }
         called
@@ -443,11 +443,11 @@ impl Drop for AdvisoryLock {
         // Where the process ends, the session ends too, and its locks with it.
         let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
         runtime.spawn(async move {
-            let mut held = session.held.lock().await;
+            let mut held_connection = session.held_connection.lock().await;
             if session.number.load(Relaxed) == number {
-                let _ = session.call(&mut held, "pg_advisory_unlock", key).await;
+                let _ = session.call(&mut held_connection, "pg_advisory_unlock", key).await;
             }
-            drop(held);
+            drop(held_connection);
             drop(local);
         });
     }

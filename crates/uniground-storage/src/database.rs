@@ -418,16 +418,19 @@ mod tests {
 
     #[test]
     fn a_location_is_displayed_without_its_password() {
-        let told = |text: &str| {
+        let display = |text: &str| {
             text.parse::<Location>().map(|location| format!("{location} {location:?}")).unwrap()
         };
         let place = "postgres://db.example/rooms postgres://db.example/rooms";
         assert_eq!(
-            told("postgres://robot:s3cret@db.example/rooms?sslmode=require&password=s3cret"),
+            display("postgres://robot:s3cret@db.example/rooms?sslmode=require&password=s3cret"),
             place
         );
-        assert_eq!(told("postgres://robot:s3?cret@db.example/rooms"), place);
-        assert_eq!(told("postgress://robot:s3cret@db.example/rooms"), "postgress:// postgress://");
+        assert_eq!(display("postgres://robot:s3?cret@db.example/rooms"), place);
+        assert_eq!(
+            display("postgress://robot:s3cret@db.example/rooms"),
+            "postgress:// postgress://"
+        );
         assert_eq!("sqlite".parse(), Ok(Location::Folder));
     }
 }

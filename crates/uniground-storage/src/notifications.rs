@@ -49,11 +49,11 @@ impl NotificationListener {
     /// [`StoreError::Database`]: the database stays unavailable.
     pub async fn next(&mut self) -> Result<DbNotification, StoreError> {
         // `None` means that the connection was lost. The next call reconnects.
-        let Some(told) = self.0.try_recv().await? else {
+        let Some(notification) = self.0.try_recv().await? else {
             return Ok(DbNotification::ConnectionLost);
         };
-        Ok(match told.channel() {
-            JOBS => DbNotification::JobQueued { kind: told.payload().to_owned() },
+        Ok(match notification.channel() {
+            JOBS => DbNotification::JobQueued { kind: notification.payload().to_owned() },
             _ => DbNotification::KeysChanged,
         })
     }

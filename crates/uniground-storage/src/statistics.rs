@@ -140,9 +140,9 @@ mod tests {
         store.jobs.insert_job("s", &written("naming")).await.unwrap();
         store.jobs.claim_job("naming").await.unwrap();
         let jobs = store.statistics.figures().await.unwrap().jobs;
-        let told: Vec<_> =
+        let counted: Vec<_> =
             jobs.iter().map(|j| (j.kind.as_str(), j.state.as_str(), j.jobs)).collect();
-        assert_eq!(told, [("naming", "running", 1), ("parse", "queued", 2)]);
+        assert_eq!(counted, [("naming", "running", 1), ("parse", "queued", 2)]);
         assert_eq!(jobs[1].oldest, first.created_at);
     }
 }

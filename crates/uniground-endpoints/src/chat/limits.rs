@@ -89,12 +89,12 @@ impl ChatClient {
         if !response.status().is_client_error() {
             return None;
         }
-        let told = super::read_limited(response).await.ok().flatten().unwrap_or_default();
+        let message = super::read_limited(response).await.ok().flatten().unwrap_or_default();
         Some(format!(
             "{} refuses {QUESTION_PICTURES} pictures in one prompt, which a question has ({}): start vLLM with \
              --limit-mm-per-prompt '{{\"image\": 25}}' (older versions: image=25)",
             self.endpoint.model,
-            super::detail(&self.redact_key(&told))
+            super::detail(&self.redact_key(&message))
         ))
     }
 

@@ -326,8 +326,8 @@ fn build_scene(
         candidates.into_iter().find(|path| path.exists())
     });
     let annotations = annotations.or_else(|| Annotations::find_file(folder, id)).map(|file| {
-        let (annotations, told) = Annotations::read(&file);
-        omissions.extend(told);
+        let (annotations, reported) = Annotations::read(&file);
+        omissions.extend(reported);
         Sealed::new(annotations)
     });
     SuiteScene { id: id.to_owned(), scan, annotations, recorded }

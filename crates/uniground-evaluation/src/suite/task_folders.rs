@@ -85,17 +85,17 @@ pub(super) fn read_below(root: &Utf8Path, collected: &mut Collected) -> anyhow::
 
 fn read(folder: &Utf8Path, name: &str) -> Result<(RawTask, SceneFiles), Omission> {
     let file = folder.join("task.json");
-    let told = |what: &str| Omission::new(&file, None, what);
+    let omit = |what: &str| Omission::new(&file, None, what);
     let task: TaskRecord = match read_json(&file)? {
         OneOrList::One(task) => task,
         OneOrList::List(tasks) => {
-            tasks.first().cloned().ok_or_else(|| told("the list is empty"))?
+            tasks.first().cloned().ok_or_else(|| omit("the list is empty"))?
         }
     };
     let query = task
         .description
         .or(task.caption)
-        .ok_or_else(|| told("there is neither description nor caption"))?;
+        .ok_or_else(|| omit("there is neither description nor caption"))?;
     let scan = task.scene_id.or(task.scan_id);
     let truth_file = folder.join("gt.json");
     let truth: TruthRecord = read_json(&truth_file)?;
@@ -135,9 +135,9 @@ fn read_candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
     let records: BTreeMap<String, CandidateRecord> = read_json(&file)?;
     let mut objects = Vec::new();
     for (id, candidate) in records {
-        let told = |what: String| Omission::new(&file, None, format!("candidate {id:?}: {what}"));
-        let number = id.parse().map_err(|_| told("it is not numbered".into()))?;
-        let aabb = to_z_up(&candidate.bbox).map_err(told)?;
+        let omit = |what: String| Omission::new(&file, None, format!("candidate {id:?}: {what}"));
+        let number = id.parse().map_err(|_| omit("it is not numbered".into()))?;
+        let aabb = to_z_up(&candidate.bbox).map_err(omit)?;
         objects.push(SceneObject {
             id: number,
             name: String::new(),

@@ -67,18 +67,21 @@ fn query_lists_are_joined_with_annotations_and_invalid_queries_are_reported() {
     let uniqueness: Vec<_> = suite.tasks.iter().map(|t| t.truth.for_reader().uniqueness).collect();
     assert_eq!(uniqueness, ["unique", "absent", "multiple", "unknown"]);
     assert_eq!(suite.tasks[0].truth.for_reader().splits, ["kind: unique"]);
-    let told = omission_lines(&suite);
-    assert!(told[0].starts_with("room.queries.json:8 query: invalid type"), "{told:?}");
+    let reported = omission_lines(&suite);
+    assert!(reported[0].starts_with("room.queries.json:8 query: invalid type"), "{reported:?}");
     assert!(
-        told[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"),
-        "{told:?}"
+        reported[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"),
+        "{reported:?}"
     );
-    assert!(told[2].starts_with("other.queries.json:1 the scene other is missing"), "{told:?}");
-    assert!(told[3].starts_with("room.queries.json:5 the id left is taken by"), "{told:?}");
-    assert_eq!(told[4], "room.queries.json:6 target 9 is not in the annotations of room");
-    assert_eq!(told[5], "room.queries.json:7 the query is empty");
-    assert!(told[6].starts_with("room.queries.json:11 the box has no volume"), "{told:?}");
-    assert_eq!(told.len(), 7);
+    assert!(
+        reported[2].starts_with("other.queries.json:1 the scene other is missing"),
+        "{reported:?}"
+    );
+    assert!(reported[3].starts_with("room.queries.json:5 the id left is taken by"), "{reported:?}");
+    assert_eq!(reported[4], "room.queries.json:6 target 9 is not in the annotations of room");
+    assert_eq!(reported[5], "room.queries.json:7 the query is empty");
+    assert!(reported[6].starts_with("room.queries.json:11 the box has no volume"), "{reported:?}");
+    assert_eq!(reported.len(), 7);
 }
 
 #[test]
@@ -93,9 +96,12 @@ fn a_suite_file_names_its_scenes() {
     ]);
     let suite = open(&root, "suite.json");
     assert_eq!((suite.tasks.len(), suite.scenes[0].id.as_str()), (1, "flat"));
-    let told = omission_lines(&suite);
-    assert!(told[0].contains("scene gone:") && told[0].contains("does not exist"), "{told:?}");
-    assert_eq!(told[1], "suite.json:2 the expression names no scene");
+    let reported = omission_lines(&suite);
+    assert!(
+        reported[0].contains("scene gone:") && reported[0].contains("does not exist"),
+        "{reported:?}"
+    );
+    assert_eq!(reported[1], "suite.json:2 the expression names no scene");
 }
 
 #[test]

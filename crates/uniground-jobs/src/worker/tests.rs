@@ -328,14 +328,14 @@ async fn a_stopped_lane_is_reported_by_kind() {
         time::sleep(Duration::from_millis(5)).await;
     }
     assert!(jobs.lane_states()["obedient"]);
-    let told = jobs.metrics().text();
+    let exported = jobs.metrics().text();
     assert!(
-        told.contains("uniground_lane_up{kind=\"slow\"} 0")
-            && told.contains("uniground_lane_up{kind=\"obedient\"} 1"),
-        "{told}"
+        exported.contains("uniground_lane_up{kind=\"slow\"} 0")
+            && exported.contains("uniground_lane_up{kind=\"obedient\"} 1"),
+        "{exported}"
     );
     assert!(
-        told.contains("uniground_jobs_finished_total{kind=\"obedient\",state=\"succeeded\"} 1"),
-        "{told}"
+        exported.contains("uniground_jobs_finished_total{kind=\"obedient\",state=\"succeeded\"} 1"),
+        "{exported}"
     );
 }

@@ -39,7 +39,7 @@ impl ApproachService {
         request.check()?;
         let (answer, row, scene) = self.answer_query(scene_id, &request, caller).await?;
         let frame = CoordinateFrameView::resolve(request.frame, &row, scene.parse.source_to_scene)?;
-        let mut told = Approach {
+        let mut result = Approach {
             scene_id: row.id,
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
             status: ApproachStatus::NotGrounded,
@@ -58,10 +58,10 @@ impl ApproachService {
         if let Some(several) =
             answer.as_ref().map(|answer| answer.targets.len()).filter(|meant| *meant > 1)
         {
-            told.detail = format!(
+            result.detail = format!(
                 "the question means {several} things, and one is driven to: ask with the instance_id of one of its answer's targets"
             );
-            return Ok(told);
+            return Ok(result);
         }
         let meant = match &answer {
             Some(answer) => {
@@ -70,8 +70,8 @@ impl ApproachService {
             None => request.instance_id,
         };
         let Some(id) = meant else {
-            told.detail = "the question has no sure answer in this room, and nothing is driven to on a guess: see its answer".into();
-            return Ok(told);
+            result.detail = "the question has no sure answer in this room, and nothing is driven to on a guess: see its answer".into();
+            return Ok(result);
         };
         let known = scene.instances().get((id.0 as usize).wrapping_sub(1));
         let instance =
@@ -83,7 +83,7 @@ impl ApproachService {
             ));
         }
         let (name, wish) = (instance.label().to_owned(), to_wish(&request, frame.as_ref()));
-        told.target = Some(ApproachTarget {
+        result.target = Some(ApproachTarget {
             id,
             name: name.clone(),
             aabb: instance.aabb,
@@ -98,19 +98,19 @@ impl ApproachService {
             .await?;
         let Places { poses, start, cells } =
             places.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
-        (told.start, told.cells, told.floor_z_m) = (start, Some(cells), Some(floor_z_m));
+        (result.start, result.cells, result.floor_z_m) = (start, Some(cells), Some(floor_z_m));
         match poses {
             Ok(poses) => {
-                told.detail = poses.first().map(|best| best.why.clone()).unwrap_or_default();
-                (told.status, told.poses) = (ApproachStatus::Found, poses);
+                result.detail = poses.first().map(|best| best.why.clone()).unwrap_or_default();
+                (result.status, result.poses) = (ApproachStatus::Found, poses);
             }
             Err(failed) => {
-                told.detail = explanation(failed, &name, &cells);
-                (told.status, told.failed) = (ApproachStatus::NonePossible, Some(failed));
+                result.detail = explanation(failed, &name, &cells);
+                (result.status, result.failed) = (ApproachStatus::NonePossible, Some(failed));
             }
         }
-        told.in_frame = frame.map(|frame| frame.with_poses(&told.poses));
-        Ok(told)
+        result.in_frame = frame.map(|frame| frame.with_poses(&result.poses));
+        Ok(result)
     }
 
     /// Returns the map of a scene's floor. What is higher above the floor than `height_m` is not an

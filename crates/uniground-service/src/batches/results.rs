@@ -63,34 +63,37 @@ impl BatchService {
         let service = self.clone();
         let begin = (results.format == LineFormat::Csv)
             .then(|| Bytes::from(format!("{}\n", columns().join(","))));
-        let pages = stream::try_unfold(results, move |wanted| {
+        let pages = stream::try_unfold(results, move |page_request| {
             let (service, defaults) = (service.clone(), defaults.clone());
-            async move { service.next_page(wanted, &defaults).await }
+            async move { service.next_page(page_request, &defaults).await }
         });
         Ok(futures::StreamExt::chain(stream::iter(begin.map(Ok)), pages))
     }
 
     async fn next_page(
         &self,
-        mut wanted: ResultRequest,
+        mut page_request: ResultRequest,
         defaults: &BatchDefaults,
     ) -> Result<Option<(Bytes, ResultRequest)>, Error> {
         loop {
             // Read before the items, so that items closed after this are found in the next pass.
-            let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
-            let rows =
-                self.batch_repository.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
+            let (state, ..) =
+                self.batch_state(&self.batch_row(&page_request.batch_id).await?).await?;
+            let rows = self
+                .batch_repository
+                .batch_items(&page_request.batch_id, page_request.from, PAGE)
+                .await?;
             let done: Vec<ItemRow> =
                 rows.into_iter().take_while(|row| row.status.is_some()).collect();
             if let Some(last) = done.last() {
-                wanted.from = last.item + 1;
-                let page = match wanted.format {
+                page_request.from = last.item + 1;
+                let page = match page_request.format {
                     LineFormat::Jsonl => to_json_lines(&done, defaults)?,
                     LineFormat::Csv => csv_rows(&done, defaults)?,
                 };
-                return Ok(Some((page.into(), wanted)));
+                return Ok(Some((page.into(), page_request)));
             }
-            if !wanted.follow || state != BatchState::Running {
+            if !page_request.follow || state != BatchState::Running {
                 return Ok(None);
             }
             sleep(POLL_INTERVAL).await;

@@ -210,8 +210,11 @@ impl GrowthService {
     }
 }
 
-fn parse_to_scene(told: Option<SourceToScene>, source: Option<SourceToScene>) -> SourceToScene {
-    told.or(source).unwrap_or(SourceToScene::IDENTITY)
+fn parse_to_scene(
+    requested: Option<SourceToScene>,
+    source: Option<SourceToScene>,
+) -> SourceToScene {
+    requested.or(source).unwrap_or(SourceToScene::IDENTITY)
 }
 
 /// Returns the transform from another coordinate frame to the scene's.

@@ -22,7 +22,7 @@ struct UploadFixture {
 }
 
 impl UploadFixture {
-    async fn over(data: TempDir) -> Self {
+    async fn with_data(data: TempDir) -> Self {
         let store = Store::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &Location::Folder,
@@ -45,17 +45,17 @@ impl UploadFixture {
     }
 
     async fn new() -> Self {
-        Self::over(tempfile::tempdir().unwrap()).await
+        Self::with_data(tempfile::tempdir().unwrap()).await
     }
 
-    async fn again(self) -> Self {
+    async fn restart(self) -> Self {
         self.store.close().await;
         let Self { data, store, service } = self;
         drop((store, service));
-        Self::over(data).await
+        Self::with_data(data).await
     }
 
-    async fn begun(&self, length: usize) -> String {
+    async fn start_upload(&self, length: usize) -> String {
         let new = NewUpload { length: length as u64, wanted: SceneRequest::default() };
         self.service.begin_upload(new, &Caller::operator()).await.unwrap().id
     }
@@ -133,43 +133,43 @@ proptest! {
     ) {
         let bytes = archive(length);
         Runtime::new().unwrap().block_on(async {
-            let mut rested = UploadFixture::new().await;
+            let mut fixture = UploadFixture::new().await;
             // One byte more than is sent, so that the upload never completes and no scene is
             // created.
-            let id = rested.begun(length + 1).await;
+            let id = fixture.start_upload(length + 1).await;
             let mut there = 0;
             for (size, fate) in parts {
                 let piece = &bytes[there..(there + size).min(length)];
                 let sent = match fate {
-                    PartDelivery::Arrives => rested.append(&id, part(there, None, body(piece, None))).await.map(|_| piece.len()),
-                    PartDelivery::Checked => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, None))).await.map(|_| piece.len()),
+                    PartDelivery::Arrives => fixture.append(&id, part(there, None, body(piece, None))).await.map(|_| piece.len()),
+                    PartDelivery::Checked => fixture.append(&id, part(there, Some(sum_of(piece)), body(piece, None))).await.map(|_| piece.len()),
                     PartDelivery::BreaksOff => {
-                        let broken = rested.append(&id, part(there, None, body(piece, Some(())))).await;
+                        let broken = fixture.append(&id, part(there, None, body(piece, Some(())))).await;
                         prop_assert!(matches!(broken, Err(Error::UploadInterrupted { .. })), "{broken:?}");
                         Ok(piece.len())
                     }
-                    PartDelivery::Damaged => rested.append(&id, part(there, Some(sum_of(b"others")), body(piece, None))).await.map(|_| 0),
-                    PartDelivery::CheckedAndCut => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
-                    PartDelivery::Misplaced => rested.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
+                    PartDelivery::Damaged => fixture.append(&id, part(there, Some(sum_of(b"others")), body(piece, None))).await.map(|_| 0),
+                    PartDelivery::CheckedAndCut => fixture.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
+                    PartDelivery::Misplaced => fixture.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
                     PartDelivery::TooLong => {
                         let long = UploadPart { announced_bytes: length as u64 + 2, ..part(there, None, body(piece, None)) };
-                        rested.append(&id, long).await.map(|_| 0)
+                        fixture.append(&id, long).await.map(|_| 0)
                     }
                     PartDelivery::Killed => {
-                        let path = rested.store.blobs.upload(&id);
+                        let path = fixture.store.blobs.upload(&id);
                         fs::OpenOptions::new().create(true).append(true).open(path).unwrap().write_all(b"never noted").unwrap();
-                        rested = rested.again().await;
+                        fixture = fixture.restart().await;
                         Ok(0)
                     }
                 };
                 let is_refused = matches!(fate, PartDelivery::Damaged | PartDelivery::CheckedAndCut | PartDelivery::Misplaced | PartDelivery::TooLong);
                 prop_assert_eq!(sent.is_err(), is_refused, "{:?}: {:?}", fate, sent);
                 there += sent.unwrap_or(0);
-                prop_assert_eq!(rested.offset(&id).await, there, "{:?}", fate);
+                prop_assert_eq!(fixture.offset(&id).await, there, "{:?}", fate);
             }
-            rested.append(&id, part(there, None, body(&bytes[there..], None))).await.unwrap();
-            prop_assert_eq!(rested.offset(&id).await, length);
-            prop_assert!(fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes);
+            fixture.append(&id, part(there, None, body(&bytes[there..], None))).await.unwrap();
+            prop_assert_eq!(fixture.offset(&id).await, length);
+            prop_assert!(fs::read(fixture.store.blobs.upload(&id)).unwrap() == bytes);
             Ok(())
         })?;
     }
@@ -177,33 +177,33 @@ proptest! {
 
 #[tokio::test]
 async fn concurrent_senders_never_mix_bytes() {
-    let rested = UploadFixture::new().await;
-    let (bytes, id) = (archive(3000), rested.begun(3001).await);
+    let fixture = UploadFixture::new().await;
+    let (bytes, id) = (archive(3000), fixture.start_upload(3001).await);
     let (mut sender, receiver) = futures::channel::mpsc::channel(0);
-    let service = rested.service.clone();
+    let service = fixture.service.clone();
     let first = tokio::spawn({
         let id = id.clone();
         async move { service.append(&id, part(0, None, receiver), Caller::operator()).await }
     });
     // Returns once the first part has been taken. From then on the upload is busy.
     sender.send(Ok::<_, Infallible>(Bytes::from(bytes[..1000].to_vec()))).await.unwrap();
-    let second = rested.append(&id, part(0, None, body(&bytes[..0], None))).await;
+    let second = fixture.append(&id, part(0, None, body(&bytes[..0], None))).await;
     assert!(matches!(second, Err(Error::UploadBusy { .. })), "{second:?}");
     assert!(matches!(
-        rested.service.delete_upload(&id, &Caller::operator()).await,
+        fixture.service.delete_upload(&id, &Caller::operator()).await,
         Err(Error::UploadBusy { .. })
     ));
     sender.send(Ok(Bytes::from(bytes[1000..2000].to_vec()))).await.unwrap();
     drop(sender);
     assert_eq!(first.await.unwrap().unwrap().offset, 2000);
     assert_eq!(
-        rested.append(&id, part(2000, None, body(&bytes[2000..], None))).await.unwrap().offset,
+        fixture.append(&id, part(2000, None, body(&bytes[2000..], None))).await.unwrap().offset,
         3000
     );
-    assert!(fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes);
-    rested.service.delete_upload(&id, &Caller::operator()).await.unwrap();
+    assert!(fs::read(fixture.store.blobs.upload(&id)).unwrap() == bytes);
+    fixture.service.delete_upload(&id, &Caller::operator()).await.unwrap();
     assert!(matches!(
-        rested.service.upload(&id, &Caller::operator()).await,
+        fixture.service.upload(&id, &Caller::operator()).await,
         Err(Error::UploadNotFound { .. })
     ));
 }
@@ -211,39 +211,41 @@ async fn concurrent_senders_never_mix_bytes() {
 /// Bytes beyond the announced length are rejected. The bytes that fit are stored.
 #[tokio::test]
 async fn an_endless_body_is_cut_at_the_limit() {
-    let rested = UploadFixture::new().await;
-    let (bytes, id) = (archive(30_000), rested.begun(20_000).await);
-    let long = rested.append(&id, part(0, None, body(&bytes, None))).await;
+    let fixture = UploadFixture::new().await;
+    let (bytes, id) = (archive(30_000), fixture.start_upload(20_000).await);
+    let long = fixture.append(&id, part(0, None, body(&bytes, None))).await;
     assert!(matches!(long, Err(Error::UploadTooLarge { max_bytes: 20_000 })), "{long:?}");
-    let there = rested.offset(&id).await;
-    assert!(there <= 20_000 && fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes[..there]);
+    let there = fixture.offset(&id).await;
+    assert!(
+        there <= 20_000 && fs::read(fixture.store.blobs.upload(&id)).unwrap() == bytes[..there]
+    );
 }
 
 /// A backup contains the record but not the file. A file without a record is an orphan.
 #[tokio::test]
 async fn an_upload_whose_file_is_missing_restarts_at_zero() {
-    let rested = UploadFixture::new().await;
-    let id = rested.begun(9000).await;
-    rested.append(&id, part(0, None, body(&archive(5000), None))).await.unwrap();
-    fs::remove_file(rested.store.blobs.upload(&id)).unwrap();
-    fs::write(rested.store.blobs.upload("stranger"), "x").unwrap();
-    let rested = rested.again().await;
-    assert_eq!(rested.offset(&id).await, 0);
-    assert!(!rested.store.blobs.upload("stranger").exists());
+    let fixture = UploadFixture::new().await;
+    let id = fixture.start_upload(9000).await;
+    fixture.append(&id, part(0, None, body(&archive(5000), None))).await.unwrap();
+    fs::remove_file(fixture.store.blobs.upload(&id)).unwrap();
+    fs::write(fixture.store.blobs.upload("stranger"), "x").unwrap();
+    let fixture = fixture.restart().await;
+    assert_eq!(fixture.offset(&id).await, 0);
+    assert!(!fixture.store.blobs.upload("stranger").exists());
     assert_eq!(
-        rested.append(&id, part(0, None, body(&archive(8000), None))).await.unwrap().offset,
+        fixture.append(&id, part(0, None, body(&archive(8000), None))).await.unwrap().offset,
         8000
     );
 }
 
 #[tokio::test]
 async fn files_that_are_no_scan_are_rejected_by_their_first_bytes() {
-    let rested = UploadFixture::new().await;
-    let id = rested.begun(1 << 30).await;
-    let upload = rested.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();
+    let fixture = UploadFixture::new().await;
+    let id = fixture.start_upload(1 << 30).await;
+    let upload = fixture.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();
     assert_eq!(
         (upload.state, upload.problem.unwrap().code.as_str()),
         (UploadState::Refused, "archive_unreadable")
     );
-    assert!(!rested.store.blobs.upload(&id).exists());
+    assert!(!fixture.store.blobs.upload(&id).exists());
 }

@@ -580,23 +580,23 @@ mod tests {
         .await;
         let key = site.keys().await.into_iter().find(|key| key.ends_with("2.jpg")).unwrap();
         site.store.put(&Path::parse(key).unwrap(), "others".into()).await.unwrap();
-        let told = site
+        let result = site
             .run_on(1, |blobs| blobs.pin_folder(&blobs.parse("p")).map(drop))
             .await
             .unwrap_err();
-        assert_eq!(told.kind(), io::ErrorKind::InvalidData);
-        assert!(told.to_string().contains("views/deep/er/2.jpg"), "{told}");
+        assert_eq!(result.kind(), io::ErrorKind::InvalidData);
+        assert!(result.to_string().contains("views/deep/er/2.jpg"), "{result}");
     }
 
     #[tokio::test]
     async fn a_publish_slower_than_half_the_grace_period_fails() {
         let site = Site::new(1, u64::MAX, Duration::from_millis(100)).await;
-        let told = site.run_on(0, |blobs| {
+        let result = site.run_on(0, |blobs| {
             let prepared = blobs.prepare(write_scratch(&blobs), &blobs.content("c")).unwrap();
             std::thread::sleep(Duration::from_millis(60));
             blobs.publish_prepared(prepared)
         });
-        assert!(ObjectStoreUnavailable::is_behind(&told.await.unwrap_err()));
+        assert!(ObjectStoreUnavailable::is_behind(&result.await.unwrap_err()));
         wait_until_objects_left(&site, 0).await;
     }
 

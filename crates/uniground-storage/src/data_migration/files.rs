@@ -253,9 +253,9 @@ mod tests {
     fn unchanging_files_are_hard_linked_and_growing_ones_copied() {
         let (_root, from, to) = folders();
         let (kinds, damaged) = run_file_migration(&from, &to);
-        let told: Vec<_> =
+        let reported: Vec<_> =
             kinds.iter().map(|kind| (kind.kind, kind.folders, kind.copied_bytes)).collect();
-        assert_eq!(told, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
+        assert_eq!(reported, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
         assert_eq!(damaged, []);
         assert!(to.check_folder(&to.parse("p"), CheckDepth::Bytes).unwrap().is_empty());
         // A log that grows on one side grows there only.

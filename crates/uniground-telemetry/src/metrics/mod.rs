@@ -108,7 +108,7 @@ mod tests {
         metrics.jobs.register("parse");
         metrics.jobs.record_finished("parse", "succeeded", Some(Duration::from_secs(3)));
         metrics.questions.record_answer("grounded", "builtin", false, Duration::from_millis(4));
-        let told = metrics.text();
+        let exported = metrics.text();
         for line in [
             "uniground_jobs_finished_total{kind=\"parse\",state=\"succeeded\"} 1",
             "uniground_jobs_finished_total{kind=\"parse\",state=\"failed\"} 0",
@@ -117,9 +117,12 @@ mod tests {
             "# TYPE uniground_build info",
             "# EOF",
         ] {
-            assert!(told.lines().any(|told| told == line), "{line} is not in\n{told}");
+            assert!(
+                exported.lines().any(|exported| exported == line),
+                "{line} is not in\n{exported}"
+            );
         }
-        assert!(told.contains("process_start_time_seconds 1"), "{told}");
+        assert!(exported.contains("process_start_time_seconds 1"), "{exported}");
     }
 
     #[test]
