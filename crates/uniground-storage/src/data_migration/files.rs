@@ -75,7 +75,7 @@ fn move_folder(
     let (scratch, copied) = match link_folder(kind, source, to, damaged)? {
         Some(scratch) => (scratch, 0),
         None if kind != GROWING && is_same(source, place)? => return Ok(0),
-        None => copy_folder(kind, source, to, damaged)?,
+        None => copy_and_report_damage(kind, source, to, damaged)?,
     };
     remove_tree(place, to.tmp())?;
     // Keep the original time, so that retention counts from it.
@@ -124,7 +124,7 @@ fn link_folder(
 
 /// Copies a folder and checks every file on the way. Returns the bytes. Damaged files are copied as
 /// they are, and reported.
-fn copy_folder(
+fn copy_and_report_damage(
     kind: &str,
     source: &Utf8Path,
     to: &Blobs,
@@ -304,7 +304,8 @@ mod tests {
         let (_root, from, to) = folders();
         let (source, place) = (from.parse("p"), to.parse("p"));
         let mut damaged = DamagedFolders::new();
-        let (scratch, bytes) = copy_folder("parses", &source, &to, &mut damaged).unwrap();
+        let (scratch, bytes) =
+            copy_and_report_damage("parses", &source, &to, &mut damaged).unwrap();
         fs::rename(scratch.path(), &place).unwrap();
         assert_eq!(
             (bytes, size_of(&place).unwrap(), damaged.len()),
@@ -314,7 +315,7 @@ mod tests {
         fs::write(place.join("cloud.ply"), "pointz").unwrap();
         assert!(!is_same(&source, &place).unwrap());
         fs::write(source.join("cloud.ply"), "pointz").unwrap();
-        let (scratch, _) = copy_folder("parses", &source, &to, &mut damaged).unwrap();
+        let (scratch, _) = copy_and_report_damage("parses", &source, &to, &mut damaged).unwrap();
         assert_eq!(text(scratch.path().join("cloud.ply")), "pointz");
         assert_eq!(damaged, [("blobs/parses/p".to_owned(), "cloud.ply damaged".to_owned())]);
         fs::remove_file(source.join("cloud.ply")).unwrap();
