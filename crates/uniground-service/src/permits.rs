@@ -16,8 +16,8 @@ pub struct QuestionPermits {
 impl QuestionPermits {
     /// Waits for a permit to compute a question, for at most `QUEUE_TIMEOUT`.
     pub(crate) async fn acquire(&self) -> Result<OwnedSemaphorePermit, Error> {
-        let turn = timeout(QUEUE_TIMEOUT, self.permits.clone().acquire_owned()).await;
-        turn.ok().and_then(Result::ok).ok_or(Error::Overloaded)
+        let permit = timeout(QUEUE_TIMEOUT, self.permits.clone().acquire_owned()).await;
+        permit.ok().and_then(Result::ok).ok_or(Error::Overloaded)
     }
 
     /// Computes for a question outside the async threads, once it has a permit.

@@ -60,8 +60,10 @@ impl RoomSearch {
         if wanted.is_empty() {
             return Ok(());
         }
-        let Some(turn) = self.service_locks.try_lock_room_index().await? else { return Ok(()) };
-        while !wanted.is_empty() && turn.is_ours() {
+        let Some(index_lock) = self.service_locks.try_lock_room_index().await? else {
+            return Ok(());
+        };
+        while !wanted.is_empty() && index_lock.is_ours() {
             for room in &wanted {
                 match self.index_room(room).await {
                     Ok(()) => {}
@@ -288,10 +290,14 @@ fn interleave<T>(
     mut one: impl Iterator<Item = T>,
     mut other: impl Iterator<Item = T>,
 ) -> impl Iterator<Item = T> {
-    let mut turn = false;
+    let mut take_one = false;
     std::iter::from_fn(move || {
-        turn = !turn;
-        if turn { one.next().or_else(|| other.next()) } else { other.next().or_else(|| one.next()) }
+        take_one = !take_one;
+        if take_one {
+            one.next().or_else(|| other.next())
+        } else {
+            other.next().or_else(|| one.next())
+        }
     })
 }
 

@@ -50,8 +50,8 @@ impl ServiceLocks {
     /// [`Error::UploadBusy`] if another request holds the lock.
     pub(super) async fn lock_upload(&self, id: &str) -> Result<NamedLock, Error> {
         // The previous request may have been answered while it still releases the lock.
-        let turn = timeout(LOCK_TIMEOUT, self.named_locks.lock(&format!("upload {id}"))).await;
-        Ok(turn.map_err(|_| Error::UploadBusy { id: id.to_owned() })??)
+        let lock = timeout(LOCK_TIMEOUT, self.named_locks.lock(&format!("upload {id}"))).await;
+        Ok(lock.map_err(|_| Error::UploadBusy { id: id.to_owned() })??)
     }
 
     /// Held during maintenance. Returns `None` while another process holds it.

@@ -63,9 +63,9 @@ impl WebhookService {
         webhook: Arc<Webhook>,
         shutdown: CancellationToken,
     ) {
-        let mut turn = None;
+        let mut lock = None;
         while !shutdown.is_cancelled() {
-            let delivering = self.deliver_due(&webhook, &mut turn);
+            let delivering = self.deliver_due(&webhook, &mut lock);
             match shutdown.run_until_cancelled(delivering).await {
                 // More webhooks may be due.
                 Some(Ok(true)) => continue,
@@ -84,16 +84,16 @@ impl WebhookService {
     async fn deliver_due(
         &self,
         webhook: &Arc<Webhook>,
-        turn: &mut Option<NamedLock>,
+        lock: &mut Option<NamedLock>,
     ) -> Result<bool, Error> {
         // One process sends all webhooks. Another one takes over when it is gone.
-        if let Some(ours) = turn.take() {
-            *turn = Some(ours).filter(NamedLock::is_ours);
+        if let Some(ours) = lock.take() {
+            *lock = Some(ours).filter(NamedLock::is_ours);
         }
-        if turn.is_none() {
-            *turn = self.service_locks.try_lock_webhook_delivery().await?;
+        if lock.is_none() {
+            *lock = self.service_locks.try_lock_webhook_delivery().await?;
         }
-        if turn.is_none() {
+        if lock.is_none() {
             return Ok(false);
         }
         let due = self.webhook_repository.due_deliveries(MAX_CONCURRENT_DELIVERIES).await?;

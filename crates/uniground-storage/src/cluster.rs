@@ -94,7 +94,7 @@ impl NamedLock {
     /// this.
     #[must_use]
     pub fn is_ours(&self) -> bool {
-        self.shared.as_ref().is_none_or(|turn| turn.session.number.load(Relaxed) == turn.number)
+        self.shared.as_ref().is_none_or(|lock| lock.session.number.load(Relaxed) == lock.number)
     }
 }
 

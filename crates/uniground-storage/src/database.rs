@@ -163,8 +163,8 @@ impl Connections {
     }
 }
 
-fn pool(most: u32, turn: Duration, settings: String) -> AnyPoolOptions {
-    AnyPoolOptions::new().max_connections(most).acquire_timeout(turn).after_connect(
+fn pool(most: u32, acquire_timeout: Duration, settings: String) -> AnyPoolOptions {
+    AnyPoolOptions::new().max_connections(most).acquire_timeout(acquire_timeout).after_connect(
         move |connection, _| {
             let settings = settings.clone();
             Box::pin(

@@ -240,16 +240,16 @@ impl JobRepository {
         )?)
     }
 
-    /// Counts the jobs of a kind that were created within the last `lately` and have finished.
+    /// Counts the jobs of a kind that were created within the last `period` and have finished.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn count_recently_finished(
         &self,
         kind: &str,
-        lately: Duration,
+        period: Duration,
     ) -> Result<u32, StoreError> {
-        let since = Timestamp::now().checked_sub(lately).unwrap_or(Timestamp::MIN);
+        let since = Timestamp::now().checked_sub(period).unwrap_or(Timestamp::MIN);
         let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state IN ('succeeded', 'failed') AND id >= $2 AND attempts > 0";
         let done = sqlx::query_scalar(sql)
             .bind(kind)

@@ -277,11 +277,11 @@ async fn jobs_of_keys_run_round_robin() {
     for (key, what) in [("a", "a1"), ("a", "a2"), ("a", "a3"), ("b", "b1"), ("b", "b2")] {
         jobs.submit::<ScriptedJob>("s", &what.to_owned(), Some(key)).await.unwrap();
     }
-    let mut turns = Vec::new();
+    let mut order = Vec::new();
     while let Some(job) = jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap() {
-        turns.push(job.payload.trim_matches('"').to_owned());
+        order.push(job.payload.trim_matches('"').to_owned());
     }
-    assert_eq!(turns, ["a1", "b1", "a2", "b2", "a3"]);
+    assert_eq!(order, ["a1", "b1", "a2", "b2", "a3"]);
 }
 
 #[tokio::test]

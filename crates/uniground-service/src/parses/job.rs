@@ -212,14 +212,14 @@ impl ParseRunner {
         let mut scan = cut?;
         // The lock makes corrections wait from here on. They then apply to the parse that is being
         // written.
-        let turn = match grown_from {
+        let parse_lock = match grown_from {
             Some(_) if self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some() => {
                 Some(self.scene_lookup.lock_current_parse(scene_id).await?)
             }
             _ => None,
         };
-        let previous = match &turn {
-            Some((parse_id, _turn)) => Some(self.previous_parse(parse_id.clone()).await?),
+        let previous = match &parse_lock {
+            Some((parse_id, _lock)) => Some(self.previous_parse(parse_id.clone()).await?),
             None => None,
         };
         let (blobs, pool, id, how) = (
@@ -277,7 +277,7 @@ impl ParseRunner {
                 return Err(Error::SceneNotFound { id: scene_id.clone() });
             }
         }
-        drop(turn);
+        drop(parse_lock);
         let report = &parsed.report;
         let computed = report.stages.iter().filter(|stage| !stage.reused);
         self.metrics.questions.record_parse(

@@ -78,10 +78,10 @@ impl MediaService {
         scene: Arc<StoredScene>,
         work: impl FnOnce(&Self, &StoredScene) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
-        let turn = self.drawing_lock.clone().lock_owned().await;
+        let drawing_lock = self.drawing_lock.clone().lock_owned().await;
         let service = self.clone();
         let done = spawn_blocking(move || {
-            let _turn = turn;
+            let _drawing_lock = drawing_lock;
             work(&service, &scene)
         });
         match done.await? {

@@ -119,9 +119,9 @@ impl SceneLookup {
     ) -> Result<(String, NamedLock), Error> {
         loop {
             let (_, parse_id) = self.ready_scene(scene_id).await?;
-            let turn = self.service_locks.lock_parse_data(&parse_id).await?;
+            let lock = self.service_locks.lock_parse_data(&parse_id).await?;
             if self.ready_scene(scene_id).await?.1 == parse_id {
-                return Ok((parse_id, turn));
+                return Ok((parse_id, lock));
             }
         }
     }

@@ -38,7 +38,7 @@ struct CachedFolder {
     bytes: u64,
     used: u64,
     /// Every user of the folder holds a clone of this; a user that adds files also holds the lock.
-    turn: Arc<Mutex<()>>,
+    download_lock: Arc<Mutex<()>>,
 }
 
 /// Keeps a folder in the cache while it lives.
@@ -46,19 +46,21 @@ struct CachedFolder {
 pub struct FolderPin {
     cache: Arc<FolderCache>,
     place: Utf8PathBuf,
-    turn: Option<Arc<Mutex<()>>>,
+    download_lock: Option<Arc<Mutex<()>>>,
 }
 
 impl FolderPin {
     /// Locks the folder for adding files; blocks.
     pub fn lock_for_download(&self) -> Option<MutexGuard<'_, ()>> {
-        self.turn.as_ref().map(|turn| turn.lock().unwrap_or_else(PoisonError::into_inner))
+        self.download_lock
+            .as_ref()
+            .map(|download_lock| download_lock.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
 impl Drop for FolderPin {
     fn drop(&mut self) {
-        self.turn = None;
+        self.download_lock = None;
         self.cache.drop_missing_entry(&self.place);
         self.cache.evict_least_recently_used();
     }
@@ -131,18 +133,20 @@ impl FolderCache {
 
     /// Pins a folder, if it exists.
     pub fn pin(self: &Arc<Self>, place: &Utf8Path) -> FolderPin {
-        let turn = self.lock_state().touch(place).turn.clone();
-        FolderPin { cache: self.clone(), place: place.to_owned(), turn: Some(turn) }
+        let download_lock = self.lock_state().touch(place).download_lock.clone();
+        FolderPin {
+            cache: self.clone(),
+            place: place.to_owned(),
+            download_lock: Some(download_lock),
+        }
     }
 
     /// Drops the entry of a folder that turned out not to exist.
     fn drop_missing_entry(&self, place: &Utf8Path) {
         let mut state = self.lock_state();
-        if state
-            .folders
-            .get(place)
-            .is_some_and(|folder| folder.bytes == 0 && Arc::strong_count(&folder.turn) == 1)
-        {
+        if state.folders.get(place).is_some_and(|folder| {
+            folder.bytes == 0 && Arc::strong_count(&folder.download_lock) == 1
+        }) {
             state.folders.remove(place);
         }
     }
@@ -200,8 +204,10 @@ impl FolderCache {
         let mut aside = Vec::new();
         let mut state = self.lock_state();
         while state.bytes > self.most {
-            let unused =
-                state.folders.iter().filter(|(_, folder)| Arc::strong_count(&folder.turn) == 1);
+            let unused = state
+                .folders
+                .iter()
+                .filter(|(_, folder)| Arc::strong_count(&folder.download_lock) == 1);
             let Some(place) =
                 unused.min_by_key(|(_, folder)| folder.used).map(|(place, _)| place.clone())
             else {

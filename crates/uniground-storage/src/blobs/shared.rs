@@ -184,10 +184,10 @@ impl Blobs {
         if is_complete_locally(place, wanted)? {
             return Ok(held);
         }
-        let turn = held.lock_for_download();
+        let download_lock = held.lock_for_download();
         // Another task may have downloaded it meanwhile.
         if is_complete_locally(place, wanted)? {
-            drop(turn);
+            drop(download_lock);
             return Ok(held);
         }
         let there = match self.download_missing(shared, name, place, wanted) {
@@ -202,7 +202,7 @@ impl Blobs {
         if !there {
             return Err(io::ErrorKind::NotFound.into());
         }
-        drop(turn);
+        drop(download_lock);
         Ok(held)
     }
 
