@@ -45,7 +45,7 @@ impl MaintenanceService {
             self.orphan_repository.collect_orphans(RunMode::Serving.min_age()).await?;
         }
         // One process does the rest for all.
-        let Some(_turn) = self.service_locks.try_lock_maintenance().await? else { return Ok(()) };
+        let Some(_lock) = self.service_locks.try_lock_maintenance().await? else { return Ok(()) };
         self.apply_retention(RunMode::Serving).await?;
         self.room_index_repository.delete_unused_names().await?;
         // A retired parse is known to be damaged. It is stored only for its answers.

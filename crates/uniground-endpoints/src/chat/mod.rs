@@ -75,7 +75,7 @@ pub struct ChatClient {
     endpoint: Endpoint,
     patience: RetryPolicy,
     replay_cache: ReplayCache,
-    turns: Semaphore,
+    permits: Semaphore,
 }
 
 #[derive(Deserialize)]
@@ -182,7 +182,7 @@ impl ChatClient {
         replay_cache: ReplayCache,
     ) -> Result<Self, reqwest::Error> {
         install_crypto_provider();
-        let turns = Semaphore::new(endpoint.concurrency.max(1));
+        let permits = Semaphore::new(endpoint.concurrency.max(1));
         // Prompts and pictures must go to the configured origin only.
         let redirect = redirect::Policy::custom(|attempt| {
             let same_place = attempt
@@ -196,7 +196,7 @@ impl ChatClient {
             }
         });
         let http = reqwest::Client::builder().redirect(redirect).build()?;
-        Ok(Self { http, endpoint, patience, replay_cache, turns })
+        Ok(Self { http, endpoint, patience, replay_cache, permits })
     }
 
     /// Checks that the endpoint's server is reachable. Any response counts; the check costs
@@ -302,7 +302,7 @@ impl ChatClient {
                 may_be_billed,
             }
         };
-        let _turn = self.turns.acquire().await;
+        let _permit = self.permits.acquire().await;
         let response = request.send().await.map_err(transport)?;
         let (status, wait) = (response.status(), retry_after(&response));
         let text = read_limited(response).await.map_err(transport)?.ok_or_else(|| {

@@ -40,7 +40,7 @@ impl GroundingService {
         // Checked first: a question that cannot be asked uses up no key.
         self.scene_lookup.ready_scene(scene_id).await?;
         let key = caller.qualify_name(key.to_owned());
-        let _turn = self.service_locks.lock_idempotency_key(&key).await?;
+        let _lock = self.service_locks.lock_idempotency_key(&key).await?;
         let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         // The answer's id is chosen before the question is asked. An answer that was stored before

@@ -205,7 +205,7 @@ impl SceneSource for StoredScene {
     ) -> Result<(Arc<Self>, InstanceId), Error> {
         // In a growing scene, the instance is stored before the next parse continues from this one,
         // or not at all. Otherwise another instance could get the same id.
-        let _turn = self.scenes.service_locks.lock_parse_data(&self.parse.id).await?;
+        let _lock = self.scenes.service_locks.lock_parse_data(&self.parse.id).await?;
         let Some(id) = self
             .scenes
             .parse_repository

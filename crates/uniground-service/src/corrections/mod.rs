@@ -50,7 +50,7 @@ impl CorrectionService {
     ) -> Result<Correction, Error> {
         check(&change)?;
         // Under the lock: what is checked stays valid until the correction is stored.
-        let (parse_id, _turn) = self.scene_lookup.lock_current_parse(scene_id).await?;
+        let (parse_id, _lock) = self.scene_lookup.lock_current_parse(scene_id).await?;
         let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let known = |id: InstanceId| {
             let instance = parse.instances.get((id.0 as usize).wrapping_sub(1));
@@ -111,7 +111,7 @@ impl CorrectionService {
     /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] if a later correction refers to
     /// the instance that this one created.
     pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
-        let (parse_id, _turn) = self.scene_lookup.lock_current_parse(scene_id).await?;
+        let (parse_id, _lock) = self.scene_lookup.lock_current_parse(scene_id).await?;
         let corrections = self.correction_repository.corrections(&parse_id).await?;
         let not_found = || Error::CorrectionNotFound { id: id.to_owned() };
         let correction =

@@ -94,7 +94,7 @@ impl GrowthService {
         let part = ScanPart { hash: received.hash.clone(), to_scene };
         let request = hash_json(&("frames", scene_id, &part))?;
         // One at a time: each growth starts from the content that the previous one stored.
-        let _turn = self.growth_lock.lock().await;
+        let _lock = self.growth_lock.lock().await;
         if let Some(key) = &key
             && let Some((scene, before)) =
                 self.scene_repository.scene_of_idempotency_key(key).await?

@@ -24,7 +24,7 @@ impl UploadService {
     /// [`Error::Store`].
     pub async fn complete_pending_uploads(&self) -> Result<(), Error> {
         for id in self.upload_repository.complete_uploads_without_scene().await? {
-            let Ok(_turn) = self.service_locks.lock_upload(&id).await else { continue };
+            let Ok(_lock) = self.service_locks.lock_upload(&id).await else { continue };
             let Some(row) =
                 self.upload_repository.upload(&id).await?.filter(|row| row.came_of.is_none())
             else {

@@ -125,7 +125,7 @@ impl UploadService {
     /// [`Error::UploadNotFound`], [`Error::UploadExpired`], [`Error::UploadBusy`].
     pub async fn delete_upload(&self, id: &str, caller: &Caller) -> Result<(), Error> {
         self.upload_row(id, caller).await?;
-        let _turn = self.service_locks.lock_upload(id).await?;
+        let _lock = self.service_locks.lock_upload(id).await?;
         if !self.upload_repository.delete_upload(id).await? {
             return Err(Error::UploadNotFound { id: id.into() });
         }

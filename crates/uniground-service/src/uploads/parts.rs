@@ -67,7 +67,7 @@ impl UploadService {
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         // Checked before the lock: other callers must not learn that the upload is busy.
         self.upload_row(id, caller).await?;
-        let _turn = self.service_locks.lock_upload(id).await?;
+        let _lock = self.service_locks.lock_upload(id).await?;
         let mut row = self.upload_row(id, caller).await?;
         if part.offset != row.received {
             return Err(Error::WrongOffset { offset: row.received });
