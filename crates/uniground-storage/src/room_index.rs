@@ -125,7 +125,7 @@ impl RoomIndexRepository {
         labels: &Labels,
         most: u32,
     ) -> Result<Vec<RoomMatch>, StoreError> {
-        let has_labels = self.has_labels_condition("$3");
+        let has_labels = self.labels_condition("$3");
         let sql = format!(
             "SELECT parse_id, colour, weight FROM room_entries AS entry WHERE name = $1 AND ($2 IS NULL OR colour = $2) AND {has_labels}
              ORDER BY weight DESC, parse_id DESC LIMIT $4"
@@ -143,7 +143,7 @@ impl RoomIndexRepository {
     }
 
     /// A condition: the parse of `entry` belongs to a scene with these labels.
-    pub(super) fn has_labels_condition(&self, labels: &str) -> String {
+    pub(super) fn labels_condition(&self, labels: &str) -> String {
         let is_filed_so = self.database.engine.json_contains("scenes.labels", labels);
         format!(
             "EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = entry.parse_id AND {is_filed_so})"

@@ -138,7 +138,7 @@ impl RoomIndexRepository {
         if !self.has_vectors().await? {
             return Ok(Vec::new());
         }
-        let (dim, has_labels) = (vector.len(), self.has_labels_condition("$2"));
+        let (dim, has_labels) = (vector.len(), self.labels_condition("$2"));
         // The encoder must be a literal: PostgreSQL uses a partial index only if the query repeats
         // its condition.
         let sql = format!(

@@ -59,7 +59,7 @@ impl ChecksumCheck {
         chunks.iter().for_each(|chunk| self.hasher.update(chunk));
     }
 
-    pub fn is_valid(self) -> bool {
+    pub fn matches(self) -> bool {
         *self.hasher.finalize() == *self.sum
     }
 }

@@ -123,7 +123,7 @@ impl UploadService {
         if let Some(checking) = checking {
             // A part that broke off cannot be checked.
             end?;
-            return match checking.is_valid() {
+            return match checking.matches() {
                 true => Ok(self.save_part(row, file).await?.0),
                 false => Err(Error::ChecksumMismatch),
             };
