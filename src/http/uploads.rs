@@ -53,7 +53,7 @@ pub struct UploadParameters {
 }
 
 impl UploadParameters {
-    fn of(pairs: Vec<(String, String)>) -> Result<Self, ProblemResponse> {
+    fn from_pairs(pairs: Vec<(String, String)>) -> Result<Self, ProblemResponse> {
         let mut parameters = Self::default();
         for (key, text) in pairs {
             match key.as_str() {
@@ -136,7 +136,7 @@ pub async fn create(
     let length = tus::parse_byte_count(&headers, &tus::LENGTH)?;
     let tus::Metadata { header: note, pairs } = tus::metadata(&headers)?;
     let UploadParameters { name, filename, parse, up, preset } =
-        parameters.or(UploadParameters::of(pairs)?);
+        parameters.or(UploadParameters::from_pairs(pairs)?);
     let (parse, preset) = (parse.unwrap_or(true), preset.unwrap_or_default());
     let wanted =
         SceneRequest { name, file_name: filename, parse, up, preset, idempotency_key, note };

@@ -115,7 +115,7 @@ pub fn fetch(
     // A bundle's manifest is written last: a folder without one is not a bundle yet.
     for file in carried {
         let placed = unpack::write_file(&folder.join(file.name), &mut &*file.bytes, None);
-        on_event(Event::Installed(&placed.map_err(|problem| problem.of(part.name))?));
+        on_event(Event::Installed(&placed.map_err(|problem| problem.into_fetch_error(part.name))?));
     }
     Ok(())
 }

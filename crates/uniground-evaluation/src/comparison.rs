@@ -95,11 +95,11 @@ impl Baseline {
     /// Returns an error for a file that is neither.
     pub fn read(path: &Utf8Path) -> anyhow::Result<Self> {
         if path.is_dir() {
-            return Ok(Self::of(&Report::read(path)?));
+            return Ok(Self::from_report(&Report::read(path)?));
         }
         let text = fs::read_to_string(path).with_context(|| path.to_string())?;
         if let Ok(report) = serde_json::from_str::<Report>(&text) {
-            return Ok(Self::of(&report));
+            return Ok(Self::from_report(&report));
         }
         let baseline: Self = serde_json::from_str(&text).with_context(|| path.to_string())?;
         ensure!(

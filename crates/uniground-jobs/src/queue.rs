@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use uniground_storage::{
-    JobFilter, JobRepository, JobRow, JobState, NewJob, QueueLengths, StoreError, page,
+    JobFilter, JobRepository, JobRow, JobState, NewJob, QueueLengths, StoreError, split_page,
 };
 use uniground_telemetry::metrics::Metrics;
 

@@ -29,7 +29,7 @@ use tokio::task::spawn_blocking;
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
     AnswerRepository, OrphanRepository, Reserve, SceneFilter, SceneRepository, SceneRowChange,
-    Scratch, page,
+    Scratch, split_page,
 };
 use uniground_types::labels::{Labels, check_labels};
 use uniground_types::placement::SceneToMap;

@@ -29,7 +29,7 @@ pub enum BackupSource {
 impl BackupSource {
     /// Interprets a path on the command line.
     #[must_use]
-    pub fn of(path: &Utf8Path) -> Self {
+    pub fn from_path(path: &Utf8Path) -> Self {
         match path.as_str() {
             "-" => Self::Stdin,
             _ if path.is_dir() => Self::Folder(path.to_owned()),
@@ -120,7 +120,7 @@ pub async fn check(source: BackupSource) -> Result<RestoreReport, BackupError> {
 }
 
 impl RestoreReport {
-    fn of(manifest: Manifest) -> Self {
+    fn from_manifest(manifest: Manifest) -> Self {
         let Manifest { program, taken_at, database, scenes, answers, folders, left_out, .. } =
             manifest;
         Self {

@@ -343,7 +343,7 @@ mod tests {
     }
 
     impl Site {
-        async fn of(machines: usize, cache_bytes: u64, grace: Duration) -> Self {
+        async fn new(machines: usize, cache_bytes: u64, grace: Duration) -> Self {
             let store = Arc::new(InMemory::new());
             let mut opened = Vec::new();
             for _ in 0..machines {

@@ -54,7 +54,7 @@ pub struct UnsealedObjects {
 }
 
 impl UnsealedObjects {
-    fn of(objects: &Objects, below: Path) -> Self {
+    fn new(objects: &Objects, below: Path) -> Self {
         Self { objects: objects.clone(), below, was: None, is_kept: false }
     }
 
@@ -206,12 +206,12 @@ impl Objects {
 
     /// Returns an edition that no seal refers to.
     pub fn unsealed_edition(&self, folder: &FolderName, edition: &str) -> UnsealedObjects {
-        UnsealedObjects::of(self, self.edition(folder, edition))
+        UnsealedObjects::new(self, self.edition(folder, edition))
     }
 
     /// Returns the checkpoints of a content, to be removed on drop.
     pub fn unsealed_checkpoints(&self, hash: &str) -> UnsealedObjects {
-        UnsealedObjects::of(self, self.checkpoints(hash))
+        UnsealedObjects::new(self, self.checkpoints(hash))
     }
 
     /// Downloads files of a sealed folder into a local one, named by their index. Returns the
