@@ -265,7 +265,7 @@ fn room_names(folder: &Utf8Path) -> Vec<String> {
         .unwrap_or_default();
     let zips = entries.iter().filter_map(|entry| entry.file_name().strip_suffix(".zip"));
     let mut names: Vec<String> = zips
-        .filter(|name| Annotations::file_of(folder, name).is_some())
+        .filter(|name| Annotations::find_file(folder, name).is_some())
         .map(str::to_owned)
         .collect();
     names.sort_unstable();

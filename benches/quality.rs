@@ -132,7 +132,7 @@ fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
         let runs: Vec<_> = TURNS_DEG
             .iter()
-            .map(|&deg| measure(&room.turned(deg), &rgbd, settings, false))
+            .map(|&deg| measure(&room.rotated(deg), &rgbd, settings, false))
             .collect();
         let parsed = parse(&room, &rgbd, settings);
         let structure = score_structure(
@@ -155,7 +155,9 @@ fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options
         let (score, seconds) = measure(&room, &annotated, settings, *misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
         for masks in [&rgbd as &dyn MaskSource, &annotated] {
-            for rung in stage_losses::climb(&room, masks, settings, MIN_POINTS).unwrap() {
+            for rung in
+                stage_losses::measure_stage_losses(&room, masks, settings, MIN_POINTS).unwrap()
+            {
                 let (boxes, points) = rung.recall();
                 let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
                 let head =
@@ -177,7 +179,7 @@ fn rooms(folder: &Utf8Path) -> Vec<String> {
         .unwrap_or_default();
     let zips = entries.iter().filter_map(|entry| entry.file_name().strip_suffix(".zip"));
     let mut names: Vec<String> = zips
-        .filter(|name| Annotations::file_of(folder, name).is_some())
+        .filter(|name| Annotations::find_file(folder, name).is_some())
         .map(str::to_owned)
         .collect();
     names.sort_unstable();
@@ -192,7 +194,7 @@ fn score_names(
     name: &str,
     settings: &ParsingSettings,
 ) -> Vec<String> {
-    let (annotations, _) = Annotations::read(&Annotations::file_of(folder, name).unwrap());
+    let (annotations, _) = Annotations::read(&Annotations::find_file(folder, name).unwrap());
     let rgbd = RgbdMasks { settings: settings.rgbd_masks };
     let parsed = parse(room, &rgbd, settings);
     let known = |name: &str| Lexicon::get().find(name).map(|noun| noun.name.clone());

@@ -37,7 +37,7 @@ pub struct RunningService {
 /// # Errors
 /// Returns an error when the address, the data folder or the key cannot be used.
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
-    start_part(config, &config.role.into()).await
+    start_role(config, &config.role.into()).await
 }
 
 /// Starts a part of the service. Other processes with the same database do the rest.
@@ -45,7 +45,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 /// # Errors
 /// Returns the errors of [`start`], and an error for a part if the database supports a single
 /// process only.
-pub async fn start_part(
+pub async fn start_role(
     config: &ServeConfig,
     part: &ProcessRole,
 ) -> anyhow::Result<RunningService> {
@@ -55,7 +55,8 @@ pub async fn start_part(
 
 async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<RunningService> {
     ensure!(
-        !part.needs_others() || matches!(config.database.location, Location::Postgres(_)),
+        !part.requires_other_processes()
+            || matches!(config.database.location, Location::Postgres(_)),
         "a process with only a part of the work needs a shared database: set --database \
          postgres://…, or run everything with \"uniground serve\""
     );
@@ -64,20 +65,22 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     let store = Store::open_with(
         &config.data_dir,
         &config.database.location,
-        &config.blobs.home()?,
+        &config.blobs.blob_home()?,
         config.database.lease(),
     )
     .await
-    .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
+    .with_context(|| {
+        format!("the data folder {}{}", config.data_dir, describe_external_stores(config))
+    })?;
     if config.database.vectors == Vectors::Pgvector {
-        store.room_index.want_vectors().await?;
+        store.room_index.enable_vectors().await?;
     }
     let mut keys = Keyring::open(&store, api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
         keys = keys.with_link_secret(secret);
     }
     ensure!(
-        keys.is_wanted() || !config.wants_keys(),
+        keys.has_keys() || !config.requires_keys(),
         "{} can be reached from other machines and no key is set: create one (uniground key \
          create), set UNIGROUND_API_KEY or --api-key-file, or pass --allow-anybody",
         config.listen
@@ -86,14 +89,14 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     let is_private = config.listen.ip().is_loopback();
     let metrics = Arc::<Metrics>::default();
     let jobs =
-        Jobs::new(store.jobs.clone(), config.limits.max_queued_jobs).counted_by(metrics.clone());
+        Jobs::new(store.jobs.clone(), config.limits.max_queued_jobs).with_metrics(metrics.clone());
     let models = tokio::task::spawn_blocking({
         let config = config.models.clone();
         move || config.load()
     });
-    let ChosenModels { models, told, warnings } = models.await??;
+    let ChosenModels { models, summary, warnings } = models.await??;
     warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-    tracing::info!("{told}");
+    tracing::info!("{summary}");
     for model in &models.loaded {
         tracing::info!(
             name = model.name,
@@ -125,7 +128,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         reader: config.limits.scan_reader(),
         import_root: config.access.import_root.clone(),
         inference,
-        explain: http::told,
+        explain: http::to_problem,
     });
     let listener = TcpListener::bind(config.listen)
         .await
@@ -133,10 +136,10 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
-    services.webhooks.note_announcements(webhook.as_ref()).await?;
+    services.webhooks.set_deliveries_enabled(webhook.as_ref()).await?;
     // Other running processes may be of a newer version, with job kinds unknown here.
     if store.locks.was_alone_at_start() {
-        jobs.refuse_unknown_kinds(&JobType::ALL.map(JobType::kind)).await?;
+        jobs.fail_unknown_kinds(&JobType::ALL.map(JobType::kind)).await?;
     }
     let start = |work: &JobType| match work {
         JobType::Parse => start_lane(
@@ -154,10 +157,10 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     };
     let lanes = part.works.iter().map(start).collect();
     tokio::spawn(run_maintenance(services.clone(), shutdown.clone()));
-    tokio::spawn(keep_index(services.clone(), shutdown.clone()));
-    tokio::spawn(keep_reserve(store.clone(), shutdown.clone()));
+    tokio::spawn(update_room_index(services.clone(), shutdown.clone()));
+    tokio::spawn(restore_reserve_when_possible(store.clone(), shutdown.clone()));
     if part.serves {
-        tokio::spawn(make_left_uploads(services.clone(), shutdown.clone()));
+        tokio::spawn(complete_pending_uploads(services.clone(), shutdown.clone()));
     }
     if let Some(listen) = store.notifications.listen().await? {
         tokio::spawn(handle_notifications(
@@ -168,10 +171,12 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         ));
     }
     if let Some(chat) = chat {
-        tokio::spawn(look_for_model(chat, services.clone()));
+        tokio::spawn(check_model_server(chat, services.clone()));
     }
     if let Some(webhook) = webhook {
-        tokio::spawn(services.webhooks.clone().announce(Arc::new(webhook), shutdown.clone()));
+        tokio::spawn(
+            services.webhooks.clone().deliver_webhooks(Arc::new(webhook), shutdown.clone()),
+        );
     }
     let most = most_connections(config.limits.max_connections);
     let app = App {
@@ -182,16 +187,16 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         allowed_hosts: is_private
             .then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
         origins: Origins::new(&config.access.cors_origins).context("--cors-origin")?,
-        event_streams: EventStreams::beside(most),
+        event_streams: EventStreams::for_connections(most),
         mcp: Mcp::over_http(services.clone(), shutdown.child_token()),
     };
-    let router = if part.serves { http::router(app) } else { http::watched(app) };
+    let router = if part.serves { http::router(app) } else { http::worker_router(app) };
     let server = tokio::spawn(http::serve(listener, router, most, metrics, shutdown.clone()));
     Ok(RunningService { address, services, shutdown, server, lanes, store })
 }
 
 /// Describes the stores outside of the data folder.
-fn elsewhere(config: &ServeConfig) -> String {
+fn describe_external_stores(config: &ServeConfig) -> String {
     let database = Some(&config.database.location)
         .filter(|at| **at != Location::Folder)
         .map(ToString::to_string);
@@ -222,17 +227,17 @@ async fn handle_notifications(
     shutdown: CancellationToken,
 ) {
     /// Notifications can get lost without an error. After this time, everything is checked.
-    const SILENCE: Duration = Duration::from_secs(10);
+    const POLL_INTERVAL: Duration = Duration::from_secs(10);
     const TROUBLE: Duration = Duration::from_secs(2);
     // Notifications before the first one count as missed too.
-    let mut news = DbNotification::Missed;
+    let mut news = DbNotification::ConnectionLost;
     loop {
         match &news {
-            DbNotification::JobWaits { kind } => jobs.ring(Some(kind)),
+            DbNotification::JobQueued { kind } => jobs.wake_lanes(Some(kind)),
             DbNotification::KeysChanged => {}
-            DbNotification::Missed => jobs.ring(None),
+            DbNotification::ConnectionLost => jobs.wake_lanes(None),
         }
-        if !matches!(news, DbNotification::JobWaits { .. })
+        if !matches!(news, DbNotification::JobQueued { .. })
             && let Err(error) = keys.reload().await
         {
             tracing::warn!(
@@ -240,7 +245,7 @@ async fn handle_notifications(
                 "API keys could not be reloaded"
             );
         }
-        let next = timeout(SILENCE, Box::pin(listen.next()));
+        let next = timeout(POLL_INTERVAL, Box::pin(listen.next()));
         news = match shutdown.run_until_cancelled(next).await {
             None => return,
             Some(Ok(Ok(news))) => news,
@@ -250,25 +255,25 @@ async fn handle_notifications(
                     "notification listener disconnected; polling instead"
                 );
                 let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
-                DbNotification::Missed
+                DbNotification::ConnectionLost
             }
-            Some(Err(_)) => DbNotification::Missed,
+            Some(Err(_)) => DbNotification::ConnectionLost,
         };
     }
 }
 
 /// Checks the vision-language model's server at startup, not on the first question. Logs a warning
 /// if it is unreachable or has a limit that requests will exceed.
-async fn look_for_model(chat: Arc<ChatClient>, services: Services) {
+async fn check_model_server(chat: Arc<ChatClient>, services: Services) {
     let Some(vlm) = services.vlm() else { return };
-    if let Err(error) = chat.reach().await {
+    if let Err(error) = chat.check_reachable().await {
         tracing::warn!(
             error = &error as &dyn std::error::Error,
             "vision-language model server unreachable; the built-in reasoner answers until it returns"
         );
-        return vlm.found_gone();
+        return vlm.record_unreachable();
     }
-    for limit in chat.limits().await {
+    for limit in chat.describe_limits().await {
         tracing::warn!(limit, "vision-language model server has a limit that requests will exceed");
     }
 }
@@ -289,7 +294,7 @@ async fn run_maintenance(services: Services, shutdown: CancellationToken) {
 }
 
 /// Updates the room index for rooms with a new parse, or whose indexed data has changed.
-async fn keep_index(services: Services, shutdown: CancellationToken) {
+async fn update_room_index(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(3);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
         if let Some(Err(error)) = shutdown.run_until_cancelled(services.rooms.index_rooms()).await {
@@ -302,7 +307,7 @@ async fn keep_index(services: Services, shutdown: CancellationToken) {
 }
 
 /// Restores the reserve file that was released on a full disk, once the disk has space.
-async fn keep_reserve(store: Store, shutdown: CancellationToken) {
+async fn restore_reserve_when_possible(store: Store, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_mins(1);
     while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
         store.reserve.restore_reserve().await;
@@ -311,9 +316,10 @@ async fn keep_reserve(store: Store, shutdown: CancellationToken) {
 
 /// Continues uploads that were complete when their server stopped, or that waited because of a full
 /// queue or disk.
-async fn make_left_uploads(services: Services, shutdown: CancellationToken) {
+async fn complete_pending_uploads(services: Services, shutdown: CancellationToken) {
     const EVERY: Duration = Duration::from_secs(10);
-    while let Some(made) = shutdown.run_until_cancelled(services.uploads.make_left_uploads()).await
+    while let Some(made) =
+        shutdown.run_until_cancelled(services.uploads.complete_pending_uploads()).await
     {
         if let Err(error) = made {
             tracing::warn!(
@@ -329,7 +335,7 @@ async fn make_left_uploads(services: Services, shutdown: CancellationToken) {
 
 /// Returns the number of connections: at most `wanted`, and at most half of the available file
 /// descriptors. The other half is for files.
-fn most_connections(wanted: u32) -> usize {
+fn most_connections(requested: u32) -> usize {
     use rustix::process::{Resource, getrlimit, setrlimit};
     let mut limit = getrlimit(Resource::Nofile);
     limit.current = limit.maximum;
@@ -337,7 +343,7 @@ fn most_connections(wanted: u32) -> usize {
         tracing::debug!(%error, "open file limit could not be raised");
     }
     let files = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
-    usize::try_from(u64::from(wanted).min(files / 2)).unwrap_or(usize::MAX).max(8)
+    usize::try_from(u64::from(requested).min(files / 2)).unwrap_or(usize::MAX).max(8)
 }
 
 /// Time that running requests get to finish after the service stops.
@@ -372,7 +378,7 @@ impl RunningService {
     }
 
     /// Completes when the server ends by itself, which only happens when it panics.
-    pub async fn ended(&mut self) {
+    pub async fn until_server_ends(&mut self) {
         // A finished handle must not be polled again. `stop` polls it for its error, so only check
         // it here.
         while !self.server.is_finished() {

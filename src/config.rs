@@ -135,7 +135,7 @@ impl AccessConfig {
             secret.len() >= MIN_KEY_BYTES,
             "the link secret is too short: it needs at least {MIN_KEY_BYTES} characters"
         );
-        telemetry::hide(&secret);
+        telemetry::register_secret(&secret);
         Ok(Some(LinkSecret::new(secret.as_bytes())))
     }
 }
@@ -164,7 +164,7 @@ impl WebhookConfig {
     /// Returns an error for an invalid or private address, and for a missing or invalid secret.
     pub fn webhook(&self) -> anyhow::Result<Option<Webhook>> {
         let Some(url) = &self.webhook_url else { return Ok(None) };
-        telemetry::hide_secrets_of(url);
+        telemetry::register_secrets_of_address(url);
         let secret = match &self.webhook_secret_file {
             Some(file) => {
                 fs::read_to_string(file).with_context(|| format!("the secret file {file}"))?
@@ -173,7 +173,7 @@ impl WebhookConfig {
                 "--webhook-url requires --webhook-secret-file or UNIGROUND_WEBHOOK_SECRET",
             )?,
         };
-        telemetry::hide(secret.trim());
+        telemetry::register_secret(secret.trim());
         Ok(Some(Webhook::new(url, &secret, self.webhook_allow_private).context("--webhook-url")?))
     }
 }
@@ -298,8 +298,8 @@ impl VlmConfig {
             None => std::env::var("UNIGROUND_VLM_API_KEY").ok().map(|key| key.trim().to_owned()),
         };
         let api_key = api_key.filter(|key| !key.is_empty());
-        api_key.iter().for_each(|key| telemetry::hide(key));
-        telemetry::hide_secrets_of(&base_url);
+        api_key.iter().for_each(|key| telemetry::register_secret(key));
+        telemetry::register_secrets_of_address(&base_url);
         for (flag, usd) in [
             ("--vlm-prompt-usd", Some(*vlm_prompt_usd)),
             ("--vlm-completion-usd", Some(*vlm_completion_usd)),
@@ -455,14 +455,14 @@ impl ServeConfig {
             key.len() >= MIN_KEY_BYTES,
             "the API key is too short: it needs at least {MIN_KEY_BYTES} characters"
         );
-        telemetry::hide(&key);
+        telemetry::register_secret(&key);
         Ok(Some(key))
     }
 
     /// Returns whether other machines can reach this server while neither a key nor
     /// `--allow-anybody` is set.
     #[must_use]
-    pub fn wants_keys(&self) -> bool {
+    pub fn requires_keys(&self) -> bool {
         !self.listen.ip().is_loopback() && !self.access.allow_anybody
     }
 }

@@ -14,7 +14,7 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         Err(error) => {
-            eprintln!("uniground: {}", uniground::telemetry::scrubbed(&format!("{error:#}")));
+            eprintln!("uniground: {}", uniground::telemetry::redact_secrets(&format!("{error:#}")));
             ExitCode::FAILURE
         }
     }

@@ -30,7 +30,7 @@ pub fn start_quiet_about_statements() {
 
 fn start_at(levels: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(levels));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Scrubbed);
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| RedactingWriter);
     if let Err(error) = log.try_init() {
         tracing::debug!(%error, "logger is already initialized");
     }
@@ -44,7 +44,7 @@ fn start_at(levels: &str) {
 pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
     let filter = EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn,object_store=warn"));
-    let log = fmt::layer().with_writer(|| Scrubbed);
+    let log = fmt::layer().with_writer(|| RedactingWriter);
     let log = match config.log_format {
         LogFormat::Text => log
             .with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr()))
@@ -52,7 +52,8 @@ pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
             .boxed(),
         LogFormat::Json => log.json().with_filter(filter).boxed(),
     };
-    let (layer, traces) = config.otlp_endpoint.as_deref().map(traces::sent_to).transpose()?.unzip();
+    let (layer, traces) =
+        config.otlp_endpoint.as_deref().map(traces::collector_layer).transpose()?.unzip();
     if let Err(error) = tracing_subscriber::registry().with(log).with(layer).try_init() {
         tracing::debug!(%error, "logger is already initialized");
     }
@@ -64,7 +65,7 @@ static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());
 const SHORTEST_SECRET: usize = 6;
 
 /// Redacts a secret from the log from now on.
-pub fn hide(secret: &str) {
+pub fn register_secret(secret: &str) {
     let mut secrets = SECRETS.write().unwrap_or_else(PoisonError::into_inner);
     if secret.len() >= SHORTEST_SECRET && !secrets.iter().any(|known| known == secret) {
         secrets.push(secret.to_owned());
@@ -74,21 +75,21 @@ pub fn hide(secret: &str) {
 }
 
 /// Redacts the secrets in an address: a password, and the values of its query.
-pub fn hide_secrets_of(address: &str) {
+pub fn register_secrets_of_address(address: &str) {
     if let Ok(url) = Url::parse(address) {
-        url.password().iter().for_each(|password| hide(password));
-        url.query_pairs().for_each(|(_, value)| hide(&value));
+        url.password().iter().for_each(|password| register_secret(password));
+        url.query_pairs().for_each(|(_, value)| register_secret(&value));
         url.query()
             .into_iter()
             .flat_map(|query| query.split('&'))
             .filter_map(|pair| pair.split_once('='))
-            .for_each(|(_, value)| hide(value));
+            .for_each(|(_, value)| register_secret(value));
     }
 }
 
 /// Returns a text with secrets redacted.
 #[must_use]
-pub fn scrubbed(text: &str) -> String {
+pub fn redact_secrets(text: &str) -> String {
     let secrets = SECRETS.read().unwrap_or_else(PoisonError::into_inner);
     secrets.iter().fold(text.to_owned(), |text, secret| match text.contains(secret.as_str()) {
         true => text.replace(secret.as_str(), "<secret>"),
@@ -97,11 +98,11 @@ pub fn scrubbed(text: &str) -> String {
 }
 
 /// Stderr, line by line. The log formatter passes each line as a whole.
-struct Scrubbed;
+struct RedactingWriter;
 
-impl Write for Scrubbed {
+impl Write for RedactingWriter {
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        io::stderr().write_all(scrubbed(&String::from_utf8_lossy(line)).as_bytes())?;
+        io::stderr().write_all(redact_secrets(&String::from_utf8_lossy(line)).as_bytes())?;
         Ok(line.len())
     }
 
@@ -115,20 +116,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn secrets_are_blotted_out_wherever_they_stand() {
-        hide("sk-telemetry-test");
-        hide_secrets_of(
+    fn secrets_are_redacted_everywhere() {
+        register_secret("sk-telemetry-test");
+        register_secrets_of_address(
             "https://user:pass%20telemetry@host.example/v1?api-version=2026&key=telemetry%2Fkey",
         );
         let line = "authorization: Bearer sk-telemetry-test, https://user:pass%20telemetry@host.example/v1?key=telemetry%2Fkey telemetry/key";
-        let told = scrubbed(line);
+        let redacted = redact_secrets(line);
         assert!(
-            !told.contains("sk-telemetry")
-                && !told.contains("pass%20telemetry")
-                && !told.contains("telemetry%2Fkey")
-                && !told.contains("telemetry/key"),
-            "{told}"
+            !redacted.contains("sk-telemetry")
+                && !redacted.contains("pass%20telemetry")
+                && !redacted.contains("telemetry%2Fkey")
+                && !redacted.contains("telemetry/key"),
+            "{redacted}"
         );
-        assert!(told.contains("host.example"));
+        assert!(redacted.contains("host.example"));
     }
 }

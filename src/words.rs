@@ -12,15 +12,18 @@ use uniground_types::settings::{ParsePreset, check_metres_per_unit};
 
 /// Parses an execution provider.
 pub fn provider() -> impl TypedValueParser<Value = Provider> {
-    words(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
+    word_parser(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
 }
 
 pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
-    words(&[("default", "Best accuracy over several rooms"), ("paper", "The values of the paper")])
+    word_parser(&[
+        ("default", "Best accuracy over several rooms"),
+        ("paper", "The values of the paper"),
+    ])
 }
 
 pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
-    words(&[
+    word_parser(&[
         ("auto", "The vision-language model if one is configured, else the built-in reasoner"),
         ("vlm", "Always the vision-language model"),
         ("builtin", "Always the built-in reasoner, without a model"),
@@ -28,7 +31,7 @@ pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
 }
 
 pub fn scope() -> impl TypedValueParser<Value = Scope> {
-    words(&[
+    word_parser(&[
         ("read", "View everything and ask questions"),
         ("write", "Also upload, parse and delete scenes, and submit batches"),
         ("admin", "Also create and revoke keys"),
@@ -36,7 +39,7 @@ pub fn scope() -> impl TypedValueParser<Value = Scope> {
 }
 
 pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
-    words(&[
+    word_parser(&[
         ("full", "Photographs of every candidate, as in the paper"),
         (
             "cached-names",
@@ -49,7 +52,7 @@ pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
 }
 
 pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
-    words(&[
+    word_parser(&[
         ("scene", "The scene's own frame: meters, Z up"),
         ("source", "The frame of the uploaded files"),
         ("map", "The frame of the scene's map (scene_to_map)"),
@@ -69,7 +72,7 @@ pub fn usd(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// Returns an error for an invalid length.
-pub fn metres_per_unit(text: &str) -> Result<f64, String> {
+pub fn meters_per_unit(text: &str) -> Result<f64, String> {
     checked(text, |metres| check_metres_per_unit("", Some(metres)))
 }
 
@@ -79,7 +82,7 @@ fn checked(text: &str, check: impl FnOnce(f64) -> Result<(), FieldError>) -> Res
 }
 
 /// Parses values in the spelling of the command line. The API writes them with underscores.
-fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+fn word_parser<T: DeserializeOwned + Clone + Send + Sync + 'static>(
     known: &[(&'static str, &'static str)],
 ) -> impl TypedValueParser<Value = T> {
     let value = |(word, help): &(&'static str, &'static str)| {
@@ -99,7 +102,7 @@ mod tests {
     use clap::{Arg, Command};
 
     #[test]
-    fn every_word_stands_for_a_value() {
+    fn every_word_parses_to_a_value() {
         fn check<T: Clone + Send + Sync + 'static>(parser: impl TypedValueParser<Value = T>) {
             let words: Vec<String> = parser
                 .possible_values()
@@ -121,11 +124,11 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_are_refused() {
+    fn invalid_numbers_are_rejected() {
         for text in ["NaN", "inf", "-inf", "-1", "1e999", "", "much"] {
-            assert!(usd(text).is_err() && metres_per_unit(text).is_err(), "{text:?}");
+            assert!(usd(text).is_err() && meters_per_unit(text).is_err(), "{text:?}");
         }
-        assert_eq!((usd("0"), usd("2.5"), metres_per_unit("0.001")), (Ok(0.0), Ok(2.5), Ok(0.001)));
-        assert!(metres_per_unit("0").is_err());
+        assert_eq!((usd("0"), usd("2.5"), meters_per_unit("0.001")), (Ok(0.0), Ok(2.5), Ok(0.001)));
+        assert!(meters_per_unit("0").is_err());
     }
 }

@@ -64,7 +64,7 @@ fn floor_point(text: &str) -> Result<FloorPoint, String> {
 
 pub async fn run(args: &ApproachArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    let scene = resolve_scene::id_of(&client, &args.scene).await?;
+    let scene = resolve_scene::resolve_id(&client, &args.scene).await?;
     let robot = Robot {
         radius_m: args.radius,
         height_m: args.height,

@@ -1,7 +1,7 @@
 //! `uniground backup`: writes a consistent copy of a data folder. The server may keep running.
 
 use super::output::print_json;
-use super::table::size;
+use super::table::format_bytes;
 use crate::telemetry;
 use anyhow::{bail, ensure};
 use camino::Utf8PathBuf;
@@ -29,13 +29,16 @@ pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> any
         "--json cannot be used when the backup goes to standard output"
     );
     let begun = Instant::now();
-    let done = back_up(data_dir, BackupTarget::of(to)).await?;
+    let done = back_up(data_dir, BackupTarget::from_path(to)).await?;
     let BackupReport { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
     // Standard output may be the backup itself.
-    eprintln!("{to}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
+    eprintln!(
+        "{to}: {scenes} scenes, {answers} answers, {folders} folders, {}",
+        format_bytes(bytes)
+    );
     eprintln!(
         "new: {new_folders} folders, {}, in {:.1} s",
-        size(new_bytes),
+        format_bytes(new_bytes),
         begun.elapsed().as_secs_f32()
     );
     if *as_json {

@@ -65,7 +65,7 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
             let items = items_of_csv(&text).with_context(|| args.file.to_string())?;
             with_scene_ids(&client, items).await?
         }
-        false => lines_of(&text),
+        false => to_json_lines(&text),
     };
     let table = args.out.as_deref().filter(|out| is_csv(out));
     let mut out = match table {
@@ -73,7 +73,7 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
         None => ResultWriter::open(args.out.as_deref())?,
     };
     let scene = match &args.scene {
-        Some(scene) => Some(resolve_scene::id_of(&client, scene).await?),
+        Some(scene) => Some(resolve_scene::resolve_id(&client, scene).await?),
         None => None,
     };
     let mut batch = submit(&client, args, scene, lines).await?;
@@ -87,19 +87,19 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
         });
         // The server resumes the batch after a restart, so the client keeps polling.
         if let Err(error) = read.await
-            && !error.downcast_ref::<ClientError>().is_some_and(is_passing)
+            && !error.downcast_ref::<ClientError>().is_some_and(is_transient)
         {
             return Err(error);
         }
         batch = match client.batch(&batch.id).await {
-            Err(error) if is_passing(&error) => {
+            Err(error) if is_transient(&error) => {
                 bar.set_message("server unavailable, retrying");
                 tokio::time::sleep(AWAY).await;
                 continue;
             }
             batch => batch?,
         };
-        bar.set_message(costs(&batch));
+        bar.set_message(format_cost(&batch));
         let is_over = batch.state.is_final() && out.lines >= batch.done;
         if is_over || batch.state == BatchState::Paused || batch.state == BatchState::Cancelled {
             break;
@@ -110,7 +110,7 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
         fs::write(table, client.batch_table(&batch.id).await?)
             .with_context(|| table.to_string())?;
     }
-    eprintln!("{}", told(&batch));
+    eprintln!("{}", describe_batch(&batch));
     if args.json {
         print_json(&batch)?;
     }
@@ -147,13 +147,13 @@ async fn submit(
     let key: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
     let batch = client.create_batch_of_lines(lines, &query, Some(&key)).await?;
     match batch.state {
-        BatchState::Paused => Ok(client.tell_batch(&batch.id, "resume").await?),
+        BatchState::Paused => Ok(client.control_batch(&batch.id, "resume").await?),
         _ => Ok(batch),
     }
 }
 
 /// Converts the lines of a file to JSONL. A line that is not a JSON object becomes a question.
-fn lines_of(text: &str) -> String {
+fn to_json_lines(text: &str) -> String {
     let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
     let item = |line: &str| {
         if line.starts_with('{') { line.to_owned() } else { json!({"query": line}).to_string() }
@@ -209,7 +209,7 @@ async fn with_scene_ids(client: &Client, items: Vec<Map<String, Value>>) -> anyh
         if let Some(Value::String(scene)) = item.get_mut("scene_id") {
             let id = match ids.get(scene) {
                 Some(id) => id.clone(),
-                None => resolve_scene::id_of(client, scene).await?,
+                None => resolve_scene::resolve_id(client, scene).await?,
             };
             ids.insert(scene.clone(), id.clone());
             *scene = id;
@@ -259,7 +259,7 @@ impl ResultWriter {
 }
 
 /// Whether retrying the request may succeed.
-fn is_passing(error: &ClientError) -> bool {
+fn is_transient(error: &ClientError) -> bool {
     match error {
         ClientError::Transport(_) => true,
         ClientError::Problem(problem) => problem.retry_after_s.is_some(),
@@ -277,11 +277,11 @@ fn progress_bar(items: u32) -> ProgressBar {
     bar
 }
 
-fn costs(batch: &Batch) -> String {
+fn format_cost(batch: &Batch) -> String {
     format!("{:.4} USD", batch.cost_usd)
 }
 
-fn told(batch: &Batch) -> String {
+fn describe_batch(batch: &Batch) -> String {
     let statuses: Vec<String> =
         batch.by_status.iter().map(|(status, number)| format!("{number} {status}")).collect();
     format!(
@@ -290,7 +290,7 @@ fn told(batch: &Batch) -> String {
         batch.done,
         batch.items,
         statuses.join(", "),
-        costs(batch)
+        format_cost(batch)
     )
 }
 

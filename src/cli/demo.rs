@@ -51,7 +51,7 @@ const QUESTIONS: [&str; 4] = [
 const WITH_MODELS: &str = "With two small models it finds more objects but takes minutes:\n  \
                            uniground models fetch && uniground demo --masks auto --encoder auto";
 /// Maximum number of objects to list.
-const LISTED: usize = 12;
+const MAX_LISTED: usize = 12;
 
 pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
@@ -84,9 +84,9 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
     let mut pictures = Vec::new();
     for (i, question) in questions.iter().enumerate() {
         let answer = client.ground(&scene.id, &GroundRequest::of(question)).await?;
-        println!("{}\n", table::of_answer(&answer));
+        println!("{}\n", table::answer_table(&answer));
         if answer.status == Status::Ambiguous {
-            println!("{}\n", table::of_alternatives(&answer.alternatives));
+            println!("{}\n", table::alternatives_table(&answer.alternatives));
         }
         if let Some(path) = save_picture(client, &answer, &args.out, i + 1).await? {
             pictures.push(path);
@@ -118,8 +118,9 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     let start = Instant::now();
     let created = client.create_scene(None, kind.media_type(), bytes).await?;
     let job = created.job.context("the server did not start a parse")?;
-    let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
-    println!("Parsed in {:.1} s: {told}\n", start.elapsed().as_secs_f32());
+    let outcome =
+        job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
+    println!("Parsed in {:.1} s: {outcome}\n", start.elapsed().as_secs_f32());
     Ok(client.scene(&created.scene.id).await?)
 }
 
@@ -131,7 +132,7 @@ async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {
         objects.clone().count(),
         instances.len() - objects.clone().count()
     );
-    println!("{}\n", table::of_instances(objects.take(LISTED)));
+    println!("{}\n", table::instances_table(objects.take(MAX_LISTED)));
     Ok(())
 }
 

@@ -33,21 +33,22 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let DoctorArgs { data_dir, database, blobs, repair, json: as_json } = args;
     ensure!(data_dir.is_dir(), "folder {data_dir} does not exist");
-    let store = Store::open_as_it_is(data_dir, &database.location, &blobs.home()?).await;
+    let store =
+        Store::open_without_recovery(data_dir, &database.location, &blobs.blob_home()?).await;
     let store = store.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig::default().service_limits();
-    let services = Services::new(Dependencies::at_rest(store.clone(), limits).await?);
-    let findings = services.doctor.examine().await?;
+    let services = Services::new(Dependencies::offline(store.clone(), limits).await?);
+    let findings = services.doctor.check_all_data().await?;
     if findings.is_empty() {
         match as_json {
-            true => print_json(&as_value(data_dir, &findings, None))?,
+            true => print_json(&to_json(data_dir, &findings, None))?,
             false => println!("{data_dir}: no problems found"),
         }
         store.close().await;
         return Ok(());
     }
     if !as_json {
-        println!("{}", table::of_findings(&findings));
+        println!("{}", table::findings_table(&findings));
     }
     let (cured, left): (Vec<_>, Vec<_>) =
         findings.iter().partition(|finding| finding.trouble.remedy().is_some());
@@ -57,7 +58,7 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
         waiting = Some(services.doctor.waiting_parses().await?);
     }
     match waiting {
-        _ if *as_json => print_json(&as_value(data_dir, &findings, waiting))?,
+        _ if *as_json => print_json(&to_json(data_dir, &findings, waiting))?,
         Some(waiting) => {
             println!("repaired: {}; {waiting} parses will run when the server starts", cured.len());
         }
@@ -82,7 +83,7 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
 
 /// Returns the findings and their remedies as JSON. `waiting` is the number of queued parses, set
 /// after a repair.
-fn as_value(data_dir: &Utf8Path, findings: &[Finding], waiting: Option<u32>) -> serde_json::Value {
+fn to_json(data_dir: &Utf8Path, findings: &[Finding], waiting: Option<u32>) -> serde_json::Value {
     let findings: Vec<_> = findings
         .iter()
         .map(|Finding { trouble, detail }| json!({"trouble": trouble.to_string(), "detail": detail, "remedy": trouble.remedy()}))

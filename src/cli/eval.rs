@@ -11,7 +11,9 @@ use std::collections::HashMap;
 use std::fs;
 use std::io::{self, IsTerminal, Write};
 use uniground_endpoints::chat::{ChatClient, ReplayCache};
-use uniground_evaluation::comparison::{Baseline, Change, describe, key as comparison_key};
+use uniground_evaluation::comparison::{
+    Baseline, Change, describe, expression_key as comparison_key,
+};
 use uniground_evaluation::configuration::{self, Configuration};
 use uniground_evaluation::report::{Report, RunFacts};
 use uniground_evaluation::run::{RunOptions, Step, run as run_suite};
@@ -114,7 +116,7 @@ struct RunArgs {
 }
 
 fn check_matrix(matrix: &str) -> Result<String, String> {
-    configuration::cells(matrix, &Configuration::default())
+    configuration::expand_matrix(matrix, &Configuration::default())
         .map(|_| matrix.to_owned())
         .map_err(|error| error.to_string())
 }
@@ -132,16 +134,16 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
 fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let base =
         Configuration { paper_compatible: args.paper_compatible, ..Configuration::default() };
-    let cells = configuration::cells(&args.matrix, &base)?;
+    let cells = configuration::expand_matrix(&args.matrix, &base)?;
     let baseline =
         args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
     let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
     let mut suite = Suite::open(suite, &options)?;
     if let Some(count) = args.sample_scenes {
-        suite = suite.sampled_by_scene(count as usize, args.seed);
+        suite = suite.sample_by_scene(count as usize, args.seed);
     }
     if let Some(count) = args.sample {
-        suite = suite.sampled(count as usize, args.seed);
+        suite = suite.sample(count as usize, args.seed);
     }
     let system: Box<dyn System> = if let Some(address) = &args.server {
         Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?)
@@ -154,7 +156,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
             args.record.as_deref(),
             usage,
         )?;
-        Box::new(system.keeping_parses_in(&args.out.join("parses")))
+        Box::new(system.with_parse_cache(&args.out.join("parses")))
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions {
@@ -168,7 +170,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
         system: system.name(),
         version: env!("CARGO_PKG_VERSION").into(),
         label: args.label.clone(),
-        machine: machine(),
+        machine: machine_name(),
         written_at: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
         paper_compatible: args.paper_compatible,
         seed: args.seed,
@@ -178,20 +180,20 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(out, "{}", report.markdown())?;
     writeln!(out, "{}", args.out.join("index.html"))?;
-    tell_losses(&report);
+    print_losses(&report);
     ensure!(
         report.cells.iter().any(|cell| !cell.outcomes.is_empty()),
         "nothing was scored: every expression was skipped"
     );
-    let now = Baseline::of(&report);
+    let now = Baseline::from_report(&report);
     if let Some(file) = &args.write_baseline {
         now.write(file)?;
     }
-    baseline.map_or(Ok(()), |baseline| hold_against(&baseline, &now, &report, &mut out))
+    baseline.map_or(Ok(()), |baseline| compare_with_baseline(&baseline, &now, &report, &mut out))
 }
 
 /// Prints what was skipped or failed to stderr, since the scores do not show it.
-fn tell_losses(report: &Report) {
+fn print_losses(report: &Report) {
     for cell in &report.cells {
         let all = cell.outcomes.len() + cell.left_out.len();
         if let Some(first) = cell.left_out.first() {
@@ -232,14 +234,14 @@ fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
 }
 
 /// Fails on a significant drop, and when the run lacks cells or expressions of the baseline.
-fn hold_against(
+fn compare_with_baseline(
     baseline: &Baseline,
     now: &Baseline,
     report: &Report,
     out: &mut impl Write,
 ) -> anyhow::Result<()> {
-    let queries = queries(report);
-    let (changes, _) = baseline.against(now);
+    let queries = queries_by_key(report);
+    let (changes, _) = baseline.compare_with(now);
     writeln!(
         out,
         "\nAgainst the baseline{}:\n",
@@ -265,7 +267,7 @@ fn hold_against(
 
 fn compare(args: &DiffArgs) -> anyhow::Result<()> {
     let (before, after) = (Baseline::read(&args.before)?, Baseline::read(&args.after)?);
-    let (changes, unpaired) = before.against(&after);
+    let (changes, unpaired) = before.compare_with(&after);
     let mut out = io::stdout().lock();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&changes)?)?;
@@ -274,7 +276,7 @@ fn compare(args: &DiffArgs) -> anyhow::Result<()> {
         let known: HashMap<String, String> = [&args.before, &args.after]
             .into_iter()
             .filter_map(|path| Report::read(path).ok())
-            .flat_map(|report| queries(&report))
+            .flat_map(|report| queries_by_key(&report))
             .collect();
         write!(out, "{}", describe(&changes, |id| known.get(id).cloned()))?;
         unpaired
@@ -285,7 +287,7 @@ fn compare(args: &DiffArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn queries(report: &Report) -> HashMap<String, String> {
+fn queries_by_key(report: &Report) -> HashMap<String, String> {
     let outcomes = report.cells.iter().flat_map(|cell| &cell.outcomes);
     outcomes.map(|o| (comparison_key(o), o.query.clone())).collect()
 }
@@ -298,7 +300,7 @@ fn show_progress(step: &Step) {
 }
 
 /// "AMD EPYC 7763, 2 cores"
-fn machine() -> String {
+fn machine_name() -> String {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));

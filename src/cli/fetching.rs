@@ -22,7 +22,7 @@ pub fn fetch_all(
     let mut failed = Vec::new();
     for part in parts {
         let mut shown = ProgressBarView { bar: None, out };
-        let fetched = fetch(part, places, &registries, &mut |event| shown.tell(event));
+        let fetched = fetch(part, places, &registries, &mut |event| shown.handle_event(event));
         if let Some(bar) = shown.bar.take() {
             bar.finish_and_clear();
         }
@@ -39,11 +39,11 @@ pub fn fetch_all(
 
 /// Returns the parts that a server with this configuration needs and does not have. Any library
 /// that can be loaded counts as present.
-pub fn wanted(config: &ModelsConfig) -> Vec<&'static PackagePart> {
-    let is_bundle_wanted = |part: &&PackagePart| matches!(part.home, InstallTarget::Bundle(name, role) if config.wants(role, name));
+pub fn missing_parts(config: &ModelsConfig) -> Vec<&'static PackagePart> {
+    let is_bundle_wanted = |part: &&PackagePart| matches!(part.home, InstallTarget::Bundle(name, role) if config.is_wanted_bundle(role, name));
     let bundles: Vec<&PackagePart> = PARTS.iter().filter(is_bundle_wanted).collect();
     let is_library_wanted = !bundles.is_empty()
-        && config.bundles.is_usual()
+        && config.bundles.is_default()
         && OnnxRuntime::find(&config.bundles.runtime.settings()).is_err();
     let library =
         PARTS.iter().filter(|part| is_library_wanted && part.home == InstallTarget::Library);
@@ -56,22 +56,24 @@ struct ProgressBarView<'a> {
 }
 
 impl ProgressBarView<'_> {
-    fn tell(&mut self, event: Event) {
+    fn handle_event(&mut self, event: Event) {
         match event {
-            Event::There(folder) => self.line(&format!("{folder} is already installed")),
-            Event::Placed(file) => self.line(file.as_str()),
-            Event::Begins(package, bytes) if io::stderr().is_terminal() => {
-                self.bar = Some(bar(package, bytes));
+            Event::AlreadyInstalled(folder) => {
+                self.print_line(&format!("{folder} is already installed"))
             }
-            Event::Begins(package, bytes) => {
+            Event::Installed(file) => self.print_line(file.as_str()),
+            Event::Started(package, bytes) if io::stderr().is_terminal() => {
+                self.bar = Some(progress_bar(package, bytes));
+            }
+            Event::Started(package, bytes) => {
                 eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6);
             }
             Event::Received(bytes) => self.bar.iter().for_each(|bar| bar.set_position(bytes)),
-            Event::Arrived => self.bar.take().into_iter().for_each(|bar| bar.finish_and_clear()),
+            Event::Downloaded => self.bar.take().into_iter().for_each(|bar| bar.finish_and_clear()),
         }
     }
 
-    fn line(&mut self, text: &str) {
+    fn print_line(&mut self, text: &str) {
         // A closed output does not matter: the files are installed.
         let _told = writeln!(self.out, "{text}");
     }
@@ -79,7 +81,7 @@ impl ProgressBarView<'_> {
 
 const TEMPLATE: &str = "{msg} {bar:30} {bytes}/{total_bytes}, {eta} left";
 
-fn bar(package: String, bytes: u64) -> ProgressBar {
+fn progress_bar(package: String, bytes: u64) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(bytes), ProgressDrawTarget::stderr());
     if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
         bar.set_style(style);
@@ -99,11 +101,11 @@ mod tests {
         };
         // The user named a library, so the default one is not needed.
         config.bundles.runtime.onnxruntime_lib = Some("elsewhere.so".into());
-        wanted(&config).iter().map(|part| part.name).collect()
+        missing_parts(&config).iter().map(|part| part.name).collect()
     }
 
     #[test]
-    fn only_what_would_be_used_is_wanted() {
+    fn only_used_parts_are_fetched() {
         assert_eq!(names("auto", "auto"), ["sam2", "clip"]);
         assert_eq!(names("builtin", "auto"), ["clip"]);
         assert_eq!(names("mine+sam2-hiera-tiny", "attributes"), ["sam2"]);
@@ -111,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn the_template_of_the_bar_is_one() {
+    fn the_progress_bar_template_is_valid() {
         assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
     }
 }

@@ -24,7 +24,7 @@ pub struct FindArgs {
     #[arg(long, value_name = "SCENE")]
     scene: Vec<String>,
     /// Search only scenes with all of these labels
-    #[arg(long, value_name = "NAME=VALUE,...", value_parser = labels)]
+    #[arg(long, value_name = "NAME=VALUE,...", value_parser = parse_labels)]
     labels: Option<Labels>,
     /// Number of scenes answered in full
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=20))]
@@ -43,7 +43,7 @@ pub struct FindArgs {
     server: ServerArgs,
 }
 
-fn labels(text: &str) -> Result<Labels, String> {
+fn parse_labels(text: &str) -> Result<Labels, String> {
     read_labels("labels", text).map_err(|error| error.detail)
 }
 
@@ -51,7 +51,7 @@ pub async fn run(args: &FindArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let mut scenes = Vec::new();
     for scene in &args.scene {
-        scenes.push(resolve_scene::id_of(&client, scene).await?);
+        scenes.push(resolve_scene::resolve_id(&client, scene).await?);
     }
     let request = ManyGroundRequest {
         scenes: Some(scenes).filter(|scenes| !scenes.is_empty()),
@@ -75,17 +75,17 @@ pub async fn run(args: &FindArgs) -> anyhow::Result<()> {
 
 fn print(found: &ManyAnswers) -> anyhow::Result<()> {
     if !found.answers.is_empty() {
-        writeln!(io::stdout(), "{}", table::of_many(found))?;
+        writeln!(io::stdout(), "{}", table::many_answers_table(found))?;
     }
     let left_out = match found.not_asked.len() {
         0 => String::new(),
         left_out => format!(", {left_out} could not be searched: {}", found.not_asked[0].detail),
     };
     let narrowed = if found.narrowed { ", the most likely of more than 1,000" } else { "" };
-    eprintln!("{} searched{narrowed}{left_out}", counted(found.looked_into));
+    eprintln!("{} searched{narrowed}{left_out}", count_of_scenes(found.looked_into));
     Ok(())
 }
 
-fn counted(scenes: u32) -> String {
+fn count_of_scenes(scenes: u32) -> String {
     format!("{scenes} scene{}", if scenes == 1 { "" } else { "s" })
 }

@@ -36,13 +36,13 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     let GcArgs { data_dir, database, blobs, dry_run, json: as_json, retention } = args;
     let opened = match dry_run {
         true => Store::open_copy(data_dir).await,
-        false => Store::open_known(data_dir, &database.location, &blobs.home()?).await,
+        false => Store::open_known(data_dir, &database.location, &blobs.blob_home()?).await,
     };
     let store = opened.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
-    let dependencies = Dependencies::at_rest(store.clone(), limits.service_limits()).await?;
+    let dependencies = Dependencies::offline(store.clone(), limits.service_limits()).await?;
     let services = Services::new(dependencies);
-    let removed = services.maintenance.apply_retention(RunMode::Nobody).await?;
+    let removed = services.maintenance.apply_retention(RunMode::Offline).await?;
     let (entries, bytes) = removed
         .iter()
         .fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));
@@ -52,9 +52,9 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
             json!({"dry_run": dry_run, "entries": entries, "bytes": bytes, "removed": removed, "retention": retention.settings()})
         );
     } else {
-        println!("{}", table::of_removed(&removed));
+        println!("{}", table::removed_table(&removed));
         let verb = if *dry_run { "would be removed" } else { "removed" };
-        println!("{verb}: {entries} entries, {}", table::size(bytes));
+        println!("{verb}: {entries} entries, {}", table::format_bytes(bytes));
     }
     drop(services);
     if !dry_run && (entries > 0 || store.retention.unused_bytes().await? >= WORTH_COMPACTING_BYTES)

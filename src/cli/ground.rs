@@ -1,9 +1,9 @@
 //! `uniground ground`: answers one question about a local scan or a scene of a running server.
 
 use super::local::{self, LocalArgs};
-use super::output::{alarming, print_json};
+use super::output::{in_red_on_terminal, print_json};
 use super::server::ServerArgs;
-use super::{hints, job_progress, resolve_scene, table, wrong_usage};
+use super::{exit_with_usage_error, hints, job_progress, resolve_scene, table};
 use crate::words;
 use camino::{Utf8Path, Utf8PathBuf};
 use clap::error::ErrorKind;
@@ -54,7 +54,7 @@ pub struct GroundArgs {
     max_cost_usd: Option<f64>,
     /// Observer for "me", left and right: position in meters and view direction in degrees from +X
     /// towards +Y. Without Z, the eye height is 1.5 m
-    #[arg(long, value_name = "X,Y[,Z],YAW", allow_hyphen_values = true, value_parser = eyes)]
+    #[arg(long, value_name = "X,Y[,Z],YAW", allow_hyphen_values = true, value_parser = parse_observer)]
     observer: Option<ObserverArg>,
     /// Coordinate frame of --observer, and an additional frame for the boxes of the answer
     #[arg(long, default_value = "scene", value_parser = words::frame())]
@@ -77,7 +77,7 @@ struct ObserverArg {
 /// Default eye height above a floor at zero.
 const EYE_HEIGHT_M: f64 = 1.5;
 
-fn eyes(text: &str) -> Result<ObserverArg, String> {
+fn parse_observer(text: &str) -> Result<ObserverArg, String> {
     let numbers: Option<Vec<f64>> = text
         .split(',')
         .map(|number| number.trim().parse().ok().filter(|number: &f64| number.is_finite()))
@@ -93,7 +93,7 @@ fn eyes(text: &str) -> Result<ObserverArg, String> {
 }
 
 impl ObserverArg {
-    fn observer(self) -> Observer {
+    fn to_observer(self) -> Observer {
         let [x, y] = self.at;
         Observer {
             position: [x, y, self.z.unwrap_or(EYE_HEIGHT_M)],
@@ -103,7 +103,7 @@ impl ObserverArg {
 }
 
 pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
-    let usage = |kind, message: &str| -> ! { wrong_usage("ground", kind, message) };
+    let usage = |kind, message: &str| -> ! { exit_with_usage_error("ground", kind, message) };
     if args.frame == FrameChoice::Source && args.observer.is_some_and(|eyes| eyes.z.is_none()) {
         // The files may have another up axis and other units.
         usage(ErrorKind::ValueValidation, "--observer: with --frame source, give all of x,y,z,yaw");
@@ -113,12 +113,12 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         reasoner: args.reasoner,
         evidence: args.evidence,
         max_cost_usd: args.max_cost_usd,
-        observer: args.observer.map(ObserverArg::observer),
+        observer: args.observer.map(ObserverArg::to_observer),
         frame: args.frame,
         ..GroundRequest::of(&args.query)
     };
     let answer = match (&args.scan, &args.scene) {
-        (Some(_), _) if args.server.given().is_some() => usage(
+        (Some(_), _) if args.server.explicit_address().is_some() => usage(
             ErrorKind::ArgumentConflict,
             "a local scan is processed without a server, so --server cannot be used. To ask a \
              server, run uniground upload SCAN, then uniground ground --scene SCENE QUESTION",
@@ -148,7 +148,7 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
 
 async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow::Result<Answer> {
     let client = args.server.client()?;
-    let id = resolve_scene::id_of(&client, scene).await?;
+    let id = resolve_scene::resolve_id(&client, scene).await?;
     let asked = match client.ground(&id, request).await {
         Err(ClientError::Problem(problem)) if problem.code == "scene_not_ready" => {
             match (args.wait, &problem.job_id) {
@@ -156,22 +156,26 @@ async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow:
                     wait(&client, job).await?;
                     client.ground(&id, request).await
                 }
-                _ => return Err(not_ready(&client, &id, ClientError::Problem(problem)).await),
+                _ => {
+                    return Err(
+                        explain_not_ready(&client, &id, ClientError::Problem(problem)).await
+                    );
+                }
             }
         }
         asked => asked,
     };
     match asked {
         Ok(answer) => Ok(answer),
-        Err(error) => Err(resolve_scene::known_or(&client, scene, error).await),
+        Err(error) => Err(resolve_scene::explain_unknown_scene(&client, scene, error).await),
     }
 }
 
 /// Returns why a scene has no parse, with a hint.
-async fn not_ready(client: &Client, id: &str, error: ClientError) -> anyhow::Error {
+async fn explain_not_ready(client: &Client, id: &str, error: ClientError) -> anyhow::Error {
     match client.scene(id).await {
         Ok(Scene { error: Some(why), .. }) => hints::ParseFailed(why).into(),
-        Ok(Scene { status: SceneStatus::Parsing, .. }) => hints::ended(
+        Ok(Scene { status: SceneStatus::Parsing, .. }) => hints::with_last_line(
             &error.into(),
             "--wait waits until it is ready; `uniground scenes` shows the progress",
         ),
@@ -181,23 +185,23 @@ async fn not_ready(client: &Client, id: &str, error: ClientError) -> anyhow::Err
 
 async fn wait(client: &Client, job_id: &str) -> anyhow::Result<()> {
     eprintln!("waiting for the parse");
-    job_progress::outcome(&job_progress::follow(client, job_id).await?).map(drop)
+    job_progress::describe_outcome(&job_progress::follow_job(client, job_id).await?).map(drop)
 }
 
 fn print(answer: &Answer) -> anyhow::Result<()> {
     let mut out = io::stdout().lock();
-    writeln!(out, "{}", table::of_answer(answer))?;
+    writeln!(out, "{}", table::answer_table(answer))?;
     if answer.status == Status::Ambiguous {
-        writeln!(out, "{}", table::of_alternatives(&answer.alternatives))?;
+        writeln!(out, "{}", table::alternatives_table(&answer.alternatives))?;
     }
     if answer.degraded {
-        writeln!(out, "{}", alarming(&without_model(answer)))?;
+        writeln!(out, "{}", in_red_on_terminal(&describe_fallback(answer)))?;
     }
     Ok(())
 }
 
 /// Returns a warning that a built-in component replaced a model, with the reasons.
-fn without_model(answer: &Answer) -> String {
+fn describe_fallback(answer: &Answer) -> String {
     let why = answer.trace.iter().flat_map(|trace| &trace.corrections).map(String::as_str);
     std::iter::once(
         "DEGRADED: a model could not be used for this answer; built-in components replaced it",
@@ -212,13 +216,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_observer_has_a_place_and_looks_somewhere() {
-        let observer = eyes("1, -2.5,90").unwrap().observer();
+    fn an_observer_is_parsed_from_position_and_yaw() {
+        let observer = parse_observer("1, -2.5,90").unwrap().to_observer();
         assert_eq!(observer.position, [1.0, -2.5, EYE_HEIGHT_M]);
         assert!((observer.yaw_rad - std::f32::consts::FRAC_PI_2).abs() < 1e-6);
-        assert_eq!(eyes("1,2,0.4,0").unwrap().observer().position[2], 0.4);
+        assert_eq!(parse_observer("1,2,0.4,0").unwrap().to_observer().position[2], 0.4);
         for wrong in ["", "1,2", "1,2,3,4,5", "1,2,north", "1,2,inf"] {
-            assert!(eyes(wrong).is_err(), "{wrong}");
+            assert!(parse_observer(wrong).is_err(), "{wrong}");
         }
     }
 }

@@ -37,7 +37,7 @@ const OF_SCANS: [&str; 16] = [
 /// Adds a hint to the most common errors.
 pub fn with_help(error: anyhow::Error) -> anyhow::Error {
     if let Some(help) = local_help(&error) {
-        return ended(&error, help);
+        return with_last_line(&error, help);
     }
     match error.chain().find_map(|cause| cause.downcast_ref::<ClientError>()) {
         Some(ClientError::Transport(transport)) if transport.is_connect() => {
@@ -56,25 +56,25 @@ pub fn with_help(error: anyhow::Error) -> anyhow::Error {
                     true => "this server does not accept the key in UNIGROUND_API_KEY",
                     false => "set UNIGROUND_API_KEY to your key",
                 };
-            ended(
+            with_last_line(
                 &error,
                 &format!("{help}; an administrator can create one with `uniground key create`"),
             )
         }
-        Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => ended(
+        Some(ClientError::Problem(problem)) if problem.code == "scope_missing" => with_last_line(
             &error,
             "an administrator can create a key with more rights: `uniground key create NAME \
              --scope write`",
         ),
         Some(ClientError::Problem(problem)) if problem.code == "scene_not_found" => {
-            ended(&error, "`uniground scenes` lists all scenes")
+            with_last_line(&error, "`uniground scenes` lists all scenes")
         }
-        Some(ClientError::BadAddress(_)) => ended(
+        Some(ClientError::BadAddress(_)) => with_last_line(
             &error,
             "the address must look like http://127.0.0.1:8080. Set it with --server, or \
              UNIGROUND_SERVER",
         ),
-        Some(ClientError::Unexpected { .. }) => ended(
+        Some(ClientError::Unexpected { .. }) => with_last_line(
             &error,
             "Is this a uniground server? For another address, use --server, or UNIGROUND_SERVER",
         ),
@@ -106,7 +106,7 @@ fn local_help(error: &anyhow::Error) -> Option<&'static str> {
 }
 
 /// Adds the name of the scan and a hint to an error about it.
-pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
+pub fn with_scan_hint(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
     let code = error.chain().find_map(|cause| match (cause.downcast_ref(), cause.downcast_ref()) {
         (Some(ClientError::Problem(problem)), _) => Some(problem.code.as_str()),
         (_, Some(ParseFailed(job))) => Some(job.code.as_str()),
@@ -119,7 +119,7 @@ pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
         });
     let is_named = error.to_string().contains(scan.as_str());
     let ended = |help: &str| match is_named {
-        true => ended(&error, help),
+        true => with_last_line(&error, help),
         false => anyhow::anyhow!("{scan}: {error:#}\n{help}"),
     };
     match (code, local.map(IngestError::kind)) {
@@ -130,18 +130,18 @@ pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
         (Some(code), _) if !OF_SCANS.contains(&code) => error,
         _ => ended(&format!(
             "`uniground import {} --check` shows how the scan is read and what is wrong with it",
-            quoted(scan.as_str())
+            quote_for_shell(scan.as_str())
         )),
     }
 }
 
 /// Appends a hint as the last line of an error.
-pub fn ended(error: &anyhow::Error, help: &str) -> anyhow::Error {
+pub fn with_last_line(error: &anyhow::Error, help: &str) -> anyhow::Error {
     anyhow::anyhow!("{error:#}\n{help}")
 }
 
 /// Quotes a word for a shell, if needed.
-pub fn quoted(word: &str) -> String {
+pub fn quote_for_shell(word: &str) -> String {
     let is_plain = |c: char| c.is_alphanumeric() || "-_./:@%+=,".contains(c);
     match !word.is_empty() && word.chars().all(is_plain) {
         true => word.to_owned(),
@@ -163,9 +163,9 @@ mod tests {
     }
 
     #[test]
-    fn words_are_quoted_as_shells_want_them() {
-        assert_eq!(quoted("scans/room-1.zip"), "scans/room-1.zip");
-        assert_eq!(quoted("living room"), "'living room'");
-        assert_eq!(quoted("Anna's"), r"'Anna'\''s'");
+    fn words_are_quoted_for_the_shell() {
+        assert_eq!(quote_for_shell("scans/room-1.zip"), "scans/room-1.zip");
+        assert_eq!(quote_for_shell("living room"), "'living room'");
+        assert_eq!(quote_for_shell("Anna's"), r"'Anna'\''s'");
     }
 }

@@ -37,7 +37,7 @@ pub struct ImportArgs {
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
     up: Option<UpAxis>,
     /// Length of one unit of the scan's cloud and poses, meters
-    #[arg(long, value_name = "METERS", value_parser = words::metres_per_unit)]
+    #[arg(long, value_name = "METERS", value_parser = words::meters_per_unit)]
     metres_per_unit: Option<f64>,
     /// Keep the tilt of the scan instead of leveling it
     #[arg(long)]
@@ -69,7 +69,7 @@ struct ImportOutput<'a> {
 }
 
 impl<'a> ImportOutput<'a> {
-    fn of(imported: &'a ImportedScanInfo) -> Self {
+    fn from_scan(imported: &'a ImportedScanInfo) -> Self {
         let extent = imported.cloud.as_ref().and_then(|cloud| Aabb::around(&cloud.positions));
         Self {
             report: &imported.report,
@@ -113,9 +113,13 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     match args.json {
         true => {
-            writeln!(stdout, "{}", serde_json::to_string_pretty(&ImportOutput::of(&imported))?)?;
+            writeln!(
+                stdout,
+                "{}",
+                serde_json::to_string_pretty(&ImportOutput::from_scan(&imported))?
+            )?;
         }
-        false => summary(&imported)
+        false => summary_lines(&imported)
             .iter()
             .try_for_each(|(what, value)| writeln!(stdout, "{what:<12} {value}"))?,
     }
@@ -123,7 +127,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
 }
 
 /// Returns the summary for the terminal as pairs of title and value.
-fn summary(
+fn summary_lines(
     ImportedScanInfo { report, cloud, seconds, neighbours, .. }: &ImportedScanInfo,
 ) -> Vec<(&'static str, String)> {
     let mut lines = vec![("read as", format!("{} in {seconds:.1} s", report.format))];
@@ -212,7 +216,10 @@ fn write_report(
         fs::write(out.join("frames.jpg"), jpeg(&sheet))?;
         pictures.push(("frames", "Sample frames"));
     }
-    fs::write(out.join("report.json"), serde_json::to_vec_pretty(&ImportOutput::of(imported))?)?;
-    fs::write(out.join("index.html"), page::render(scan, &summary(imported), &pictures))?;
+    fs::write(
+        out.join("report.json"),
+        serde_json::to_vec_pretty(&ImportOutput::from_scan(imported))?,
+    )?;
+    fs::write(out.join("index.html"), page::render(scan, &summary_lines(imported), &pictures))?;
     Ok(())
 }

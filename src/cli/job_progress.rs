@@ -24,15 +24,15 @@ const PARSING: &str = "{bar:40} {percent:>3}%  {msg}";
 ///
 /// # Errors
 /// Returns an error if a file cannot be read, or a [`ClientError`].
-pub async fn send(
+pub async fn upload_scan(
     client: &Client,
     scan: &ScanFile,
     query: &[(&str, &str)],
 ) -> anyhow::Result<Created> {
     let (file, bytes) = scan.bytes()?;
-    let bar = bar(bytes, SENDING).with_message("uploading");
+    let bar = progress_bar(bytes, SENDING).with_message("uploading");
     let sent =
-        client.upload(reqwest::Body::wrap(UploadBody::of(file, bytes, bar.clone())), query).await;
+        client.upload(reqwest::Body::wrap(UploadBody::new(file, bytes, bar.clone())), query).await;
     bar.finish_and_clear();
     Ok(sent?)
 }
@@ -41,16 +41,16 @@ pub async fn send(
 ///
 /// # Errors
 /// Returns an error if a file cannot be read, or a [`ClientError`].
-pub async fn add(
+pub async fn add_frames(
     client: &Client,
     scan: &ScanFile,
     scene_id: &str,
     world: FrameChoice,
 ) -> anyhow::Result<Created> {
     let (file, bytes) = scan.bytes()?;
-    let bar = bar(bytes, SENDING).with_message("uploading");
+    let bar = progress_bar(bytes, SENDING).with_message("uploading");
     let sent = client
-        .add_frames(scene_id, world, reqwest::Body::wrap(UploadBody::of(file, bytes, bar.clone())))
+        .add_frames(scene_id, world, reqwest::Body::wrap(UploadBody::new(file, bytes, bar.clone())))
         .await;
     bar.finish_and_clear();
     Ok(sent?)
@@ -60,12 +60,12 @@ pub async fn add(
 ///
 /// # Errors
 /// [`ClientError`].
-pub async fn follow(client: &Client, job_id: &str) -> Result<Job, ClientError> {
-    let (bar, mut stage) = (bar(1000, PARSING), None);
+pub async fn follow_job(client: &Client, job_id: &str) -> Result<Job, ClientError> {
+    let (bar, mut stage) = (progress_bar(1000, PARSING), None);
     bar.enable_steady_tick(Duration::from_millis(200));
     let job = client
         .follow_job(job_id, |job| {
-            advance(&bar, job);
+            update_bar(&bar, job);
             if !io::stderr().is_terminal()
                 && stage != job.stage
                 && job.stage.is_some()
@@ -84,7 +84,7 @@ pub async fn follow(client: &Client, job_id: &str) -> Result<Job, ClientError> {
 ///
 /// # Errors
 /// Returns the reason if the parse failed or was cancelled.
-pub fn outcome(job: &Job) -> anyhow::Result<String> {
+pub fn describe_outcome(job: &Job) -> anyhow::Result<String> {
     match (job.state, &job.error) {
         (JobState::Succeeded, _) => Ok(job.message.clone().unwrap_or_default()),
         (_, Some(error)) => Err(hints::ParseFailed(error.clone()).into()),
@@ -92,7 +92,7 @@ pub fn outcome(job: &Job) -> anyhow::Result<String> {
     }
 }
 
-fn bar(length: u64, template: &str) -> ProgressBar {
+fn progress_bar(length: u64, template: &str) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
     // The templates are constants; a test checks that they parse.
     if let Ok(style) = ProgressStyle::with_template(template) {
@@ -101,7 +101,7 @@ fn bar(length: u64, template: &str) -> ProgressBar {
     bar
 }
 
-fn advance(bar: &ProgressBar, job: &Job) {
+fn update_bar(bar: &ProgressBar, job: &Job) {
     let eta = job.eta_s.map_or_else(|| "estimating".to_owned(), |s| format!("{s:.1} s left"));
     bar.set_position((job.progress * 1000.0) as u64);
     bar.set_message(format!("{:<20} {eta}", stage_of(job)));
@@ -123,7 +123,7 @@ struct UploadBody {
 }
 
 impl UploadBody {
-    fn of(file: File, bytes: u64, bar: ProgressBar) -> Self {
+    fn new(file: File, bytes: u64, bar: ProgressBar) -> Self {
         Self {
             stream: ReaderStream::with_capacity(tokio::fs::File::from_std(file), 256 << 10),
             left: bytes,
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_templates_of_the_bars_are_some() {
+    fn the_progress_bar_templates_are_valid() {
         assert!(
             [SENDING, PARSING]
                 .iter()

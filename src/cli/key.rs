@@ -101,21 +101,21 @@ enum KeyStore {
 }
 
 impl KeyStore {
-    async fn of(
+    async fn open(
         KeyTarget { server, data_dir, database, blobs, json: _ }: &KeyTarget,
     ) -> anyhow::Result<Self> {
         match data_dir {
-            Some(folder) => Self::of_folder(folder, database, blobs).await,
+            Some(folder) => Self::open_folder(folder, database, blobs).await,
             None => Ok(Self::Server(Client::new(server, std::env::var("UNIGROUND_API_KEY").ok())?)),
         }
     }
 
-    async fn of_folder(
+    async fn open_folder(
         folder: &Utf8Path,
         database: &DatabaseConfig,
         blobs: &BlobsConfig,
     ) -> anyhow::Result<Self> {
-        let store = Store::open_beside(folder, &database.location, &blobs.home()?)
+        let store = Store::open_alongside_server(folder, &database.location, &blobs.blob_home()?)
             .await
             .with_context(|| {
                 format!(
@@ -134,7 +134,7 @@ impl KeyStore {
         })
     }
 
-    async fn all(&self) -> anyhow::Result<Vec<Key>> {
+    async fn list_all(&self) -> anyhow::Result<Vec<Key>> {
         let (mut keys, mut cursor) = (Vec::new(), None);
         loop {
             let page = match self {
@@ -168,16 +168,16 @@ pub async fn run(args: &KeyArgs) -> anyhow::Result<()> {
     match &args.command {
         Command::Create(args) => create(args).await,
         Command::List(ListArgs { place }) => {
-            let keys = KeyStore::of(place).await?;
-            let all = keys.all().await;
+            let keys = KeyStore::open(place).await?;
+            let all = keys.list_all().await;
             keys.close().await;
             match place.json {
                 true => print_json(&all?),
-                false => Ok(writeln!(io::stdout(), "{}", table::of_keys(&all?))?),
+                false => Ok(writeln!(io::stdout(), "{}", table::keys_table(&all?))?),
             }
         }
         Command::Revoke(RevokeArgs { key, place }) => {
-            let keys = KeyStore::of(place).await?;
+            let keys = KeyStore::open(place).await?;
             let revoked = revoke(&keys, key).await;
             keys.close().await;
             let revoked = revoked?;
@@ -211,7 +211,7 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
         max_scenes: *max_scenes,
         daily_usd: *daily_usd,
     };
-    let keys = KeyStore::of(place).await?;
+    let keys = KeyStore::open(place).await?;
     let created = keys.create(new).await;
     keys.close().await;
     let created = created?;
@@ -230,7 +230,7 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
 /// Revokes a key by its id or by the beginning of its secret.
 async fn revoke(keys: &KeyStore, key: &str) -> anyhow::Result<Key> {
     let found: Vec<Key> = keys
-        .all()
+        .list_all()
         .await?
         .into_iter()
         .filter(|known| known.id == key || known.prefix == key)

@@ -60,7 +60,7 @@ pub async fn answer(
     telemetry::start_quiet_about_jobs();
     let file = ScanFile::open(scan)?;
     let hash = file.hash()?;
-    let cache = args.cache.clone().map_or_else(usual_cache, Ok)?;
+    let cache = args.cache.clone().map_or_else(default_cache_folder, Ok)?;
     let service = start(&cache, args).await?;
     let answered =
         ask(&service.client, &LocalQuestion { scan, file, hash, cache: &cache, args }, request)
@@ -77,7 +77,7 @@ struct LocalQuestion<'a> {
     args: &'a LocalArgs,
 }
 
-fn usual_cache() -> anyhow::Result<Utf8PathBuf> {
+fn default_cache_folder() -> anyhow::Result<Utf8PathBuf> {
     let folder =
         |name| std::env::var(name).ok().map(Utf8PathBuf::from).filter(|path| path.is_absolute());
     let caches =
@@ -119,38 +119,45 @@ async fn ask(
     asked: &LocalQuestion<'_>,
     request: GroundRequest,
 ) -> anyhow::Result<Answer> {
-    let scene = parsed(client, asked).await.map_err(|error| hints::of_scan(error, asked.scan))?;
+    let scene = ensure_parsed(client, asked)
+        .await
+        .map_err(|error| hints::with_scan_hint(error, asked.scan))?;
     // The evidence pictures are left out, because the service that stores them stops.
     let include = Some(vec![Include::Candidates, Include::Trace]);
     Ok(client.ground(&scene, &GroundRequest { include, ..request }).await?)
 }
 
 /// Returns the id of the scene of this scan, parsed with the requested settings.
-async fn parsed(
+async fn ensure_parsed(
     client: &Client,
     LocalQuestion { scan, file, hash, cache, args }: &LocalQuestion<'_>,
 ) -> anyhow::Result<String> {
     let begun = Instant::now();
-    give_up_others(client).await?;
-    let scene = match known(client, hash).await? {
+    cancel_other_jobs(client).await?;
+    let scene = match find_scene(client, hash).await? {
         Some(scene) => scene,
         None => {
-            job_progress::send(client, file, &[("name", file.name.as_str()), ("parse", "false")])
-                .await?
-                .scene
+            job_progress::upload_scan(
+                client,
+                file,
+                &[("name", file.name.as_str()), ("parse", "false")],
+            )
+            .await?
+            .scene
         }
     };
     let settings =
         args.up.map_or_else(|| json!({}), |up| json!({"settings": {"import": {"up": up}}}));
     let job = client.parse(&scene.id, &settings).await?;
     if job.state.is_final() {
-        job_progress::outcome(&job)?;
+        job_progress::describe_outcome(&job)?;
         return Ok(scene.id);
     }
     eprintln!("parsing {scan}");
-    let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
+    let outcome =
+        job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
     eprintln!(
-        "parsed in {:.1} s: {told}; cached in {cache} for the next question",
+        "parsed in {:.1} s: {outcome}; cached in {cache} for the next question",
         begun.elapsed().as_secs_f32()
     );
     if client.models().await?.models.is_empty() {
@@ -160,12 +167,15 @@ async fn parsed(
 }
 
 /// Returns the scene that was created from the same bytes, if any.
-async fn known(client: &Client, hash: &str) -> Result<Option<Scene>, ClientError> {
-    Ok(resolve_scene::all(client).await?.into_iter().find(|scene| scene.content_hash == *hash))
+async fn find_scene(client: &Client, hash: &str) -> Result<Option<Scene>, ClientError> {
+    Ok(resolve_scene::list_scenes(client)
+        .await?
+        .into_iter()
+        .find(|scene| scene.content_hash == *hash))
 }
 
 /// Cancels other unfinished jobs. They resume when their scan is requested again.
-async fn give_up_others(client: &Client) -> Result<(), ClientError> {
+async fn cancel_other_jobs(client: &Client) -> Result<(), ClientError> {
     for state in ["running", "queued"] {
         for job in client.jobs(&[("kind", "parse"), ("state", state)]).await?.jobs {
             client.cancel_job(&job.id).await?;

@@ -58,24 +58,24 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
     let begun = Instant::now();
     let shown = Arc::new(Mutex::new(ProgressBarView::default()));
     let teller = shown.clone();
-    let tell = move |progress| {
+    let on_progress = move |progress| {
         if let Ok(mut shown) = teller.lock() {
-            shown.tell(progress);
+            shown.show_progress(progress);
         }
     };
-    let moved = migrate_data(&from, &to, Arc::new(tell)).await;
+    let moved = migrate_data(&from, &to, Arc::new(on_progress)).await;
     if let Ok(mut shown) = shown.lock() {
         shown.clear();
     }
     let moved = moved?;
     if *as_json {
-        return print_json(&as_value(&from, &to, &moved));
+        return print_json(&to_json(&from, &to, &moved));
     }
-    println!("{}", table::of_moved(&moved));
+    println!("{}", table::migration_table(&moved));
     println!(
         "moved from {} to {} in {:.1} s",
-        told(&from),
-        told(&to),
+        describe_location(&from),
+        describe_location(&to),
         begun.elapsed().as_secs_f32()
     );
     for (folder, what) in &moved.damaged {
@@ -88,16 +88,16 @@ pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
             moved.texts_changed
         );
     }
-    println!("next: {}", next(&from, &to, &moved));
+    println!("next: {}", next_steps(&from, &to, &moved));
     Ok(())
 }
 
-fn told(place: &StoreLocation) -> String {
+fn describe_location(place: &StoreLocation) -> String {
     format!("{} ({})", place.data_dir, place.database)
 }
 
 /// Returns the next steps for the user.
-fn next(from: &StoreLocation, to: &StoreLocation, moved: &MigrationReport) -> String {
+fn next_steps(from: &StoreLocation, to: &StoreLocation, moved: &MigrationReport) -> String {
     let database = if to.database == Location::Folder {
         "sqlite".to_owned()
     } else {
@@ -114,11 +114,7 @@ fn next(from: &StoreLocation, to: &StoreLocation, moved: &MigrationReport) -> St
     format!("{start}. After you have checked it, remove {old}, which is no longer used.")
 }
 
-fn as_value(
-    from: &StoreLocation,
-    to: &StoreLocation,
-    moved: &MigrationReport,
-) -> serde_json::Value {
+fn to_json(from: &StoreLocation, to: &StoreLocation, moved: &MigrationReport) -> serde_json::Value {
     let MigrationReport { rows, texts_changed, files, damaged, set_aside } = moved;
     let place = |place: &StoreLocation| json!({"data_dir": place.data_dir, "database": place.database.to_string()});
     let rows: serde_json::Map<_, _> =
@@ -143,12 +139,12 @@ struct ProgressBarView {
 }
 
 impl ProgressBarView {
-    fn tell(&mut self, MigrationProgress { part, done, of }: MigrationProgress) {
+    fn show_progress(&mut self, MigrationProgress { part, done, of }: MigrationProgress) {
         let name = part.to_string();
         if self.part.as_ref() != Some(&name) {
             self.clear();
             match io::stderr().is_terminal() {
-                true => self.bar = Some(bar(&name, of)),
+                true => self.bar = Some(progress_bar(&name, of)),
                 false if of > 0 => eprintln!("{name}: {of}"),
                 false => {}
             }
@@ -168,7 +164,7 @@ impl ProgressBarView {
 
 const TEMPLATE: &str = "{msg:<26} {bar:30} {pos} of {len}, {eta} left";
 
-fn bar(name: &str, of: u64) -> ProgressBar {
+fn progress_bar(name: &str, of: u64) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(of), ProgressDrawTarget::stderr());
     if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
         bar.set_style(style);
@@ -181,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_template_of_the_bar_is_one() {
+    fn the_progress_bar_template_is_valid() {
         assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
     }
 }

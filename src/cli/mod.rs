@@ -121,30 +121,30 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
     match command {
         Command::Serve(config) => {
             serve::fetch(config);
-            asynchronous(serve::run(config))
+            run_async(serve::run(config))
         }
         Command::Worker(config) => {
             serve::fetch(&config.serve);
-            asynchronous(worker::run(config))
+            run_async(worker::run(config))
         }
-        Command::Demo(args) => asynchronous(demo::run(args)),
-        Command::Ground(args) => asynchronous(ground::run(args)),
-        Command::Upload(args) => asynchronous(upload::run(args)),
-        Command::Find(args) => asynchronous(find::run(args)),
-        Command::Approach(args) => asynchronous(approach::run(args)),
-        Command::Scenes(args) => asynchronous(scenes::run(args)),
-        Command::Batch(args) => asynchronous(batch::run(args)),
-        Command::Mcp(config) => asynchronous(mcp::run(config)),
-        Command::Key(args) => asynchronous(key::run(args)),
+        Command::Demo(args) => run_async(demo::run(args)),
+        Command::Ground(args) => run_async(ground::run(args)),
+        Command::Upload(args) => run_async(upload::run(args)),
+        Command::Find(args) => run_async(find::run(args)),
+        Command::Approach(args) => run_async(approach::run(args)),
+        Command::Scenes(args) => run_async(scenes::run(args)),
+        Command::Batch(args) => run_async(batch::run(args)),
+        Command::Mcp(config) => run_async(mcp::run(config)),
+        Command::Key(args) => run_async(key::run(args)),
         Command::Import(args) => import::run(args),
         Command::Parse(args) => parse::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Models(args) => models::run(args),
-        Command::Doctor(args) => asynchronous(doctor::run(args)),
-        Command::Gc(args) => asynchronous(gc::run(args)),
-        Command::Backup(args) => asynchronous(backup::run(args)),
-        Command::Restore(args) => asynchronous(restore::run(args)),
-        Command::Migrate(args) => asynchronous(migrate::run(args)),
+        Command::Doctor(args) => run_async(doctor::run(args)),
+        Command::Gc(args) => run_async(gc::run(args)),
+        Command::Backup(args) => run_async(backup::run(args)),
+        Command::Restore(args) => run_async(restore::run(args)),
+        Command::Migrate(args) => run_async(migrate::run(args)),
         Command::Openapi => openapi::run(),
         Command::Completions(args) => completions::run(args),
         Command::Man(args) => man::run(args),
@@ -157,7 +157,7 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
 
 /// Exits like clap for invalid combinations of arguments: prints the message and the usage, and
 /// exits with code 2.
-fn wrong_usage(subcommand: &str, kind: ErrorKind, message: &str) -> ! {
+fn exit_with_usage_error(subcommand: &str, kind: ErrorKind, message: &str) -> ! {
     let mut cli = Cli::command();
     // Builds the command tree, so that the usage of the subcommand includes the program name.
     cli.build();
@@ -167,6 +167,6 @@ fn wrong_usage(subcommand: &str, kind: ErrorKind, message: &str) -> ! {
     }
 }
 
-fn asynchronous(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+fn run_async(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
     tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(work)
 }

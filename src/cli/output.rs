@@ -13,16 +13,16 @@ pub fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
 }
 
 /// Formats a warning in red if the terminal supports color.
-pub fn alarming(words: &str) -> String {
+pub fn in_red_on_terminal(words: &str) -> String {
     let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
     let is_dumb = std::env::var_os("TERM").is_some_and(|term| term == "dumb");
     match io::stdout().is_terminal() && !is_set("NO_COLOR") && !is_dumb {
-        true => red(words),
+        true => in_red(words),
         false => words.to_owned(),
     }
 }
 
-fn red(words: &str) -> String {
+fn in_red(words: &str) -> String {
     let style = Style::new().bold().fg_color(Some(AnsiColor::Red.into()));
     format!("{style}{words}{style:#}")
 }
@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn red_words_end_where_they_end() {
-        assert_eq!(red("no model"), "\u{1b}[1m\u{1b}[31mno model\u{1b}[0m");
+    fn red_text_resets_its_style() {
+        assert_eq!(in_red("no model"), "\u{1b}[1m\u{1b}[31mno model\u{1b}[0m");
     }
 }

@@ -79,22 +79,22 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     }
     ensure!(args.scan.exists(), "{}: no such file or folder", args.scan);
-    let folder =
-        ScanFolder::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
-    let ChosenModels { models, told, warnings } = ModelsConfig {
+    let folder = ScanFolder::of(&args.scan)
+        .map_err(|error| hints::with_scan_hint(error.into(), &args.scan))?;
+    let ChosenModels { models, summary, warnings } = ModelsConfig {
         masks: args.masks.clone(),
         encoder: args.encoder.clone(),
         bundles: args.bundles.clone(),
     }
     .load()?;
     warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
-    eprintln!("{told}");
+    eprintln!("{summary}");
 
     let progress = Progress::new(show_progress, || false);
     let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);
     show_progress("", 1.0);
     let ParsedScan { import, frames, scene: parsed, models } =
-        scan.map_err(|error| hints::of_scan(error.into(), &args.scan))?;
+        scan.map_err(|error| hints::with_scan_hint(error.into(), &args.scan))?;
 
     let report = Report { import: &import, models: &models, parse: &parsed.report };
     if let Some(out) = &args.report {

@@ -4,7 +4,7 @@ use camino::Utf8Path;
 use std::fmt::Write;
 use uniground_core::parsing::report_pictures::ReportPicture;
 use uniground_core::scene::{ImportReport, ParsedScene};
-use uniground_evaluation::report::escaped;
+use uniground_evaluation::report::escape_html;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1060px;margin:2rem auto;padding:0 1rem;color:#222}\
 table{border-collapse:collapse}td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}td.n{text-align:right}\
@@ -20,7 +20,7 @@ pub(super) fn render(
     let report = &scene.report;
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style><h1>{0}</h1>",
-        escaped(scan.file_name().unwrap_or(scan.as_str()))
+        escape_html(scan.file_name().unwrap_or(scan.as_str()))
     );
     let _ = write!(
         page,
@@ -37,17 +37,17 @@ pub(super) fn render(
         report.without_views,
         report.dropped,
         report.specks,
-        escaped(&import.format),
+        escape_html(&import.format),
         import.up.name(),
         import.pose
     );
     for warning in import.warnings.iter().chain(&report.warnings) {
-        let _ = write!(page, "<p class=\"warning\">{}</p>", escaped(warning));
+        let _ = write!(page, "<p class=\"warning\">{}</p>", escape_html(warning));
     }
     page.push_str("<h2>Stages</h2><table><tr><th>stage<th>seconds<th>peak memory<th>output</tr>");
     for stage in &report.stages {
         let memory = stage.peak_memory_mb.map_or_else(|| "-".to_owned(), |mb| format!("{mb} MB"));
-        let name = escaped(&stage.stage);
+        let name = escape_html(&stage.stage);
         let _ = write!(
             page,
             "<tr><td>{name}<td class=\"n\">{:.2}<td class=\"n\">{memory}<td class=\"n\">{}</tr>",
@@ -60,7 +60,7 @@ pub(super) fn render(
             page,
             "<figure><img src=\"{}.jpg\" alt=\"\"><figcaption>{}</figcaption></figure>",
             picture.name,
-            escaped(&picture.title)
+            escape_html(&picture.title)
         );
     }
     page.push_str(
@@ -74,7 +74,7 @@ pub(super) fn render(
             "<tr><td class=\"n\">{}<td>{}<td>{}<td>{}<td>{}<td class=\"n\">{}<td>{}</tr>",
             instance.id,
             instance.level.word(),
-            escaped(instance.label()),
+            escape_html(instance.label()),
             triple(instance.aabb.center.into()),
             triple(instance.aabb.size.into()),
             instance.point_count,

@@ -1,6 +1,6 @@
 //! Resolves a scene argument: an id, the beginning of an id, or a name.
 
-use super::hints::quoted;
+use super::hints::quote_for_shell;
 use super::table;
 use anyhow::bail;
 use uniground_client::{Client, ClientError};
@@ -9,7 +9,7 @@ use uniground_types::scenes::{Scene, SceneStatus};
 /// Maximum page size of the API.
 const PAGE: u32 = 100;
 /// Maximum number of scenes listed in an error.
-const LISTED: usize = 12;
+const MAX_LISTED: usize = 12;
 /// Length of a complete id.
 const ID: usize = 36;
 
@@ -18,46 +18,50 @@ const ID: usize = 36;
 ///
 /// # Errors
 /// Returns an error that lists the scenes if none or several match, or a [`ClientError`].
-pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
-    if wanted.len() == ID && wanted.parse::<uuid::Uuid>().is_ok() {
-        return Ok(wanted.to_owned());
+pub async fn resolve_id(client: &Client, reference: &str) -> anyhow::Result<String> {
+    if reference.len() == ID && reference.parse::<uuid::Uuid>().is_ok() {
+        return Ok(reference.to_owned());
     }
-    let scenes = all(client).await?;
-    let found = matching(&scenes, wanted);
+    let scenes = list_scenes(client).await?;
+    let found = find_matching(&scenes, reference);
     match &found[..] {
         [only] => Ok(only.id.clone()),
         [] if scenes.is_empty() => bail!(
-            "there is no scene {wanted:?}: the server has no scenes yet\n`uniground upload SCAN` \
+            "there is no scene {reference:?}: the server has no scenes yet\n`uniground upload SCAN` \
              adds one"
         ),
         [] => bail!(
-            "there is no scene {wanted:?}; the scenes are\n{}\n`uniground scenes` shows details",
-            listed(&scenes.iter().collect::<Vec<_>>())
+            "there is no scene {reference:?}; the scenes are\n{}\n`uniground scenes` shows details",
+            format_list(&scenes.iter().collect::<Vec<_>>())
         ),
         several => bail!(
-            "{wanted:?} matches {} scenes:\n{}\ngive more of the name or of the id; `uniground \
+            "{reference:?} matches {} scenes:\n{}\ngive more of the name or of the id; `uniground \
              scenes` shows details",
             several.len(),
-            listed(several)
+            format_list(several)
         ),
     }
 }
 
 /// Adds the list of existing scenes to a `scene_not_found` error.
-pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyhow::Error {
+pub async fn explain_unknown_scene(
+    client: &Client,
+    reference: &str,
+    error: ClientError,
+) -> anyhow::Error {
     match &error {
         ClientError::Problem(problem) if problem.code == "scene_not_found" => {
-            match all(client).await {
+            match list_scenes(client).await {
                 Ok(scenes) if scenes.is_empty() => {
                     anyhow::anyhow!(
-                        "there is no scene {wanted}: the server has no scenes yet\n`uniground \
+                        "there is no scene {reference}: the server has no scenes yet\n`uniground \
                          upload SCAN` adds one"
                     )
                 }
                 Ok(scenes) => {
-                    let listed = listed(&scenes.iter().collect::<Vec<_>>());
+                    let listed = format_list(&scenes.iter().collect::<Vec<_>>());
                     anyhow::anyhow!(
-                        "there is no scene {wanted}; the scenes are\n{listed}\n`uniground scenes` \
+                        "there is no scene {reference}; the scenes are\n{listed}\n`uniground scenes` \
                          shows details"
                     )
                 }
@@ -72,7 +76,7 @@ pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyh
 ///
 /// # Errors
 /// [`ClientError`].
-pub async fn all(client: &Client) -> Result<Vec<Scene>, ClientError> {
+pub async fn list_scenes(client: &Client) -> Result<Vec<Scene>, ClientError> {
     let (mut scenes, mut cursor) = (Vec::new(), None);
     loop {
         let page = client.scenes(PAGE, cursor.as_deref()).await?;
@@ -86,20 +90,20 @@ pub async fn all(client: &Client) -> Result<Vec<Scene>, ClientError> {
 
 /// Returns the shortest unambiguous value of `--scene` for a scene: its name, or its id if the name
 /// is not unique.
-pub fn shortest(scenes: &[Scene], scene: &Scene) -> String {
-    match matching(scenes, &scene.name)[..] {
-        [only] if only.id == scene.id => quoted(&scene.name),
+pub fn shortest_reference(scenes: &[Scene], scene: &Scene) -> String {
+    match find_matching(scenes, &scene.name)[..] {
+        [only] if only.id == scene.id => quote_for_shell(&scene.name),
         _ => scene.id.clone(),
     }
 }
 
 /// Returns the matches of the first rule that has any: id, exact name, name without case, beginning
 /// of an id or a name.
-fn matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
-    let lower = wanted.to_lowercase();
+fn find_matching<'a>(scenes: &'a [Scene], reference: &str) -> Vec<&'a Scene> {
+    let lower = reference.to_lowercase();
     let ways: [&dyn Fn(&Scene) -> bool; 4] = [
         &|scene| scene.id == lower,
-        &|scene| scene.name == wanted,
+        &|scene| scene.name == reference,
         &|scene| scene.name.to_lowercase() == lower,
         &|scene| scene.id.starts_with(&lower) || scene.name.to_lowercase().starts_with(&lower),
     ];
@@ -111,7 +115,7 @@ fn matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
     found.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
 }
 
-fn listed(scenes: &[&Scene]) -> String {
+fn format_list(scenes: &[&Scene]) -> String {
     let line = |scene: &&Scene| {
         let state = match scene.status {
             SceneStatus::Ready => "",
@@ -119,11 +123,16 @@ fn listed(scenes: &[&Scene]) -> String {
             SceneStatus::Failed => ", parse failed",
             SceneStatus::Uploaded => ", not parsed",
         };
-        format!("  {}  {}, {} old{state}", scene.id, scene.name, table::age(&scene.created_at))
+        format!(
+            "  {}  {}, {} old{state}",
+            scene.id,
+            scene.name,
+            table::format_age(&scene.created_at)
+        )
     };
-    let mut lines: Vec<String> = scenes.iter().take(LISTED).map(line).collect();
-    if scenes.len() > LISTED {
-        lines.push(format!("  and {} more", scenes.len() - LISTED));
+    let mut lines: Vec<String> = scenes.iter().take(MAX_LISTED).map(line).collect();
+    if scenes.len() > MAX_LISTED {
+        lines.push(format!("  and {} more", scenes.len() - MAX_LISTED));
     }
     lines.join("\n")
 }
@@ -142,15 +151,18 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_name_comes_before_the_beginning_of_another() {
+    fn an_exact_name_wins_over_a_prefix() {
         let scenes = [
             scene("01a2-aa", "Kitchen"),
             scene("01a2-ab", "kitchen"),
             scene("01a2-b0", "kitchen upstairs"),
             scene("01b0-00", "hall"),
         ];
-        let ids = |wanted: &str| {
-            matching(&scenes, wanted).iter().map(|scene| scene.id.clone()).collect::<Vec<_>>()
+        let ids = |reference: &str| {
+            find_matching(&scenes, reference)
+                .iter()
+                .map(|scene| scene.id.clone())
+                .collect::<Vec<_>>()
         };
         assert_eq!(ids("kitchen"), ["01a2-ab"]);
         assert_eq!(ids("KITCHEN"), ["01a2-aa", "01a2-ab"]);
@@ -162,10 +174,10 @@ mod tests {
     }
 
     #[test]
-    fn a_shared_name_is_not_enough() {
+    fn an_ambiguous_name_is_referenced_by_id() {
         let scenes =
             [scene("01a2-aa", "hall"), scene("01a2-ab", "hall"), scene("01a2-ac", "living room")];
-        assert_eq!(shortest(&scenes, &scenes[0]), "01a2-aa");
-        assert_eq!(shortest(&scenes, &scenes[2]), "'living room'");
+        assert_eq!(shortest_reference(&scenes, &scenes[0]), "01a2-aa");
+        assert_eq!(shortest_reference(&scenes, &scenes[2]), "'living room'");
     }
 }

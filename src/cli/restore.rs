@@ -1,7 +1,7 @@
 //! `uniground restore`: restores a data folder from a backup.
 
 use super::output::print_json;
-use super::table::size;
+use super::table::format_bytes;
 use crate::telemetry;
 use anyhow::bail;
 use camino::Utf8PathBuf;
@@ -27,7 +27,7 @@ pub async fn run(
     RestoreArgs { from, data_dir, check: only_check, json: as_json }: &RestoreArgs,
 ) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    let source = BackupSource::of(from);
+    let source = BackupSource::from_path(from);
     let (restored, done) = match data_dir {
         _ if *only_check => (check(source).await?, format!("{from}: all checksums match")),
         Some(data_dir) => (restore(source, data_dir).await?, format!("restored to {data_dir}")),
@@ -42,7 +42,10 @@ pub async fn run(
             "scenes": scenes, "answers": answers, "folders": folders, "bytes": bytes, "left_out": left_out,
         }));
     }
-    println!("{done}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
+    println!(
+        "{done}: {scenes} scenes, {answers} answers, {folders} folders, {}",
+        format_bytes(bytes)
+    );
     println!("backup taken at {taken_at} by uniground {program}");
     for (folder, what) in left_out {
         println!("not in the backup: {folder}: {what}");

@@ -34,7 +34,7 @@ impl ScanFile {
         let source = match is_known_by_its_bytes(scan).with_context(|| scan.to_string())? {
             true => Source::File(scan.to_owned()),
             false => Source::Folder(
-                ScanFolder::of(scan).map_err(|error| hints::of_scan(error.into(), scan))?,
+                ScanFolder::of(scan).map_err(|error| hints::with_scan_hint(error.into(), scan))?,
             ),
         };
         Ok(Self { name, source })
@@ -45,7 +45,7 @@ impl ScanFile {
     /// # Errors
     /// Returns an error if a file cannot be read.
     pub fn hash(&self) -> anyhow::Result<String> {
-        let mut hashing = Hashing(Sha256::new());
+        let mut hashing = HashWriter(Sha256::new());
         match &self.source {
             Source::File(path) => io::copy(&mut File::open(path)?, &mut hashing).map(drop)?,
             Source::Folder(folder) => pack(&folder.path, Links::All, &mut hashing)?,
@@ -94,9 +94,9 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
         || ArchiveKind::of_file_name(scan.as_str()).is_some())
 }
 
-struct Hashing(Sha256);
+struct HashWriter(Sha256);
 
-impl Write for Hashing {
+impl Write for HashWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.update(bytes);
         Ok(bytes.len())
@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn scans_are_called_what_their_files_are_called() {
+    fn scan_names_come_from_file_names() {
         assert_eq!(name_of("scans/living_room.zip".into()), "living_room");
         assert_eq!(name_of("hall.tar.zst".into()), "hall");
         assert_eq!(name_of("src/cli".into()), "cli");

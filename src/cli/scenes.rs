@@ -19,7 +19,7 @@ pub struct ScenesArgs {
 
 pub async fn run(args: &ScenesArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    let scenes = resolve_scene::all(&client).await?;
+    let scenes = resolve_scene::list_scenes(&client).await?;
     if args.json {
         return print_json(&scenes);
     }
@@ -27,19 +27,19 @@ pub async fn run(args: &ScenesArgs) -> anyhow::Result<()> {
         eprintln!(
             "no scenes at {} yet: uniground upload SCAN{}",
             args.server.address(),
-            args.server.flag()
+            args.server.to_flag()
         );
         return Ok(());
     }
     let mut rows = Vec::with_capacity(scenes.len());
     for scene in &scenes {
-        rows.push((scene, state(&client, scene).await?));
+        rows.push((scene, describe_state(&client, scene).await?));
     }
-    Ok(writeln!(io::stdout(), "{}", table::of_scenes(&rows))?)
+    Ok(writeln!(io::stdout(), "{}", table::scenes_table(&rows))?)
 }
 
 /// Returns the state of a scene as text, with the progress of its parse.
-async fn state(client: &Client, scene: &Scene) -> Result<String, ClientError> {
+async fn describe_state(client: &Client, scene: &Scene) -> Result<String, ClientError> {
     Ok(match (scene.status, &scene.job_id, &scene.error) {
         (SceneStatus::Parsing, Some(job), _) => {
             let job = client.job(job).await?;

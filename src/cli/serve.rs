@@ -1,6 +1,6 @@
 //! `uniground serve`: runs the service until SIGTERM, SIGHUP or Ctrl-C.
 
-use super::fetching::{fetch_all, wanted};
+use super::fetching::{fetch_all, missing_parts};
 use crate::app::{self, RunningService};
 use crate::config::{LIBRARY_FOLDER, ServeConfig};
 use crate::packages::Places;
@@ -16,7 +16,7 @@ pub fn fetch(config: &ServeConfig) {
     }
     let places =
         Places { models: config.models.bundles.models.clone(), library: LIBRARY_FOLDER.into() };
-    if let Err(error) = fetch_all(&wanted(&config.models), &places, &mut io::stderr()) {
+    if let Err(error) = fetch_all(&missing_parts(&config.models), &places, &mut io::stderr()) {
         eprintln!("{error:#}; the server starts with the models that are installed");
     }
 }
@@ -44,7 +44,7 @@ pub async fn until_stopped(
             tracing::info!("SIGHUP received; shutting down");
         }
         _ = interrupt.recv() => tracing::info!("interrupt received; shutting down"),
-        () = running.ended() => tracing::error!("server stopped unexpectedly"),
+        () = running.until_server_ends() => tracing::error!("server stopped unexpectedly"),
     }
     running.stop().await
 }

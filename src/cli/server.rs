@@ -20,13 +20,13 @@ impl ServerArgs {
     }
 
     /// Returns the value of the flag, and `None` if it comes from the environment.
-    pub fn given(&self) -> Option<&str> {
+    pub fn explicit_address(&self) -> Option<&str> {
         self.server.as_deref().filter(|server| std::env::var(VARIABLE).as_deref() != Ok(server))
     }
 
     /// Returns the flag to repeat in the next command for the same server.
-    pub fn flag(&self) -> String {
-        self.given().map_or_else(String::new, |server| format!(" --server {server}"))
+    pub fn to_flag(&self) -> String {
+        self.explicit_address().map_or_else(String::new, |server| format!(" --server {server}"))
     }
 
     /// # Errors

@@ -17,8 +17,8 @@ use uniground_types::scenes::Scene;
 const WIDTH: u16 = 110;
 
 /// Formats the scenes of a search, best first.
-pub fn of_many(found: &ManyAnswers) -> Table {
-    let mut table = empty();
+pub fn many_answers_table(found: &ManyAnswers) -> Table {
+    let mut table = empty_table();
     table.set_header(["Scene", "Status", "ID", "What", "Box (m, Z up)"]);
     for SceneAnswer { scene_name, labels, answer } in &found.answers {
         let filed: Vec<String> =
@@ -35,7 +35,7 @@ pub fn of_many(found: &ManyAnswers) -> Table {
             format!("{} ({:.2})", status_of(answer), answer.confidence),
             id.map_or_else(|| "none".into(), |id| id.to_string()),
             what.unwrap_or_default(),
-            answer.aabb.as_ref().map(of_box).unwrap_or_default(),
+            answer.aabb.as_ref().map(format_box).unwrap_or_default(),
         ]);
     }
     table
@@ -51,7 +51,7 @@ fn status_of(answer: &Answer) -> &'static str {
 }
 
 /// Formats one answer: the six fields, box, status and time.
-pub fn of_answer(answer: &Answer) -> Table {
+pub fn answer_table(answer: &Answer) -> Table {
     let fields = &answer.answer;
     let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".into());
     let names = fields
@@ -61,7 +61,7 @@ pub fn of_answer(answer: &Answer) -> Table {
         .collect::<Vec<_>>()
         .join(", ");
     let matches = fields.target_name_matches.map(|yes| if yes { "yes" } else { "no" }.to_owned());
-    let mut table = empty();
+    let mut table = empty_table();
     table.set_header(vec!["Question".to_owned(), answer.query.clone()]);
     table.add_row(vec![
         "Status".to_owned(),
@@ -79,9 +79,9 @@ pub fn of_answer(answer: &Answer) -> Table {
     table.add_row(vec!["Target name matches?".to_owned(), or_none(matches)]);
     table.add_row(vec!["Anchor ID".to_owned(), or_none(fields.anchor_id.map(|id| id.to_string()))]);
     table.add_row(vec!["Relation used".to_owned(), or_none(fields.relation_used.clone())]);
-    table.add_row(vec!["Box (m, Z up)".to_owned(), or_none(answer.aabb.as_ref().map(of_box))]);
+    table.add_row(vec!["Box (m, Z up)".to_owned(), or_none(answer.aabb.as_ref().map(format_box))]);
     if let Some(placed) = &answer.in_frame {
-        let boxes: Vec<String> = placed.boxes.iter().map(of_placed_box).collect();
+        let boxes: Vec<String> = placed.boxes.iter().map(format_placed_box).collect();
         table.add_row(vec![
             name_of_frame(placed),
             or_none(Some(boxes.join("\n")).filter(|boxes| !boxes.is_empty())),
@@ -99,7 +99,7 @@ fn name_of_frame(InFrame { frame, frame_id, .. }: &InFrame) -> String {
     }
 }
 
-fn of_placed_box(PlacedBox { center: c, size: s, orientation: q, .. }: &PlacedBox) -> String {
+fn format_placed_box(PlacedBox { center: c, size: s, orientation: q, .. }: &PlacedBox) -> String {
     let turned =
         format!("turned by x, y, z, w = ({:.3}, {:.3}, {:.3}, {:.3})", q[0], q[1], q[2], q[3]);
     format!(
@@ -109,8 +109,8 @@ fn of_placed_box(PlacedBox { center: c, size: s, orientation: q, .. }: &PlacedBo
 }
 
 /// Formats the scenes of a server with their state.
-pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
-    let mut table = empty();
+pub fn scenes_table(scenes: &[(&Scene, String)]) -> Table {
+    let mut table = empty_table();
     table.set_header(vec!["ID", "Name", "State", "Objects", "Age"]);
     for (scene, state) in scenes {
         let things =
@@ -120,7 +120,7 @@ pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
             scene.name.clone(),
             state.clone(),
             things,
-            age(&scene.created_at),
+            format_age(&scene.created_at),
         ]);
     }
     // The id stays on one line, so that it can be copied.
@@ -131,9 +131,9 @@ pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
 }
 
 /// Formats the changes of a scene, one row per object.
-pub fn of_changes(changes: &Changes) -> Table {
+pub fn changes_table(changes: &Changes) -> Table {
     let Changes { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged: _ } = changes;
-    let mut table = empty();
+    let mut table = empty_table();
     table.set_header(vec!["Change", "ID", "Object", "Box (m, Z up)"]);
     let lists = [
         ("appeared", appeared),
@@ -152,19 +152,19 @@ pub fn of_changes(changes: &Changes) -> Table {
             format!("moved by {distance_m:.2} m"),
             ids,
             after.label.clone(),
-            of_box(&after.aabb),
+            format_box(&after.aabb),
         ]);
     }
     for (change, things) in lists {
         for ChangedThing { id, label, aabb } in things {
-            table.add_row(vec![change.to_owned(), id.to_string(), label.clone(), of_box(aabb)]);
+            table.add_row(vec![change.to_owned(), id.to_string(), label.clone(), format_box(aabb)]);
         }
     }
     table
 }
 
 /// Formats how long ago a time was. Returns the text unchanged if it is not a timestamp.
-pub fn age(at: &str) -> String {
+pub fn format_age(at: &str) -> String {
     let Ok(then) = at.parse::<Timestamp>() else { return at.to_owned() };
     match Timestamp::now().as_second() - then.as_second() {
         ..60 => "under 1 min".into(),
@@ -175,8 +175,8 @@ pub fn age(at: &str) -> String {
 }
 
 /// Formats the findings of the doctor.
-pub fn of_findings(findings: &[Finding]) -> Table {
-    let mut table = empty();
+pub fn findings_table(findings: &[Finding]) -> Table {
+    let mut table = empty_table();
     table.set_header(vec!["Problem", "Details", "Remedy"]);
     for Finding { trouble, detail } in findings {
         table.add_row(vec![
@@ -189,8 +189,8 @@ pub fn of_findings(findings: &[Finding]) -> Table {
 }
 
 /// Formats the keys of a server.
-pub fn of_keys(keys: &[Key]) -> Table {
-    let mut table = empty();
+pub fn keys_table(keys: &[Key]) -> Table {
+    let mut table = empty_table();
     table.set_header(vec![
         "Prefix",
         "Name",
@@ -207,8 +207,8 @@ pub fn of_keys(keys: &[Key]) -> Table {
             key.daily_usd.map(|usd| format!("{usd} USD/day")),
         ];
         let state = match (&key.revoked_at, &key.expires_at) {
-            (Some(at), _) => format!("revoked {}", day_of(at)),
-            (None, Some(at)) => format!("until {}", day_of(at)),
+            (Some(at), _) => format!("revoked {}", date_of(at)),
+            (None, Some(at)) => format!("until {}", date_of(at)),
             (None, None) => "active".into(),
         };
         table.add_row(vec![
@@ -227,18 +227,23 @@ pub fn of_keys(keys: &[Key]) -> Table {
 }
 
 /// Formats the entries that retention removed.
-pub fn of_removed(removed: &[RetentionReport]) -> Table {
-    let mut table = empty();
+pub fn removed_table(removed: &[RetentionReport]) -> Table {
+    let mut table = empty_table();
     table.set_header(vec!["Kind", "Entries", "Size", "Why"]);
     for RetentionReport { kind, entries, bytes, why } in removed {
-        table.add_row(vec![(*kind).to_owned(), entries.to_string(), size(*bytes), why.clone()]);
+        table.add_row(vec![
+            (*kind).to_owned(),
+            entries.to_string(),
+            format_bytes(*bytes),
+            why.clone(),
+        ]);
     }
     table
 }
 
 /// Formats the result of a migration, without empty kinds.
-pub fn of_moved(moved: &MigrationReport) -> Table {
-    let mut table = empty();
+pub fn migration_table(moved: &MigrationReport) -> Table {
+    let mut table = empty_table();
     table.set_header(vec!["What", "Count", "Size", "Copied"]);
     for (name, rows) in moved.rows.iter().filter(|(_, rows)| *rows > 0) {
         table.add_row(vec![
@@ -254,19 +259,19 @@ pub fn of_moved(moved: &MigrationReport) -> Table {
         table.add_row(vec![
             format!("files of {kind}"),
             folders.to_string(),
-            size(*bytes),
-            size(*copied_bytes),
+            format_bytes(*bytes),
+            format_bytes(*copied_bytes),
         ]);
     }
     table
 }
 
-fn day_of(at: &str) -> &str {
+fn date_of(at: &str) -> &str {
     at.get(..10).unwrap_or(at)
 }
 
 /// Formats a number of bytes.
-pub fn size(bytes: u64) -> String {
+pub fn format_bytes(bytes: u64) -> String {
     match bytes {
         0..1000 => format!("{bytes} bytes"),
         1000..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
@@ -276,22 +281,22 @@ pub fn size(bytes: u64) -> String {
 }
 
 /// Formats the tied objects of an ambiguous answer.
-pub fn of_alternatives(alternatives: &[Alternative]) -> Table {
-    let mut table = empty();
+pub fn alternatives_table(alternatives: &[Alternative]) -> Table {
+    let mut table = empty_table();
     table.set_header(vec!["Candidate", "Confidence", "Box (m, Z up)"]);
     for alternative in alternatives {
         table.add_row(vec![
             alternative.id.to_string(),
             format!("{:.2}", alternative.confidence),
-            of_box(&alternative.aabb),
+            format_box(&alternative.aabb),
         ]);
     }
     table
 }
 
 /// Formats the largest objects of a scene.
-pub fn of_instances<'a>(instances: impl Iterator<Item = &'a InstanceView>) -> Table {
-    let mut table = empty();
+pub fn instances_table<'a>(instances: impl Iterator<Item = &'a InstanceView>) -> Table {
+    let mut table = empty_table();
     table.set_header(vec!["ID", "Name", "Colors", "Points", "Box (m, Z up)"]);
     for instance in instances {
         let mut colours: Vec<_> = instance.colours.iter().collect();
@@ -307,18 +312,18 @@ pub fn of_instances<'a>(instances: impl Iterator<Item = &'a InstanceView>) -> Ta
             instance.label.clone(),
             colours,
             instance.point_count.to_string(),
-            of_box(&instance.aabb),
+            format_box(&instance.aabb),
         ]);
     }
     table
 }
 
-fn of_box(aabb: &Aabb) -> String {
+fn format_box(aabb: &Aabb) -> String {
     let (c, s) = (aabb.center, aabb.size);
     format!("center ({:.2}, {:.2}, {:.2}) size {:.2} x {:.2} x {:.2}", c.x, c.y, c.z, s.x, s.y, s.z)
 }
 
-fn empty() -> Table {
+fn empty_table() -> Table {
     let mut table = Table::new();
     table
         .load_preset(presets::UTF8_FULL_CONDENSED)

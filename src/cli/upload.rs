@@ -33,7 +33,7 @@ pub struct UploadArgs {
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
     up: Option<UpAxis>,
     /// Length of one unit of the scan's cloud and poses, meters
-    #[arg(long, value_name = "METERS", value_parser = words::metres_per_unit)]
+    #[arg(long, value_name = "METERS", value_parser = words::meters_per_unit)]
     metres_per_unit: Option<f64>,
     /// Keep the tilt of the scan instead of leveling it
     #[arg(long)]
@@ -51,24 +51,24 @@ pub struct UploadArgs {
 pub async fn run(args: &UploadArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
     let done = match &args.to {
-        Some(scene) => add(&client, scene, args).await,
+        Some(scene) => add_frames(&client, scene, args).await,
         None => upload(&client, args).await,
     };
-    done.map_err(|error| hints::of_scan(error, &args.scan))
+    done.map_err(|error| hints::with_scan_hint(error, &args.scan))
 }
 
 /// Adds frames to an existing scene.
-async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<()> {
-    let id = resolve_scene::id_of(client, scene).await?;
+async fn add_frames(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<()> {
+    let id = resolve_scene::resolve_id(client, scene).await?;
     let before = client.scene(&id).await?;
     let file = ScanFile::open(&args.scan)?;
-    let sent = job_progress::add(client, &file, &id, args.world).await;
+    let sent = job_progress::add_frames(client, &file, &id, args.world).await;
     let Created { scene, job } =
         sent.map_err(|error| error.context(format!("nothing was added to {}", before.name)))?;
     let Some(job) = job.filter(|_| !args.no_wait) else {
         return if args.json { print_json(&scene) } else { Ok(writeln!(io::stdout(), "{id}")?) };
     };
-    let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
+    let told = job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
     eprintln!("parsed: {told}");
     let changes = client.changes_since(&id, before.parse_version).await?;
     match (args.json, changes.changes.is_empty()) {
@@ -78,7 +78,7 @@ async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<
             "nothing changed: {} objects unchanged",
             changes.changes.unchanged
         )?),
-        (false, false) => Ok(writeln!(io::stdout(), "{}", table::of_changes(&changes.changes))?),
+        (false, false) => Ok(writeln!(io::stdout(), "{}", table::changes_table(&changes.changes))?),
     }
 }
 
@@ -93,12 +93,13 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let levelling = args.no_levelling.then_some(("levelling", "off"));
     let query: Vec<(&str, &str)> =
         [("name", name)].into_iter().chain(up).chain(metres_per_unit).chain(levelling).collect();
-    let Created { scene, job } = job_progress::send(client, &file, &query).await?;
+    let Created { scene, job } = job_progress::upload_scan(client, &file, &query).await?;
     let begun = Instant::now();
     let (is_awaited, job) = (!args.no_wait, job.filter(|job| !job.state.is_final()));
     if let (true, Some(job)) = (is_awaited, &job) {
         eprintln!("uploaded as {}; parsing", scene.id);
-        let told = job_progress::outcome(&job_progress::follow(client, &job.id).await?)?;
+        let told =
+            job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
         eprintln!("parsed in {:.1} s: {told}", begun.elapsed().as_secs_f32());
     }
     let scene = client.scene(&scene.id).await?;
@@ -107,8 +108,8 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
         false => writeln!(io::stdout(), "{}", scene.id)?,
     }
     // A key without permission to list scenes gets no names.
-    let known = resolve_scene::all(client).await.unwrap_or_default();
-    let (named, flag) = (resolve_scene::shortest(&known, &scene), args.server.flag());
+    let known = resolve_scene::list_scenes(client).await.unwrap_or_default();
+    let (named, flag) = (resolve_scene::shortest_reference(&known, &scene), args.server.to_flag());
     match is_awaited || job.is_none() {
         true => {
             eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"");

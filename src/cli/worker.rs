@@ -6,5 +6,5 @@ use crate::app;
 use crate::config::WorkerConfig;
 
 pub async fn run(config: &WorkerConfig) -> anyhow::Result<()> {
-    serve::until_stopped(&config.serve, app::start_part(&config.serve, &config.into())).await
+    serve::until_stopped(&config.serve, app::start_role(&config.serve, &config.into())).await
 }

@@ -54,10 +54,10 @@ impl BlobsConfig {
     ///
     /// # Errors
     /// Returns an error if the credentials file cannot be read or has no keys.
-    pub fn home(&self) -> anyhow::Result<BlobHome> {
+    pub fn blob_home(&self) -> anyhow::Result<BlobHome> {
         let BlobsAt::Bucket(bucket) = &self.at else { return Ok(BlobHome::Folder) };
         for secret in ["AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN"] {
-            std::env::var(secret).iter().for_each(|secret| telemetry::hide(secret));
+            std::env::var(secret).iter().for_each(|secret| telemetry::register_secret(secret));
         }
         let keys = match &self.blobs_credentials_file {
             Some(file) => {
@@ -65,7 +65,7 @@ impl BlobsConfig {
                     .with_context(|| format!("the credentials file {file}"))?;
                 let profile = std::env::var("AWS_PROFILE").unwrap_or_else(|_| "default".into());
                 Some(
-                    keys_of(&text, &profile)
+                    parse_access_keys(&text, &profile)
                         .with_context(|| format!("the credentials file {file}"))?,
                 )
             }
@@ -82,7 +82,7 @@ impl BlobsConfig {
 }
 
 /// Returns the keys of a profile.
-fn keys_of(text: &str, profile: &str) -> anyhow::Result<AccessKeys> {
+fn parse_access_keys(text: &str, profile: &str) -> anyhow::Result<AccessKeys> {
     let (mut is_ours, mut id, mut secret, mut session) = (false, None, None, None);
     for line in text.lines().map(str::trim) {
         if let Some(section) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
@@ -97,7 +97,7 @@ fn keys_of(text: &str, profile: &str) -> anyhow::Result<AccessKeys> {
             }
         }
     }
-    secret.iter().chain(&session).for_each(|secret| telemetry::hide(secret));
+    secret.iter().chain(&session).for_each(|secret| telemetry::register_secret(secret));
     match (id, secret) {
         (Some(id), Some(secret)) => Ok(AccessKeys { id, secret, session }),
         _ => bail!("the profile [{profile}] has no aws_access_key_id and aws_secret_access_key"),
@@ -109,14 +109,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_are_those_of_the_profile() {
+    fn access_keys_come_from_the_profile() {
         let file = "[other]\naws_access_key_id = OTHER\n[default]\naws_access_key_id=MINE\naws_secret_access_key = se/cret+=\n";
-        let keys = keys_of(file, "default").unwrap();
+        let keys = parse_access_keys(file, "default").unwrap();
         assert_eq!(
             (keys.id.as_str(), keys.secret.as_str(), keys.session),
             ("MINE", "se/cret+=", None)
         );
-        let told = keys_of(file, "other").unwrap_err().to_string();
-        assert!(told.contains("[other]") && !told.contains("OTHER"), "{told}");
+        let error = parse_access_keys(file, "other").unwrap_err().to_string();
+        assert!(error.contains("[other]") && !error.contains("OTHER"), "{error}");
     }
 }

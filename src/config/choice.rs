@@ -19,7 +19,7 @@ const SEGMENTER_COST: &str =
 pub struct ChosenModels {
     pub models: Models,
     /// The chosen masks and encoder with the reasons, on one line.
-    pub told: String,
+    pub summary: String,
     /// Warnings about unusable bundles in the models folder.
     pub warnings: Vec<String>,
 }
@@ -35,7 +35,7 @@ enum ModelChoice<'a> {
 
 impl<'a> ModelChoice<'a> {
     /// Parses a flag. `own` is the name of the built-in component.
-    fn of(flag: &'a str, own: &str) -> Self {
+    fn parse(flag: &'a str, own: &str) -> Self {
         match flag {
             AUTO => Self::Auto,
             BUILTIN => Self::Builtin,
@@ -66,8 +66,10 @@ impl ModelsConfig {
     /// used.
     pub fn load(&self) -> anyhow::Result<ChosenModels> {
         let Self { masks, encoder, bundles } = self;
-        let (masks, encoder) =
-            (ModelChoice::of(masks, BUILTIN_MASKS), ModelChoice::of(encoder, BUILTIN_ENCODER));
+        let (masks, encoder) = (
+            ModelChoice::parse(masks, BUILTIN_MASKS),
+            ModelChoice::parse(encoder, BUILTIN_ENCODER),
+        );
         let mut choosing = ModelChooser {
             bundles,
             lying: Vec::new(),
@@ -76,15 +78,15 @@ impl ModelsConfig {
             warnings: Vec::new(),
         };
         if [masks, encoder].contains(&ModelChoice::Auto) {
-            choosing.look();
+            choosing.scan_bundles();
         }
         let is_named = [masks, encoder].iter().any(|wish| matches!(wish, ModelChoice::Named(_)));
-        let lies_there = (masks == ModelChoice::Auto && choosing.lies(Role::Masks))
-            || (encoder == ModelChoice::Auto && choosing.lies(Role::Encoder));
+        let lies_there = (masks == ModelChoice::Auto && choosing.is_installed(Role::Masks))
+            || (encoder == ModelChoice::Auto && choosing.is_installed(Role::Encoder));
         if is_named || lies_there {
             match bundles.engine() {
                 Ok(engine) => choosing.engine = Some(engine),
-                Err(error) if is_named || !bundles.is_usual() => return Err(error),
+                Err(error) if is_named || !bundles.is_default() => return Err(error),
                 Err(error) => choosing
                     .warnings
                     .push(format!("bundles in {} cannot be used: {error:#}", bundles.models)),
@@ -93,15 +95,19 @@ impl ModelsConfig {
         let masks = choosing.choose(Role::Masks, masks).context("--masks")?;
         let encoder = choosing.choose(Role::Encoder, encoder).context("--encoder")?;
         let ModelChooser { models, warnings, .. } = choosing;
-        Ok(ChosenModels { models, told: format!("masks: {masks}; encoder: {encoder}"), warnings })
+        Ok(ChosenModels {
+            models,
+            summary: format!("masks: {masks}; encoder: {encoder}"),
+            warnings,
+        })
     }
 
     /// Returns whether a bundle would be used if it were in the models folder.
     #[must_use]
-    pub fn wants(&self, role: Role, bundle: &str) -> bool {
+    pub fn is_wanted_bundle(&self, role: Role, bundle: &str) -> bool {
         let wish = match role {
-            Role::Masks => ModelChoice::of(&self.masks, BUILTIN_MASKS),
-            Role::Encoder => ModelChoice::of(&self.encoder, BUILTIN_ENCODER),
+            Role::Masks => ModelChoice::parse(&self.masks, BUILTIN_MASKS),
+            Role::Encoder => ModelChoice::parse(&self.encoder, BUILTIN_ENCODER),
         };
         match wish {
             ModelChoice::Auto => true,
@@ -122,7 +128,7 @@ struct ModelChooser<'a> {
 }
 
 impl ModelChooser<'_> {
-    fn look(&mut self) {
+    fn scan_bundles(&mut self) {
         let folder = &self.bundles.models;
         match list(folder) {
             Ok(lying) => self.lying = lying,
@@ -134,7 +140,7 @@ impl ModelChooser<'_> {
         self.warnings.extend(unreadable.filter_map(|bundle| bundle.problem.clone()));
     }
 
-    fn lies(&self, role: Role) -> bool {
+    fn is_installed(&self, role: Role) -> bool {
         self.lying.iter().any(|bundle| bundle.role == Some(role))
     }
 
@@ -147,16 +153,16 @@ impl ModelChooser<'_> {
                 let names: Vec<&str> =
                     if role == Role::Masks { names_of_masks.collect() } else { vec![names] };
                 for name in &names {
-                    self.models = self.with(role, &folder_of(name, &self.bundles.models))?;
+                    self.models = self.load_with(role, &folder_of(name, &self.bundles.models))?;
                 }
                 Ok(format!("{} (as configured)", names.join("+")))
             }
-            ModelChoice::Auto => Ok(self.choose_lying(role)),
+            ModelChoice::Auto => Ok(self.choose_first_working(role)),
         }
     }
 
     /// Chooses the first bundle by name that works.
-    fn choose_lying(&mut self, role: Role) -> String {
+    fn choose_first_working(&mut self, role: Role) -> String {
         let folder = &self.bundles.models;
         let candidates: Vec<BundleListing> =
             self.lying.iter().filter(|bundle| bundle.role == Some(role)).cloned().collect();
@@ -173,7 +179,7 @@ impl ModelChooser<'_> {
             return format!("built in ({names} found, but no runtime for it)");
         }
         for bundle in &candidates {
-            match self.with(role, &bundle.folder) {
+            match self.load_with(role, &bundle.folder) {
                 Ok(models) => {
                     self.models = models;
                     let on_cores = self.bundles.inference_url.is_none()
@@ -193,7 +199,7 @@ impl ModelChooser<'_> {
         format!("built in (unusable: {names})")
     }
 
-    fn with(&self, role: Role, folder: &camino::Utf8Path) -> anyhow::Result<Models> {
+    fn load_with(&self, role: Role, folder: &camino::Utf8Path) -> anyhow::Result<Models> {
         let engine = self.engine.as_deref().context("no runtime for neural networks")?;
         let models = self.models.clone();
         let loaded: Result<Models, ModelError> = match role {

@@ -85,7 +85,7 @@ impl Default for BundlesConfig {
 impl BundlesConfig {
     /// Returns whether no runtime option is set. A missing default library is then not an error.
     #[must_use]
-    pub fn is_usual(&self) -> bool {
+    pub fn is_default(&self) -> bool {
         let RuntimeConfig { onnxruntime_lib, provider, model_threads: _ } = &self.runtime;
         self.inference_url.is_none()
             && onnxruntime_lib.is_none()
@@ -99,7 +99,7 @@ impl BundlesConfig {
     pub fn engine(&self) -> anyhow::Result<Box<dyn Engine>> {
         Ok(match &self.inference_url {
             Some(url) => {
-                telemetry::hide_secrets_of(url);
+                telemetry::register_secrets_of_address(url);
                 ensure!(
                     reqwest::Url::parse(url).is_ok_and(|url| url.has_host()),
                     "--inference-url: invalid URL"

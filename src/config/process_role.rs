@@ -89,7 +89,7 @@ impl From<&WorkerConfig> for ProcessRole {
 impl ProcessRole {
     /// Returns whether other processes have to do the rest of the work.
     #[must_use]
-    pub fn needs_others(&self) -> bool {
+    pub fn requires_other_processes(&self) -> bool {
         !self.serves || self.works.is_empty()
     }
 }

@@ -20,11 +20,11 @@ const PIP_CONF: &str = "/etc/pip.conf";
 pub fn registries() -> anyhow::Result<Registries> {
     let environment = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let file = |path: &Utf8PathBuf| fs::read_to_string(path).ok();
-    told(&environment, &file)
+    resolve_registries(&environment, &file)
 }
 
 /// Finds the registries. `environment` looks up variables and `file` reads a file.
-fn told(
+fn resolve_registries(
     environment: &dyn Fn(&str) -> Option<String>,
     file: &dyn Fn(&Utf8PathBuf) -> Option<String>,
 ) -> anyhow::Result<Registries> {
@@ -54,8 +54,8 @@ fn told(
             files.iter().flatten().find_map(|path| Some((read(&file(path)?)?, path.to_string())))
         })
     };
-    let pypi = first(&["PIP_INDEX_URL"], &pip_files, &index_of_pip);
-    let npm = first(&["NPM_CONFIG_REGISTRY", "npm_config_registry"], &npm_files, &registry_of_npm);
+    let pypi = first(&["PIP_INDEX_URL"], &pip_files, &pip_index_url);
+    let npm = first(&["NPM_CONFIG_REGISTRY", "npm_config_registry"], &npm_files, &npm_registry_url);
     Ok(Registries {
         pypi: registry(
             pypi,
@@ -90,7 +90,7 @@ fn registry(
 }
 
 /// Returns `index-url` from the `global` section of a pip configuration.
-fn index_of_pip(text: &str) -> Option<String> {
+fn pip_index_url(text: &str) -> Option<String> {
     let mut section = "";
     for line in text.lines().map(str::trim) {
         if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
@@ -106,7 +106,7 @@ fn index_of_pip(text: &str) -> Option<String> {
 }
 
 /// Returns the value of the line `registry=`. Ignores all other lines.
-fn registry_of_npm(text: &str) -> Option<String> {
+fn npm_registry_url(text: &str) -> Option<String> {
     text.lines().find_map(|line| {
         let (key, value) = line.split_once('=')?;
         (key.trim() == "registry").then(|| value.trim().trim_matches(['"', '\'']).to_owned())
@@ -117,24 +117,28 @@ fn registry_of_npm(text: &str) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn told_by(variables: &[(&str, &str)], files: &[(&str, &str)]) -> anyhow::Result<[String; 2]> {
+    fn resolve_for_test(
+        variables: &[(&str, &str)],
+        files: &[(&str, &str)],
+    ) -> anyhow::Result<[String; 2]> {
         let of = |pairs: &[(&str, &str)], wanted: &str| {
             pairs.iter().find(|(name, _)| *name == wanted).map(|(_, value)| (*value).to_owned())
         };
-        let told = told(&|name| of(variables, name), &|path| of(files, path.as_str()))?;
+        let told =
+            resolve_registries(&|name| of(variables, name), &|path| of(files, path.as_str()))?;
         Ok([told.pypi.base.to_string(), told.npm.base.to_string()])
     }
 
     #[test]
-    fn without_a_word_the_public_registries_are_asked() {
+    fn public_registries_are_the_default() {
         assert_eq!(
-            told_by(&[], &[]).unwrap(),
+            resolve_for_test(&[], &[]).unwrap(),
             ["https://pypi.org/simple", "https://registry.npmjs.org/"]
         );
     }
 
     #[test]
-    fn variables_come_before_files_and_files_nearer_by_before_those_of_the_machine() {
+    fn variables_override_files_and_user_files_override_system_files() {
         let files = [
             (
                 "/home/me/.config/pip/pip.conf",
@@ -148,10 +152,10 @@ mod tests {
         ];
         let home = ("HOME", "/home/me");
         assert_eq!(
-            told_by(&[home], &files).unwrap(),
+            resolve_for_test(&[home], &files).unwrap(),
             ["https://user.example/simple", "https://npm.example/"]
         );
-        let nobody = told_by(&[], &files).unwrap();
+        let nobody = resolve_for_test(&[], &files).unwrap();
         assert_eq!(nobody, ["https://machine.example/simple", "https://registry.npmjs.org/"]);
         let variables = [
             home,
@@ -159,14 +163,15 @@ mod tests {
             ("npm_config_registry", "https://b.example"),
         ];
         assert_eq!(
-            told_by(&variables, &files).unwrap(),
+            resolve_for_test(&variables, &files).unwrap(),
             ["https://a.example/simple", "https://b.example/"]
         );
     }
 
     #[test]
-    fn what_is_no_address_is_told_without_being_shown() {
-        let error = told_by(&[("PIP_INDEX_URL", "me:secret@host")], &[]).unwrap_err().to_string();
+    fn invalid_addresses_are_reported_without_being_shown() {
+        let error =
+            resolve_for_test(&[("PIP_INDEX_URL", "me:secret@host")], &[]).unwrap_err().to_string();
         assert!(error.contains("PIP_INDEX_URL") && !error.contains("secret"), "{error}");
     }
 }

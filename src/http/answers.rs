@@ -4,7 +4,7 @@ use super::App;
 use super::Binary;
 use super::batches::media_type_of;
 use super::extract::{Path, Query};
-use super::paging::checked;
+use super::paging::validate;
 use super::problem::ProblemResponse;
 use super::problems;
 use axum::Json;
@@ -70,8 +70,8 @@ pub async fn list(
         scene_id,
         batch_id,
         status: status.and_then(|word| word.as_str().map(str::to_owned)),
-        since: time("since", since)?,
-        until: time("until", until)?,
+        since: parse_time("since", since)?,
+        until: parse_time("until", until)?,
     };
     if let Some(format) = format {
         if limit.is_some() || cursor.is_some() {
@@ -89,12 +89,12 @@ pub async fn list(
         return Ok(([(header::CONTENT_TYPE, media_type_of(format))], Body::from_stream(lines))
             .into_response());
     }
-    let (limit, cursor) = checked(limit.unwrap_or(super::paging::DEFAULT_LIMIT), cursor)?;
+    let (limit, cursor) = validate(limit.unwrap_or(super::paging::DEFAULT_LIMIT), cursor)?;
     let page = app.services.answers.answers(&filter, limit, cursor.as_deref()).await?;
     Ok(([(header::CONTENT_TYPE, "application/json")], page).into_response())
 }
 
-fn time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Error> {
+fn parse_time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Error> {
     let time = text.map(|text| text.parse()).transpose();
     time.map_err(|_| Error::invalid(parameter, "must be a time like 2026-11-22T18:00:00Z"))
 }

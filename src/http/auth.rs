@@ -19,13 +19,13 @@ pub(super) const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("rateli
 /// Checks that the caller may use the route, and records requests that change data in the audit
 /// log.
 pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
-    let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
-    let link = take_link(request.uri_mut());
-    let (keys, shown) = (&app.services.keyring, bearer(request.headers()));
+    let Some(wanted) = app.scopes.required_scope(&request) else { return next.run(request).await };
+    let link = remove_link_token(request.uri_mut());
+    let (keys, shown) = (&app.services.keyring, bearer_token(request.headers()));
     // A signed link replaces a missing key for reading only. It must not allow questions, which may
     // cost money.
     let caller = match &link {
-        Some(link) if shown.is_none() && keys.is_wanted() && request.method().is_safe() => {
+        Some(link) if shown.is_none() && keys.has_keys() && request.method().is_safe() => {
             keys.caller_of_link(link, request.uri().path(), Timestamp::now())
         }
         _ => keys.caller(shown),
@@ -37,9 +37,11 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     let allowance = match &caller.key {
         Some(key) => {
             app.services.keyring.note_use(key);
-            match app.services.keyring.count(key).await {
+            match app.services.keyring.count_request(key).await {
                 Ok(allowance) => allowance,
-                Err((wait_s, allowance)) => return limited(too_fast(wait_s), Some(allowance)),
+                Err((wait_s, allowance)) => {
+                    return with_rate_limit_headers(too_many_requests(wait_s), Some(allowance));
+                }
             }
         }
         None => None,
@@ -50,7 +52,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
             caller.scope.word(),
             wanted.word()
         );
-        return limited(
+        return with_rate_limit_headers(
             ProblemResponse::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(),
             allowance,
         );
@@ -58,22 +60,22 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     // Requests with a scope above read change data or return admin data. Creating links is recorded
     // too, because links give access to others.
     let is_noted = wanted > Scope::Read || request.uri().path() == "/v1/links";
-    let noting = (is_noted && !request.method().is_safe()).then(|| {
+    let begin_audit = (is_noted && !request.method().is_safe()).then(|| {
         let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
         let done =
             AuditedRequest { method, path, status: 0, request_id: request_id(request.headers()) };
-        app.services.keyring.noting(caller.clone(), done)
+        app.services.keyring.begin_audit(caller.clone(), done)
     });
     request.extensions_mut().insert(caller);
     let response = next.run(request).await;
-    if let Some(noting) = noting {
-        noting.answered(response.status().as_u16()).await;
+    if let Some(begin_audit) = begin_audit {
+        begin_audit.record_status(response.status().as_u16()).await;
     }
-    limited(response, allowance)
+    with_rate_limit_headers(response, allowance)
 }
 
 /// Removes the link token from the query and returns it.
-fn take_link(uri: &mut Uri) -> Option<String> {
+fn remove_link_token(uri: &mut Uri) -> Option<String> {
     let query = uri.query()?;
     let is_link =
         |pair: &&str| pair.split_once('=').is_some_and(|(name, _)| name == LINK_PARAMETER);
@@ -89,7 +91,7 @@ fn take_link(uri: &mut Uri) -> Option<String> {
 }
 
 /// Returns the bearer token of the request.
-fn bearer(headers: &HeaderMap) -> Option<&str> {
+fn bearer_token(headers: &HeaderMap) -> Option<&str> {
     let shown = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
     let (scheme, token) = shown.split_once(' ')?;
     scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
@@ -103,7 +105,7 @@ fn unauthorized(denied: KeyRejection) -> Response {
         KeyRejection::Expired => "this key has expired",
         KeyRejection::Revoked => "this key was revoked",
         KeyRejection::BadLink => "this link was not signed by this server, or covers another path",
-        KeyRejection::LinkOver => "this link has expired: create another with POST /v1/links",
+        KeyRejection::LinkExpired => "this link has expired: create another with POST /v1/links",
     };
     let mut refused =
         ProblemResponse::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
@@ -111,18 +113,18 @@ fn unauthorized(denied: KeyRejection) -> Response {
     refused
 }
 
-fn too_fast(wait_s: u64) -> Response {
+fn too_many_requests(wait_s: u64) -> Response {
     ProblemResponse::new(
         StatusCode::TOO_MANY_REQUESTS,
         "rate_limited",
         format!("this key has reached its rate limit: try again in {wait_s} s"),
     )
-    .after(u32::try_from(wait_s).unwrap_or(u32::MAX))
+    .retry_after(u32::try_from(wait_s).unwrap_or(u32::MAX))
     .into_response()
 }
 
 /// Adds the remaining requests of the key to the response.
-fn limited(mut response: Response, allowance: Option<RateLimitStatus>) -> Response {
+fn with_rate_limit_headers(mut response: Response, allowance: Option<RateLimitStatus>) -> Response {
     if let Some(RateLimitStatus { per_minute, left, reset_s }) = allowance {
         let told = [
             (RATE_LIMIT_POLICY, format!("\"key\";q={per_minute};w=60")),
@@ -140,7 +142,7 @@ fn limited(mut response: Response, allowance: Option<RateLimitStatus>) -> Respon
 /// Returns the scopes of all routes.
 #[must_use]
 pub fn scopes() -> Scopes {
-    Scopes::of(&super::openapi())
+    Scopes::from_description(&super::openapi())
 }
 
 /// The caller of a request, for handlers.

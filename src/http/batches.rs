@@ -97,7 +97,7 @@ pub async fn create(
                 ));
             }
             let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
-            let (submission, items) = Submission::of(request, idempotency_key);
+            let (submission, items) = Submission::from_request(request, idempotency_key);
             app.services
                 .batches
                 .create_batch(submission, BatchBody::<BodyDataStream>::Items(items), &caller)
@@ -129,7 +129,7 @@ pub async fn list(
     State(app): State<App>,
     Query(page): Query<Page>,
 ) -> Result<axum::Json<BatchList>, ProblemResponse> {
-    let (limit, cursor) = page.checked()?;
+    let (limit, cursor) = page.validate()?;
     Ok(axum::Json(app.services.batches.batches(limit, cursor.as_deref()).await?))
 }
 

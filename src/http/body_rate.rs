@@ -41,7 +41,7 @@ struct MinimumRate {
 }
 
 /// The rule for bodies that are read as a whole, a megabyte at most.
-const WHOLE: MinimumRate = MinimumRate {
+const WHOLE_BODY_RATE: MinimumRate = MinimumRate {
     silence: Duration::from_secs(20),
     grace: Duration::from_secs(20),
     bytes_per_s: None,
@@ -49,7 +49,7 @@ const WHOLE: MinimumRate = MinimumRate {
 };
 /// The rule for uploads and lists of questions. An upload that takes longer than a day has to be
 /// sent in parts (`/v1/uploads`), each a body of its own.
-const STREAM: MinimumRate = MinimumRate {
+const STREAM_RATE: MinimumRate = MinimumRate {
     silence: Duration::from_secs(20),
     grace: Duration::from_secs(30),
     bytes_per_s: Some(1 << 10),
@@ -58,7 +58,7 @@ const STREAM: MinimumRate = MinimumRate {
 
 impl MinimumRate {
     /// Returns the rule for a route and a content type.
-    fn of(route: &str, content_type: &str) -> Self {
+    fn for_route(route: &str, content_type: &str) -> Self {
         // Not "application/jsonl", which is streamed.
         let is_json = || {
             content_type
@@ -69,21 +69,21 @@ impl MinimumRate {
                 .eq_ignore_ascii_case("application/json")
         };
         match STREAMED.contains(&route) || (route == STREAMED_UNLESS_JSON && !is_json()) {
-            true => STREAM,
-            false => WHOLE,
+            true => STREAM_RATE,
+            false => WHOLE_BODY_RATE,
         }
     }
 
     /// Returns how much longer the server waits for the next piece, after it has waited `waited`
     /// for the `received` bytes so far.
-    fn patience(&self, received: u64, waited: Duration) -> Duration {
+    fn time_left(&self, received: u64, waited: Duration) -> Duration {
         let earned =
             self.bytes_per_s.map_or(Duration::ZERO, |rate| Duration::from_secs(received / rate));
         let most = earned.max(self.grace).min(self.total);
         most.saturating_sub(waited).min(self.silence)
     }
 
-    fn refusal(&self) -> ProblemResponse {
+    fn timeout_problem(&self) -> ProblemResponse {
         if let Some(bytes_per_s) = self.bytes_per_s {
             Error::UploadTooSlow { bytes_per_s, silence_s: self.silence.as_secs() }.into()
         } else {
@@ -98,7 +98,7 @@ pub async fn limit(request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
     let content_type =
         request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
-    let rate = MinimumRate::of(route, content_type.unwrap_or_default());
+    let rate = MinimumRate::for_route(route, content_type.unwrap_or_default());
     limit_to(rate, request, next).await
 }
 
@@ -123,7 +123,7 @@ fn too_slow(rate: &MinimumRate, made: Response) -> Response {
         // The handler had what it needed.
         status if status.is_success() => made,
         _ => {
-            let mut refused = rate.refusal().into_response();
+            let mut refused = rate.timeout_problem().into_response();
             for (name, value) in made.headers() {
                 if !refused.headers().contains_key(name) && *name != header::CONTENT_LENGTH {
                     refused.headers_mut().append(name, value.clone());
@@ -182,7 +182,7 @@ impl HttpBody for LimitedBody {
             return Poll::Ready(frame);
         }
         if let Some((received, waited)) = this.progress.wait() {
-            this.timer.as_mut().reset(Instant::now() + this.rate.patience(received, waited));
+            this.timer.as_mut().reset(Instant::now() + this.rate.time_left(received, waited));
         }
         match this.timer.as_mut().poll(context) {
             Poll::Ready(()) => {
@@ -220,7 +220,7 @@ mod tests {
     use tower::ServiceExt;
     use uniground_types::problem::Problem;
 
-    const QUICK: MinimumRate = MinimumRate {
+    const FAST_RATE: MinimumRate = MinimumRate {
         silence: Duration::from_millis(200),
         grace: Duration::from_millis(400),
         bytes_per_s: None,
@@ -247,11 +247,11 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_body_that_drips_or_stops_is_answered_with_408_and_its_connection_closed() {
+    async fn slow_or_stalled_bodies_get_408_and_close_the_connection() {
         for (what, apart) in
             [("it drips", Duration::from_millis(20)), ("it stops", Duration::from_hours(1))]
         {
-            let response = answer(QUICK, usize::MAX, apart).await;
+            let response = answer(FAST_RATE, usize::MAX, apart).await;
             assert_eq!(response.status(), StatusCode::REQUEST_TIMEOUT, "{what}");
             assert_eq!(response.headers()[header::CONNECTION], "close", "{what}");
             assert_eq!(response.headers()["location"], "/here", "{what}");
@@ -259,14 +259,14 @@ mod tests {
                 response.extensions().get::<Problem>().map(|problem| problem.code.as_str());
             assert_eq!(problem, Some("body_too_slow"), "{what}");
         }
-        let streamed = MinimumRate { bytes_per_s: Some(1 << 10), ..QUICK };
+        let streamed = MinimumRate { bytes_per_s: Some(1 << 10), ..FAST_RATE };
         let response = answer(streamed, usize::MAX, Duration::from_millis(20)).await;
         assert_eq!(response.extensions().get::<Problem>().unwrap().code, "upload_too_slow");
     }
 
     #[tokio::test]
-    async fn a_body_that_comes_in_time_is_read() {
-        let response = answer(QUICK, 5, Duration::from_millis(1)).await;
+    async fn a_body_that_arrives_in_time_is_read() {
+        let response = answer(FAST_RATE, 5, Duration::from_millis(1)).await;
         assert_eq!(
             (response.status(), response.headers().get(header::CONNECTION)),
             (StatusCode::OK, None)
@@ -289,12 +289,12 @@ mod tests {
             (1 << 40, s(86_400), s(0)),
         ] {
             assert_eq!(
-                STREAM.patience(received, waited),
+                STREAM_RATE.time_left(received, waited),
                 patience,
                 "{received} bytes in {waited:?}"
             );
         }
-        assert_eq!(WHOLE.patience(1 << 20, s(19)), s(1));
+        assert_eq!(WHOLE_BODY_RATE.time_left(1 << 20, s(19)), s(1));
     }
 
     #[test]
@@ -312,13 +312,13 @@ mod tests {
             ("/mcp", "application/json", false),
             ("", "", false),
         ] {
-            let rate = MinimumRate::of(route, content_type);
+            let rate = MinimumRate::for_route(route, content_type);
             assert_eq!(rate.bytes_per_s.is_some(), is_streamed, "{route} as {content_type}");
         }
     }
 
     #[test]
-    fn streamed_routes_are_routes() {
+    fn streamed_routes_exist() {
         let known = super::super::openapi().paths.paths;
         for route in STREAMED.into_iter().chain([STREAMED_UNLESS_JSON]) {
             assert!(known.contains_key(route), "{route}");

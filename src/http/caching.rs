@@ -17,27 +17,27 @@ use uniground_service::FileDownload;
 use uniground_service::error::Error;
 
 /// Private cache with revalidation.
-const ASK_AGAIN: HeaderValue = HeaderValue::from_static("private, no-cache");
+const REVALIDATE: HeaderValue = HeaderValue::from_static("private, no-cache");
 /// Maximum size of bodies that this layer hashes. Files have their own ETags.
-const MOST_BYTES: u64 = 2 << 20;
+const MAX_ETAG_BYTES: u64 = 2 << 20;
 
 /// Sends a stored file, the part requested by `Range`, or 304 for a matching `If-None-Match`.
 pub async fn send_file(
     path: &Utf8Path,
     media_type: &'static str,
-    asked: &HeaderMap,
+    request_headers: &HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let serve = async |names: &[HeaderName]| {
         let mut request = Request::new(Body::empty());
         for name in names {
             request
                 .headers_mut()
-                .extend(asked.get(name).map(|value| (name.clone(), value.clone())));
+                .extend(request_headers.get(name).map(|value| (name.clone(), value.clone())));
         }
         let Ok(served) = ServeFile::new(path).oneshot(request).await;
         served
     };
-    let is_same = match asked.get(header::IF_RANGE) {
+    let is_same = match request_headers.get(header::IF_RANGE) {
         Some(mark) => serve(&[]).await.headers().get(header::ETAG) == Some(mark),
         None => true,
     };
@@ -51,7 +51,7 @@ pub async fn send_file(
     }
     let mut response = served.map(Body::new);
     response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(media_type));
-    response.headers_mut().insert(header::CACHE_CONTROL, ASK_AGAIN);
+    response.headers_mut().insert(header::CACHE_CONTROL, REVALIDATE);
     Ok(response)
 }
 
@@ -60,11 +60,11 @@ pub async fn send_file(
 pub async fn send_download(
     file: FileDownload,
     media_type: &'static str,
-    asked: &HeaderMap,
+    request_headers: &HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     match file {
-        FileDownload::Here(file) => send_file(&file, media_type, asked).await,
-        FileDownload::There(link) => {
+        FileDownload::Local(file) => send_file(&file, media_type, request_headers).await,
+        FileDownload::Redirect(link) => {
             let headers = [(header::LOCATION, link.as_str()), (header::CACHE_CONTROL, "no-store")];
             Ok((StatusCode::TEMPORARY_REDIRECT, headers).into_response())
         }
@@ -76,15 +76,15 @@ pub fn send_bytes(
     bytes: Vec<u8>,
     fingerprint: &str,
     media_type: &'static str,
-    asked: &HeaderMap,
+    request_headers: &HeaderMap,
 ) -> Response {
     let etag = format!("\"{fingerprint}\"");
-    let known = asked.get(header::IF_NONE_MATCH).and_then(|known| known.to_str().ok());
-    let mut response = match known.is_some_and(|known| names(known, &etag)) {
+    let known = request_headers.get(header::IF_NONE_MATCH).and_then(|known| known.to_str().ok());
+    let mut response = match known.is_some_and(|known| etag_matches(known, &etag)) {
         true => StatusCode::NOT_MODIFIED.into_response(),
         false => ([(header::CONTENT_TYPE, media_type)], bytes).into_response(),
     };
-    response.headers_mut().insert(header::CACHE_CONTROL, ASK_AGAIN);
+    response.headers_mut().insert(header::CACHE_CONTROL, REVALIDATE);
     if let Ok(etag) = HeaderValue::from_str(&etag) {
         response.headers_mut().insert(header::ETAG, etag);
     }
@@ -93,28 +93,28 @@ pub fn send_bytes(
 
 /// Adds an ETag to small responses of read requests, and returns 304 if the client has the same
 /// bytes.
-pub async fn mark(request: Request, next: Next) -> Response {
+pub async fn add_etag(request: Request, next: Next) -> Response {
     let is_read = request.method() == Method::GET;
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let response = next.run(request).await;
-    let is_small = response.body().size_hint().exact().is_some_and(|bytes| bytes <= MOST_BYTES);
+    let is_small = response.body().size_hint().exact().is_some_and(|bytes| bytes <= MAX_ETAG_BYTES);
     let is_marked = response.headers().contains_key(header::ETAG)
         || response.headers().contains_key(header::CACHE_CONTROL);
     if !is_read || response.status() != StatusCode::OK || !is_small || is_marked {
         return response;
     }
     let (mut parts, body) = response.into_parts();
-    let Ok(bytes) = to_bytes(body, MOST_BYTES as usize).await else {
+    let Ok(bytes) = to_bytes(body, MAX_ETAG_BYTES as usize).await else {
         return ProblemResponse::internal().into_response();
     };
     let hash: String =
         Sha256::digest(&bytes).iter().take(12).map(|byte| format!("{byte:02x}")).collect();
     let etag = format!("W/\"{hash}\"");
-    parts.headers.insert(header::CACHE_CONTROL, ASK_AGAIN);
+    parts.headers.insert(header::CACHE_CONTROL, REVALIDATE);
     let is_known = known
         .as_ref()
         .and_then(|known| known.to_str().ok())
-        .is_some_and(|known| names(known, &etag));
+        .is_some_and(|known| etag_matches(known, &etag));
     if let Ok(etag) = HeaderValue::from_str(&etag) {
         parts.headers.insert(header::ETAG, etag);
     }
@@ -127,7 +127,7 @@ pub async fn mark(request: Request, next: Next) -> Response {
 }
 
 /// Returns whether `If-None-Match` contains an ETag.
-fn names(known: &str, etag: &str) -> bool {
+fn etag_matches(known: &str, etag: &str) -> bool {
     known.trim() == "*"
         || known
             .split(',')
@@ -135,7 +135,7 @@ fn names(known: &str, etag: &str) -> bool {
 }
 
 /// Makes ETags of compressed responses weak, because their bytes differ from the file's.
-pub async fn weaken(mut response: Response) -> Response {
+pub async fn weaken_etag(mut response: Response) -> Response {
     let headers = response.headers_mut();
     let strong = headers
         .get(header::ETAG)
@@ -153,12 +153,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn marks_are_compared_weakly() {
+    fn etags_are_compared_weakly() {
         assert!(
-            names("W/\"a\"", "W/\"a\"")
-                && names("\"b\", \"a\"", "W/\"a\"")
-                && names("*", "W/\"a\"")
+            etag_matches("W/\"a\"", "W/\"a\"")
+                && etag_matches("\"b\", \"a\"", "W/\"a\"")
+                && etag_matches("*", "W/\"a\"")
         );
-        assert!(!names("\"b\"", "W/\"a\"") && !names("", "W/\"a\""));
+        assert!(!etag_matches("\"b\"", "W/\"a\"") && !etag_matches("", "W/\"a\""));
     }
 }

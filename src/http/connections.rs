@@ -53,14 +53,14 @@ pub async fn serve(
             () = shutdown.cancelled() => break,
         };
         match accepted {
-            Ok((stream, _)) => match places.enter() {
-                Some(place) => drop(tokio::spawn(connection(
+            Ok((stream, _)) => match places.try_enter() {
+                Some(place) => drop(tokio::spawn(handle_connection(
                     stream,
                     router.clone(),
                     place,
                     graceful.watcher(),
                 ))),
-                None => drop(tokio::spawn(turn_away(stream, metrics.clone()))),
+                None => drop(tokio::spawn(reject_connection(stream, metrics.clone()))),
             },
             // For example, the process is out of file descriptors. Connections that end free some.
             Err(error) => {
@@ -73,7 +73,7 @@ pub async fn serve(
     graceful.shutdown().await;
 }
 
-async fn connection(
+async fn handle_connection(
     stream: TcpStream,
     router: Router,
     place: ConnectionSlot,
@@ -86,7 +86,7 @@ async fn connection(
     let (close, place) = (place.close.clone(), Arc::new(place));
     let service = service_fn(move |request: Request<hyper::body::Incoming>| {
         let (router, busy, mut request) =
-            (router.clone(), ActiveRequest::of(&place), request.map(Body::new));
+            (router.clone(), ActiveRequest::new(&place), request.map(Body::new));
         request.extensions_mut().insert(place.body.clone());
         async move {
             let response = router.oneshot(request).await;
@@ -107,9 +107,9 @@ async fn connection(
 }
 
 /// Answers a rejected connection with 503.
-async fn turn_away(mut stream: TcpStream, metrics: Arc<Metrics>) {
+async fn reject_connection(mut stream: TcpStream, metrics: Arc<Metrics>) {
     metrics.requests.connections_refused.inc();
-    let body = ProblemResponse::no_connection().body();
+    let body = ProblemResponse::too_many_connections().body();
     let response = format!(
         "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{body}",
         body.len()
@@ -173,19 +173,19 @@ struct BodyArrival {
 }
 
 impl BodyProgress {
-    fn arrived(&self) -> MutexGuard<'_, BodyArrival> {
+    fn lock_arrival(&self) -> MutexGuard<'_, BodyArrival> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Starts over with the body of another request.
     pub fn begin(&self) {
-        *self.arrived() = BodyArrival::default();
+        *self.lock_arrival() = BodyArrival::default();
     }
 
     /// Records that the server waits for the client from now on. Returns the bytes received so far
     /// and the time spent waiting for them; `None` if it was waiting already.
     pub fn wait(&self) -> Option<(u64, Duration)> {
-        let mut arrived = self.arrived();
+        let mut arrived = self.lock_arrival();
         if arrived.waiting_since.is_some() {
             return None;
         }
@@ -195,7 +195,7 @@ impl BodyProgress {
 
     /// Records that more bytes were received.
     pub fn received(&self, bytes: u64) {
-        let mut arrived = self.arrived();
+        let mut arrived = self.lock_arrival();
         arrived.bytes += bytes;
         if let Some(since) = arrived.waiting_since.take() {
             arrived.waited += since.elapsed();
@@ -204,13 +204,13 @@ impl BodyProgress {
 
     /// Records that the server waits for no more of this body.
     pub fn end(&self) {
-        self.arrived().waiting_since = None;
+        self.lock_arrival().waiting_since = None;
     }
 
     /// Returns how far the client lags behind [`EXPECTED_BYTES_PER_S`]. `None` if it does not lag,
     /// or if the server does not wait for it.
     fn lag(&self, now: Instant) -> Option<Duration> {
-        let arrived = self.arrived();
+        let arrived = self.lock_arrival();
         let waited = arrived.waited + now.saturating_duration_since(arrived.waiting_since?);
         waited
             .checked_sub(Duration::from_millis(
@@ -225,14 +225,14 @@ impl ConnectionLimiter {
         Self { most, taken: Arc::default(), next: Arc::default(), metrics }
     }
 
-    fn taken(&self) -> MutexGuard<'_, BTreeMap<u64, ConnectionState>> {
+    fn lock_connections(&self) -> MutexGuard<'_, BTreeMap<u64, ConnectionState>> {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes a slot. If all are taken, closes the connection that has kept the server waiting
     /// longest. Returns `None` if all connections have running requests.
-    fn enter(&self) -> Option<ConnectionSlot> {
-        let (mut taken, now) = (self.taken(), Instant::now());
+    fn try_enter(&self) -> Option<ConnectionSlot> {
+        let (mut taken, now) = (self.lock_connections(), Instant::now());
         if taken.len() >= self.most {
             let slowest = taken
                 .iter()
@@ -255,7 +255,7 @@ impl ConnectionLimiter {
 
 impl Drop for ConnectionSlot {
     fn drop(&mut self) {
-        let mut taken = self.places.taken();
+        let mut taken = self.places.lock_connections();
         taken.remove(&self.number);
         self.places.metrics.requests.connections.set(taken.len() as i64);
     }
@@ -265,8 +265,8 @@ impl Drop for ConnectionSlot {
 struct ActiveRequest(Arc<ConnectionSlot>);
 
 impl ActiveRequest {
-    fn of(place: &Arc<ConnectionSlot>) -> Self {
-        if let Some(taken) = place.places.taken().get_mut(&place.number) {
+    fn new(place: &Arc<ConnectionSlot>) -> Self {
+        if let Some(taken) = place.places.lock_connections().get_mut(&place.number) {
             taken.busy += 1;
         }
         Self(place.clone())
@@ -275,7 +275,7 @@ impl ActiveRequest {
 
 impl Drop for ActiveRequest {
     fn drop(&mut self) {
-        if let Some(taken) = self.0.places.taken().get_mut(&self.0.number) {
+        if let Some(taken) = self.0.places.lock_connections().get_mut(&self.0.number) {
             taken.busy -= 1;
             taken.idle_since = Instant::now();
         }
@@ -313,27 +313,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_longest_idle_leaves_and_who_works_stays() {
+    fn the_longest_idle_connection_is_closed_and_active_ones_stay() {
         let places = ConnectionLimiter::new(2, Arc::default());
         let (first, second) =
-            (Arc::new(places.enter().unwrap()), Arc::new(places.enter().unwrap()));
-        let working = ActiveRequest::of(&first);
-        let third = places.enter().unwrap();
+            (Arc::new(places.try_enter().unwrap()), Arc::new(places.try_enter().unwrap()));
+        let working = ActiveRequest::new(&first);
+        let third = places.try_enter().unwrap();
         assert!(second.close.is_cancelled() && !first.close.is_cancelled());
         let third = Arc::new(third);
-        let also = ActiveRequest::of(&third);
-        assert!(places.enter().is_none(), "all have work under way");
+        let also = ActiveRequest::new(&third);
+        assert!(places.try_enter().is_none(), "all have work under way");
         drop((working, also));
-        assert!(places.enter().is_some() && first.close.is_cancelled());
+        assert!(places.try_enter().is_some() && first.close.is_cancelled());
         drop(second);
-        assert_eq!(places.taken().len(), 1, "the last newcomer has left, the third is there");
+        assert_eq!(
+            places.lock_connections().len(),
+            1,
+            "the last newcomer has left, the third is there"
+        );
     }
 
     #[test]
-    fn a_client_that_sends_its_body_slowly_leaves_before_one_that_waits_for_its_answer() {
+    fn slow_senders_are_closed_before_clients_that_wait_for_an_answer() {
         let places = ConnectionLimiter::new(3, Arc::default());
-        let [answered, quick, slow] = [(); 3].map(|()| Arc::new(places.enter().unwrap()));
-        let _busy = [&answered, &quick, &slow].map(ActiveRequest::of);
+        let [answered, quick, slow] = [(); 3].map(|()| Arc::new(places.try_enter().unwrap()));
+        let _busy = [&answered, &quick, &slow].map(ActiveRequest::new);
         for (place, bytes) in [(&quick, 100 << 20), (&slow, 1)] {
             place.body.begin();
             place.body.received(bytes);
@@ -342,16 +346,16 @@ mod tests {
         }
         let is_closed = |place: &ConnectionSlot| place.close.is_cancelled();
         std::thread::sleep(Duration::from_millis(2));
-        let newcomer = Arc::new(places.enter().unwrap());
+        let newcomer = Arc::new(places.try_enter().unwrap());
         assert!(is_closed(&slow) && !is_closed(&quick) && !is_closed(&answered));
-        let _busy = ActiveRequest::of(&newcomer);
-        assert!(places.enter().is_none(), "nobody else keeps the server waiting");
+        let _busy = ActiveRequest::new(&newcomer);
+        assert!(places.try_enter().is_none(), "nobody else keeps the server waiting");
     }
 
     #[test]
-    fn a_client_is_behind_by_what_it_would_have_sent() {
+    fn lag_is_measured_against_the_expected_rate() {
         let (progress, s, start) = (BodyProgress::default(), Duration::from_secs, Instant::now());
-        *progress.arrived() = BodyArrival {
+        *progress.lock_arrival() = BodyArrival {
             bytes: 10 * EXPECTED_BYTES_PER_S,
             waited: s(8),
             waiting_since: Some(start),

@@ -34,12 +34,12 @@ use utoipa::openapi::{Content, Header, Ref, RefOr, Response, ResponseBuilder, Sc
 pub struct Description;
 
 /// Maximum number of entries of any list: the questions of a batch.
-const MOST_ITEMS: usize = 1_000_000;
+const MAX_ITEMS: usize = 1_000_000;
 const PROBLEM: &str = "application/problem+json";
 const FILE: &str = "application/octet-stream";
 
 /// Returns the description of a status with an example problem. Operations may override it.
-fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static str)>)> {
+fn status_meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static str)>)> {
     let problem = |description, code, detail| Some((description, Some((code, detail))));
     match status {
         "200" => Some(("Success", None)),
@@ -153,7 +153,7 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
 
 /// Adds what the attributes of operations omit: descriptions and examples of statuses, and the
 /// statuses that any request may get.
-pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
+pub fn complete_description(openapi: &mut utoipa::openapi::OpenApi) {
     for (path, item) in &mut openapi.paths.paths {
         let PathItem { get, post, patch, delete, head, options, .. } = item;
         // Responses with headers only are never 304.
@@ -173,7 +173,7 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
                         parameter.description = Some(text.into());
                     }
                 }
-                may_meet(operation, path, changes);
+                add_common_responses(operation, path, changes);
                 operation
                     .responses
                     .responses
@@ -189,12 +189,12 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
     for schema in
         openapi.components.iter_mut().flat_map(|components| components.schemas.values_mut())
     {
-        bound(schema);
+        bound_list(schema);
     }
 }
 
 /// Adds the responses that any request may get.
-fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
+fn add_common_responses(operation: &mut Operation, path: &str, changes: bool) {
     let responses = &mut operation.responses.responses;
     let sends_file = match responses.get("200") {
         // Responses in several formats are generated on request, without ranges.
@@ -229,7 +229,8 @@ fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
 }
 
 fn describe(status: &str, response: &mut RefOr<Response>) {
-    let (RefOr::T(response), Some((description, example))) = (response, meaning(status)) else {
+    let (RefOr::T(response), Some((description, example))) = (response, status_meaning(status))
+    else {
         return;
     };
     if response.description.is_empty() {
@@ -253,16 +254,16 @@ fn describe(status: &str, response: &mut RefOr<Response>) {
 }
 
 /// Sets a maximum length for all lists.
-fn bound(schema: &mut RefOr<Schema>) {
+fn bound_list(schema: &mut RefOr<Schema>) {
     let RefOr::T(schema) = schema else { return };
     match schema {
         Schema::Array(array) => {
-            array.max_items.get_or_insert(MOST_ITEMS);
+            array.max_items.get_or_insert(MAX_ITEMS);
         }
-        Schema::Object(object) => object.properties.values_mut().for_each(bound),
-        Schema::OneOf(one_of) => one_of.items.iter_mut().for_each(bound),
-        Schema::AllOf(all_of) => all_of.items.iter_mut().for_each(bound),
-        Schema::AnyOf(any_of) => any_of.items.iter_mut().for_each(bound),
+        Schema::Object(object) => object.properties.values_mut().for_each(bound_list),
+        Schema::OneOf(one_of) => one_of.items.iter_mut().for_each(bound_list),
+        Schema::AllOf(all_of) => all_of.items.iter_mut().for_each(bound_list),
+        Schema::AnyOf(any_of) => any_of.items.iter_mut().for_each(bound_list),
         _ => {}
     }
 }

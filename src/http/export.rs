@@ -51,11 +51,11 @@ pub async fn export(
     State(app): State<App>,
     ScenePath(scene_id): ScenePath<String>,
     Query(ExportParameters { format, points }): Query<ExportParameters>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let ExportFile { name, bytes, fingerprint } =
         app.services.exports.export(&scene_id, format, points).await?;
-    let mut response = send_bytes(bytes, &fingerprint, format.media_type(), &asked);
+    let mut response = send_bytes(bytes, &fingerprint, format.media_type(), &request_headers);
     if let Ok(named) = HeaderValue::from_str(&format!("attachment; filename=\"{name}\"")) {
         response.headers_mut().insert(header::CONTENT_DISPOSITION, named);
     }

@@ -39,7 +39,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
                 format!("a JSON body must have at most {MAX_JSON_BYTES} bytes"),
             )
         })?;
-        if holds_nul(&bytes) {
+        if contains_nul(&bytes) {
             return Err(ProblemResponse::invalid(
                 "body",
                 "a string contains a NUL character, which is not allowed",
@@ -72,7 +72,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
 }
 
 /// Returns whether a JSON string contains a NUL character. PostgreSQL cannot store them.
-fn holds_nul(json: &[u8]) -> bool {
+fn contains_nul(json: &[u8]) -> bool {
     const ESCAPED: &[u8] = b"u0000";
     let is_escape =
         |at: usize| json[..at].iter().rev().take_while(|byte| **byte == b'\\').count() % 2 == 1;
@@ -80,7 +80,7 @@ fn holds_nul(json: &[u8]) -> bool {
 }
 
 /// Returns whether a URL contains a NUL character.
-fn names_nul(parts: &Parts) -> bool {
+fn uri_contains_nul(parts: &Parts) -> bool {
     parts.uri.path_and_query().is_some_and(|address| address.as_str().contains("%00"))
 }
 
@@ -91,7 +91,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
     type Rejection = ProblemResponse;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
-        if names_nul(parts) {
+        if uri_contains_nul(parts) {
             return Err(ProblemResponse::invalid("query", "must not contain a NUL character"));
         }
         match axum::extract::Query::<T>::from_request_parts(parts, state).await {
@@ -113,7 +113,7 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
     type Rejection = ProblemResponse;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ProblemResponse> {
-        if names_nul(parts) {
+        if uri_contains_nul(parts) {
             return Err(ProblemResponse::new(
                 StatusCode::NOT_FOUND,
                 "not_found",
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_idempotency_key_is_short_visible_and_alone() {
+    async fn an_idempotency_key_is_one_short_visible_header() {
         assert_eq!(key_of(&[]).await.unwrap(), None);
         let longest = [b'k'; MAX_IDEMPOTENCY_KEY_BYTES];
         for key in [b"monday, 8".as_slice(), &longest] {
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_nul_is_seen_where_it_is_one() {
+    fn nul_characters_are_detected_in_json() {
         for (json, expected) in [
             (r#"{"query": "a\u0000b"}"#, true),
             (r#"{"query": "a\\\u0000b"}"#, true),
@@ -239,7 +239,7 @@ mod tests {
             (r#"{"query": "u0000"}"#, false),
             ("{}", false),
         ] {
-            assert_eq!(holds_nul(json.as_bytes()), expected, "{json}");
+            assert_eq!(contains_nul(json.as_bytes()), expected, "{json}");
         }
     }
 }

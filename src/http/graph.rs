@@ -8,7 +8,7 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::IntoResponse;
 use serde::Deserialize;
-use uniground_service::written;
+use uniground_service::write_graph;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::Levels;
 use uniground_types::scene::InstanceId;
@@ -50,6 +50,6 @@ pub async fn get(
     Query(GraphParameters { format, level, around }): Query<GraphParameters>,
 ) -> Result<impl IntoResponse, ProblemResponse> {
     let graph = app.services.instances.graph(&scene_id, level, around.map(InstanceId)).await?;
-    let (media_type, body) = written(&graph, format)?;
+    let (media_type, body) = write_graph(&graph, format)?;
     Ok(([(header::CONTENT_TYPE, media_type)], body))
 }

@@ -5,7 +5,7 @@ use super::Binary;
 use super::extract::{IdempotencyKey, Query, ScenePath};
 use super::problem::ProblemResponse;
 use super::problems;
-use super::scenes::file_of_form;
+use super::scenes::first_form_file;
 use super::{App, CallerExtension};
 use axum::Extension;
 use axum::extract::{Request, State};
@@ -72,7 +72,7 @@ pub async fn add_frames(
     let (scene, job) =
         match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
             Some(boundary) => {
-                let (file_name, file) = file_of_form(body, boundary).await?;
+                let (file_name, file) = first_form_file(body, boundary).await?;
                 app.services
                     .growth
                     .add_frames(&scene_id, NewFrames { file_name, ..new }, file, &caller)

@@ -30,7 +30,7 @@ impl AllowedHosts {
 /// Rejects requests with a host name that is not allowed.
 pub async fn check(State(app): State<App>, request: Request, next: Next) -> Response {
     // If a key is required, DNS rebinding is harmless.
-    let allowed = app.allowed_hosts.as_ref().filter(|_| !app.services.keyring.is_wanted());
+    let allowed = app.allowed_hosts.as_ref().filter(|_| !app.services.keyring.has_keys());
     let Some(allowed) = allowed else { return next.run(request).await };
     let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok());
     let host = host.and_then(|host| host.parse::<Authority>().ok());
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loopback_has_many_names_and_strangers_none() {
+    fn loopback_names_are_allowed_and_unknown_hosts_rejected() {
         let hosts = AllowedHosts::new(&["Robot.local".into()]);
         assert!(
             ["localhost", "127.0.0.1", "127.0.0.2", "[::1]", "robot.LOCAL"]

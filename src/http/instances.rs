@@ -99,7 +99,7 @@ pub async fn view(
     State(app): State<App>,
     ScenePath((scene_id, instance_id, view)): ScenePath<(String, u32, String)>,
     Query(ViewParameters { picture }): Query<ViewParameters>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
     let number = number.ok_or_else(|| {
@@ -114,7 +114,7 @@ pub async fn view(
             .instances
             .view_picture(&scene_id, InstanceId(instance_id), number, picture)
             .await?,
-        &asked,
+        &request_headers,
     )
     .await
 }

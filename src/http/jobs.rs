@@ -2,7 +2,7 @@
 
 use super::App;
 use super::extract::{Path, Query};
-use super::paging::{DEFAULT_LIMIT, checked};
+use super::paging::{DEFAULT_LIMIT, validate};
 use super::problem::ProblemResponse;
 use super::problems;
 use axum::Json;
@@ -64,7 +64,7 @@ pub async fn list(
     Query(parameters): Query<ListParameters>,
 ) -> Result<Json<JobList>, ProblemResponse> {
     let ListParameters { kind, state, subject, limit, cursor } = parameters;
-    let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
+    let (limit, cursor) = validate(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let filter = JobFilter { kind, state, subject };
     Ok(Json(app.services.jobs.list(&filter, limit, cursor.as_deref()).await.map_err(Error::from)?))
 }
@@ -120,7 +120,7 @@ pub async fn events(
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ProblemResponse> {
     // Checked first, so that a rejected request is cheap.
-    let place = app.event_streams.place()?;
+    let place = app.event_streams.acquire()?;
     let job = app.services.jobs.follow(&job_id).await.map_err(Error::from)?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
     let following = JobStream { job, seen, shutdown: app.shutdown };

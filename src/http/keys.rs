@@ -26,7 +26,7 @@ pub async fn create(
     Json(new): Json<NewKey>,
 ) -> Result<(StatusCode, axum::Json<CreatedKey>), ProblemResponse> {
     // On an open server, a stranger could otherwise lock out everybody else.
-    if app.allowed_hosts.is_none() && !app.services.keyring.is_wanted() {
+    if app.allowed_hosts.is_none() && !app.services.keyring.has_keys() {
         let detail = "the first key of a publicly reachable server must be created on the command \
                       line: uniground key create --data-dir";
         return Err(ProblemResponse::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
@@ -47,7 +47,7 @@ pub async fn list(
     State(app): State<App>,
     Query(page): Query<Page>,
 ) -> Result<axum::Json<KeyList>, ProblemResponse> {
-    let (limit, cursor) = page.checked()?;
+    let (limit, cursor) = page.validate()?;
     Ok(axum::Json(app.services.keyring.list(limit, cursor.as_deref()).await?))
 }
 
@@ -81,6 +81,6 @@ pub async fn audit(
     State(app): State<App>,
     Query(page): Query<Page>,
 ) -> Result<axum::Json<AuditList>, ProblemResponse> {
-    let (limit, cursor) = page.checked()?;
+    let (limit, cursor) = page.validate()?;
     Ok(axum::Json(app.services.keyring.audit(limit, cursor.as_deref()).await?))
 }

@@ -43,7 +43,7 @@ pub use hosts::AllowedHosts;
 pub use mcp::{Mcp, McpOverHttp};
 pub use origins::Origins;
 use problem::ProblemResponse;
-pub use problem::told;
+pub use problem::to_problem;
 pub use scopes::Scopes;
 
 use axum::extract::{MatchedPath, Request};
@@ -102,7 +102,7 @@ pub struct EventStreams {
 impl EventStreams {
     /// Creates the permits for a server with this maximum number of connections.
     #[must_use]
-    pub fn beside(connections: usize) -> Self {
+    pub fn for_connections(connections: usize) -> Self {
         let most = connections / 2;
         Self { places: Arc::new(Semaphore::new(most)), most }
     }
@@ -111,7 +111,7 @@ impl EventStreams {
     ///
     /// # Errors
     /// Returns [`Error::TooMany`] if all permits are taken.
-    pub fn place(&self) -> Result<OwnedSemaphorePermit, Error> {
+    pub fn acquire(&self) -> Result<OwnedSemaphorePermit, Error> {
         let place = self.places.clone().try_acquire_owned();
         place.map_err(|_| Error::TooMany { what: "event streams", most: self.most })
     }
@@ -193,42 +193,42 @@ fn routes() -> OpenApiRouter<App> {
 /// Returns the OpenAPI description, as served at `/openapi.json`.
 #[must_use]
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    described().1
+    build_routes().1
 }
 
 /// Returns the routes and their description.
-fn described() -> (Router<App>, utoipa::openapi::OpenApi) {
+fn build_routes() -> (Router<App>, utoipa::openapi::OpenApi) {
     let (router, mut openapi) = routes().split_for_parts();
-    description::complete(&mut openapi);
+    description::complete_description(&mut openapi);
     (router, openapi)
 }
 
 /// Returns the router of the complete application.
 pub fn router(app: App) -> Router {
-    let (router, openapi) = described();
+    let (router, openapi) = build_routes();
     // The online validator is disabled.
     let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
     // Health, the description and the page need no key. Keys protect scans and questions.
-    layered(app, router, Router::from(description).merge(page::router()))
+    with_layers(app, router, Router::from(description).merge(page::router()))
 }
 
 /// Returns the router of a worker process: health checks and metrics only.
-pub fn watched(app: App) -> Router {
+pub fn worker_router(app: App) -> Router {
     let routes = OpenApiRouter::new()
         .routes(routes!(stats::metrics))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz));
-    layered(app, routes.into(), Router::new())
+    with_layers(app, routes.into(), Router::new())
 }
 
 /// Adds all layers to the routes. `open` routes need no key.
-fn layered(app: App, routes: Router<App>, open: Router) -> Router {
+fn with_layers(app: App, routes: Router<App>, open: Router) -> Router {
     routes
         // Only the handlers of these routes read bodies.
         .layer(middleware::from_fn(body_rate::limit))
-        .layer(middleware::from_fn(caching::mark))
+        .layer(middleware::from_fn(caching::add_etag))
         .layer(middleware::from_fn_with_state(app.clone(), auth::check))
         .with_state(app.clone())
         .merge(open)
@@ -237,50 +237,50 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
         .layer(app.origins.protection())
         .layer(middleware::from_fn_with_state(app.origins.cors(), origins::answer))
         .layer(middleware::from_fn_with_state(app.clone(), hosts::check))
-        .layer(CatchPanicLayer::custom(panicked))
+        .layer(CatchPanicLayer::custom(panic_response))
         .layer(middleware::from_fn(problem::name_request))
         .layer(
             CompressionLayer::new()
                 .quality(CompressionLevel::Fastest)
-                .compress_when(worth_compressing()),
+                .compress_when(compression_predicate()),
         )
-        .layer(map_response(caching::weaken))
-        .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
-        .layer(always(header::X_FRAME_OPTIONS, "DENY"))
-        .layer(always(header::REFERRER_POLICY, "no-referrer"))
+        .layer(map_response(caching::weaken_etag))
+        .layer(header_layer(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
+        .layer(header_layer(header::X_FRAME_OPTIONS, "DENY"))
+        .layer(header_layer(header::REFERRER_POLICY, "no-referrer"))
         // Scans of homes are private: no shared cache may store them.
-        .layer(always(header::CACHE_CONTROL, "no-store"))
+        .layer(header_layer(header::CACHE_CONTROL, "no-store"))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(
             TraceLayer::new_for_http()
-                .make_span_with(span_of)
+                .make_span_with(request_span)
                 .on_request(())
                 .on_response(DefaultOnResponse::new().level(Level::DEBUG))
                 // Errors are logged where they occur.
                 .on_failure(()),
         )
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
-        .layer(middleware::from_fn_with_state(app, stats::count))
-        .layer(MapRequestLayer::new(without_odd_id))
+        .layer(middleware::from_fn_with_state(app, stats::count_request))
+        .layer(MapRequestLayer::new(remove_invalid_request_id))
 }
 
 /// Skips pictures, which are already compressed, and growing lists, which would be delayed by
 /// compression blocks.
-fn worth_compressing() -> impl Predicate {
+fn compression_predicate() -> impl Predicate {
     DefaultPredicate::new()
         .and(NotForContentType::const_new("application/jsonl"))
         .and(NotForContentType::const_new("text/csv"))
 }
 
-fn always(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
+fn header_layer(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
     SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
 }
 
 /// Keeps a request id from the caller only if it is short and safe to log.
-fn without_odd_id(mut request: Request) -> Request {
-    const LONGEST: usize = 128;
+fn remove_invalid_request_id(mut request: Request) -> Request {
+    const MAX_ID_CHARS: usize = 128;
     let fits = |id: &[u8]| {
-        (1..=LONGEST).contains(&id.len())
+        (1..=MAX_ID_CHARS).contains(&id.len())
             && id.iter().all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b))
     };
     if request.headers().get(REQUEST_ID).is_some_and(|id| !fits(id.as_bytes())) {
@@ -290,7 +290,7 @@ fn without_odd_id(mut request: Request) -> Request {
 }
 
 /// Creates the span of a request with its id, method and route for all log lines.
-fn span_of(request: &Request) -> Span {
+fn request_span(request: &Request) -> Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
     let route = request
         .extensions()
@@ -302,7 +302,7 @@ fn span_of(request: &Request) -> Span {
 }
 
 /// Logs the ids of a request whose handler panicked. The panic message itself is on stderr.
-fn panicked(_: Box<dyn std::any::Any + Send>) -> Response {
+fn panic_response(_: Box<dyn std::any::Any + Send>) -> Response {
     tracing::error!(code = "internal", "request handler panicked");
     ProblemResponse::internal().into_response()
 }

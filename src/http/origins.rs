@@ -58,7 +58,7 @@ impl Origins {
             tus::METHOD_OVERRIDE,
             REQUEST_ID,
         ];
-        let told = [
+        let exposed = [
             header::ACCEPT_RANGES,
             header::CONTENT_DISPOSITION,
             header::CONTENT_RANGE,
@@ -92,13 +92,13 @@ impl Origins {
                 Method::OPTIONS,
             ])
             .allow_headers(asked)
-            .expose_headers(told)
+            .expose_headers(exposed)
             .max_age(REMEMBER)
     }
 
     /// Returns the layer that rejects requests from pages of other origins.
     pub fn protection(&self) -> CsrfLayer<fn(ProtectionError) -> Response> {
-        self.protection.clone().with_rejection_response(foreign)
+        self.protection.clone().with_rejection_response(reject_foreign_origin)
     }
 }
 
@@ -113,7 +113,7 @@ pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next)
     response
 }
 
-fn foreign(_: ProtectionError) -> Response {
+fn reject_foreign_origin(_: ProtectionError) -> Response {
     let detail = "this request comes from a web page of another origin: to allow it, start the \
                   server with --cors-origin and that origin";
     ProblemResponse::new(StatusCode::FORBIDDEN, "origin_not_allowed", detail).into_response()

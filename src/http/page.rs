@@ -28,10 +28,10 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 
 /// The start page. It names the other files, so it is revalidated each time.
 const INDEX: &str = "index.html";
-const ASK_AGAIN: &str = "no-cache";
+const REVALIDATE: &str = "no-cache";
 
 /// Cache policy of the other files, whose names contain a hash of their bytes.
-const FOR_EVER: &str = "public, max-age=31536000, immutable";
+const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
 /// A file of the page, uncompressed and compressed.
 struct File {
@@ -42,13 +42,13 @@ struct File {
 
 static FILES: LazyLock<BTreeMap<String, File>> = LazyLock::new(|| {
     let files = PageFiles::iter().filter_map(|name| {
-        Some((name.to_string(), File::of(&name, PageFiles::get(&name)?.data.into_owned())))
+        Some((name.to_string(), File::with_gzip(&name, PageFiles::get(&name)?.data.into_owned())))
     });
     files.collect()
 });
 
 impl File {
-    fn of(name: &str, plain: Vec<u8>) -> Self {
+    fn with_gzip(name: &str, plain: Vec<u8>) -> Self {
         let media_type = match name.rsplit_once('.').map(|(_, end)| end) {
             Some("html") => "text/html; charset=utf-8",
             Some("js") => "text/javascript; charset=utf-8",
@@ -57,19 +57,19 @@ impl File {
             Some("txt") => "text/plain; charset=utf-8",
             _ => "application/octet-stream",
         };
-        let gzip = compressed(&plain).unwrap_or_default();
+        let gzip = gzip_bytes(&plain).unwrap_or_default();
         Self { media_type, plain: plain.into(), gzip: gzip.into() }
     }
 
-    fn answer(&self, asked: &HeaderMap, keep: &'static str) -> Response {
+    fn answer(&self, request_headers: &HeaderMap, cache_control: &'static str) -> Response {
         let headers = [
             (header::CONTENT_TYPE, self.media_type),
-            (header::CACHE_CONTROL, keep),
+            (header::CACHE_CONTROL, cache_control),
             (header::CONTENT_SECURITY_POLICY, POLICY),
             (header::VARY, "accept-encoding"),
         ];
         let mut response = headers.into_response();
-        if takes_gzip(asked) && !self.gzip.is_empty() {
+        if accepts_gzip(request_headers) && !self.gzip.is_empty() {
             response
                 .headers_mut()
                 .insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
@@ -81,15 +81,17 @@ impl File {
     }
 }
 
-fn compressed(plain: &[u8]) -> std::io::Result<Vec<u8>> {
+fn gzip_bytes(plain: &[u8]) -> std::io::Result<Vec<u8>> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
     encoder.write_all(plain)?;
     encoder.finish()
 }
 
-fn takes_gzip(asked: &HeaderMap) -> bool {
-    let taken =
-        asked.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+fn accepts_gzip(request_headers: &HeaderMap) -> bool {
+    let taken = request_headers
+        .get_all(header::ACCEPT_ENCODING)
+        .iter()
+        .filter_map(|value| value.to_str().ok());
     taken.flat_map(|value| value.split(',')).any(|coding| {
         let (name, weight) = coding.split_once(';').unwrap_or((coding, "q=1"));
         name.trim().eq_ignore_ascii_case("gzip")
@@ -108,13 +110,13 @@ pub fn router<S: Clone + Send + Sync + 'static>() -> Router<S> {
 async fn index(headers: HeaderMap) -> Response {
     FILES.get(INDEX).map_or_else(
         || StatusCode::NOT_FOUND.into_response(),
-        |file| file.answer(&headers, ASK_AGAIN),
+        |file| file.answer(&headers, REVALIDATE),
     )
 }
 
 async fn asset(Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Response {
     match FILES.get(&format!("assets/{name}")) {
-        Some(file) => file.answer(&headers, FOR_EVER),
+        Some(file) => file.answer(&headers, IMMUTABLE),
         None => no_such_route(uri).await.into_response(),
     }
 }
@@ -124,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everything_the_index_names_is_carried() {
+    fn every_asset_of_the_index_is_embedded() {
         let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
         let named: Vec<&str> = index
             .split('"')
@@ -136,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_inline_and_nothing_from_elsewhere() {
+    fn the_page_has_no_inline_or_external_resources() {
         let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
         assert!(
             !index.contains("<style") && !index.contains("style=") && !index.contains("http"),
@@ -149,15 +151,18 @@ mod tests {
     }
 
     #[test]
-    fn gzip_is_sent_to_who_takes_it() {
-        let asked = |coding: &'static str| {
+    fn gzip_is_sent_only_when_accepted() {
+        let request_headers = |coding: &'static str| {
             HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(coding))])
         };
-        assert!(takes_gzip(&asked("br, gzip;q=0.8")) && takes_gzip(&asked("GZIP")));
         assert!(
-            !takes_gzip(&asked("br"))
-                && !takes_gzip(&asked("gzip;q=0"))
-                && !takes_gzip(&HeaderMap::new())
+            accepts_gzip(&request_headers("br, gzip;q=0.8"))
+                && accepts_gzip(&request_headers("GZIP"))
+        );
+        assert!(
+            !accepts_gzip(&request_headers("br"))
+                && !accepts_gzip(&request_headers("gzip;q=0"))
+                && !accepts_gzip(&HeaderMap::new())
         );
     }
 }

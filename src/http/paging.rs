@@ -27,13 +27,13 @@ fn default_limit() -> u32 {
 
 impl Page {
     /// Returns the checked limit and cursor. The cursor must be an id.
-    pub fn checked(self) -> Result<(u32, Option<String>), Error> {
-        checked(self.limit, self.cursor)
+    pub fn validate(self) -> Result<(u32, Option<String>), Error> {
+        validate(self.limit, self.cursor)
     }
 }
 
 /// Checks the limit and the cursor of lists with more parameters.
-pub fn checked(limit: u32, cursor: Option<String>) -> Result<(u32, Option<String>), Error> {
+pub fn validate(limit: u32, cursor: Option<String>) -> Result<(u32, Option<String>), Error> {
     if !(1..=100).contains(&limit) {
         return Err(Error::invalid("limit", "must be 1 to 100"));
     }
@@ -54,9 +54,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_ids_as_they_are_stored_are_cursors() {
+    fn only_stored_ids_are_valid_cursors() {
         let id = "01a1ff70-0000-7000-8000-00000000000a";
-        assert!(checked(1, Some(id.into())).is_ok());
+        assert!(validate(1, Some(id.into())).is_ok());
         let others = [
             format!("{{{id}}}"),
             format!("urn:uuid:{id}"),
@@ -66,7 +66,7 @@ mod tests {
             "{}".into(),
         ];
         for other in others {
-            let refused = checked(1, Some(other.clone()));
+            let refused = validate(1, Some(other.clone()));
             assert!(
                 matches!(&refused, Err(Error::Invalid { pointer, .. }) if pointer == "cursor"),
                 "{other:?}: {refused:?}"

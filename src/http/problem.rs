@@ -43,7 +43,7 @@ impl ProblemResponse {
 
     /// Returns the error for an exhausted connection limit.
     #[must_use]
-    pub fn no_connection() -> Self {
+    pub fn too_many_connections() -> Self {
         Self::new(
             StatusCode::SERVICE_UNAVAILABLE,
             "overloaded",
@@ -65,7 +65,7 @@ impl ProblemResponse {
 
     /// Sets `Retry-After`, in seconds.
     #[must_use]
-    pub fn after(mut self, seconds: u32) -> Self {
+    pub fn retry_after(mut self, seconds: u32) -> Self {
         self.0.retry_after_s = Some(seconds);
         self
     }
@@ -90,7 +90,7 @@ impl From<Problem> for ProblemResponse {
 
 /// Converts an error to a problem.
 #[must_use]
-pub fn told(error: Error) -> Problem {
+pub fn to_problem(error: Error) -> Problem {
     ProblemResponse::from(error).problem()
 }
 
@@ -240,7 +240,7 @@ fn status_of(error: &Error) -> StatusCode {
         Error::UploadExpired { .. } => StatusCode::GONE,
         Error::UploadBusy { .. } => StatusCode::LOCKED,
         Error::ChecksumMismatch => checksum_mismatch(),
-        Error::Store(_) | Error::Io(_) | Error::AnswerNotKept | Error::Background(_) => {
+        Error::Store(_) | Error::Io(_) | Error::AnswerNotStored | Error::Background(_) => {
             StatusCode::INTERNAL_SERVER_ERROR
         }
     }
@@ -257,10 +257,10 @@ fn checksum_mismatch() -> StatusCode {
 }
 
 /// Maximum length of request content that is repeated in an error, characters.
-const LONGEST_TEXT: usize = 1000;
+const MAX_TEXT_CHARS: usize = 1000;
 
 fn shorten(text: &mut String) {
-    if let Some((cut, _)) = text.char_indices().nth(LONGEST_TEXT) {
+    if let Some((cut, _)) = text.char_indices().nth(MAX_TEXT_CHARS) {
         text.truncate(cut);
         text.push_str("...");
     }

@@ -43,11 +43,11 @@ pub async fn get(
 pub async fn picture(
     State(app): State<App>,
     ScenePath((scene_id, picture)): ScenePath<(String, String)>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let name = picture
         .strip_suffix(".jpg")
         .ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;
     let file = app.services.parses.report_picture(&scene_id, name).await?;
-    send_file(&file, "image/jpeg", &asked).await
+    send_file(&file, "image/jpeg", &request_headers).await
 }

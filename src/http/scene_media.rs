@@ -34,10 +34,14 @@ use utoipa::IntoParams;
 pub async fn points(
     State(app): State<App>,
     ScenePath(scene_id): ScenePath<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
-    send_download(app.services.media.points(&scene_id).await?, "application/octet-stream", &asked)
-        .await
+    send_download(
+        app.services.media.points(&scene_id).await?,
+        "application/octet-stream",
+        &request_headers,
+    )
+    .await
 }
 
 /// Returns a picture of the current parse from above, 320 x 240 pixels.
@@ -52,9 +56,9 @@ pub async fn points(
 pub async fn thumbnail(
     State(app): State<App>,
     ScenePath(scene_id): ScenePath<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
-    send_picture(app.services.media.thumbnail(&scene_id).await?, &asked).await
+    send_picture(app.services.media.thumbnail(&scene_id).await?, &request_headers).await
 }
 
 /// Lists the photographs of a scan with their poses and cameras.
@@ -98,20 +102,24 @@ pub async fn photograph(
     State(app): State<App>,
     ScenePath((scene_id, frame)): ScenePath<(String, u32)>,
     Query(PhotographParameters { instances }): Query<PhotographParameters>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
-    send_picture(app.services.media.frame_picture(&scene_id, frame, instances).await?, &asked).await
+    send_picture(
+        app.services.media.frame_picture(&scene_id, frame, instances).await?,
+        &request_headers,
+    )
+    .await
 }
 
 /// Sends a picture from a file, or a generated one.
 pub(super) async fn send_picture(
     picture: EvidenceFile,
-    asked: &HeaderMap,
+    request_headers: &HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     match picture {
         EvidenceFile::Stored(file) => {
             let is_png = file.extension().is_some_and(|end| end.eq_ignore_ascii_case("png"));
-            send_file(&file, if is_png { "image/png" } else { "image/jpeg" }, asked).await
+            send_file(&file, if is_png { "image/png" } else { "image/jpeg" }, request_headers).await
         }
         EvidenceFile::Drawn(jpeg) => {
             Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())

@@ -3,7 +3,7 @@
 use super::Binary;
 use super::caching::send_download;
 use super::extract::{IdempotencyKey, Json, Query, ScenePath};
-use super::paging::{DEFAULT_LIMIT, checked};
+use super::paging::{DEFAULT_LIMIT, validate};
 use super::problem::ProblemResponse;
 use super::problems;
 use super::{App, CallerExtension};
@@ -111,7 +111,7 @@ pub async fn create(
         .and_then(|media_type| parse_boundary(media_type).ok())
     {
         Some(boundary) => {
-            let (file_name, file) = file_of_form(body, boundary).await?;
+            let (file_name, file) = first_form_file(body, boundary).await?;
             app.services.imports.create_scene(NewScene { file_name, ..new }, file, &caller).await?
         }
         None => app.services.imports.create_scene(new, body, &caller).await?,
@@ -148,7 +148,7 @@ pub async fn import(
 const BEFORE_FILE_BYTES: usize = 64 << 10;
 
 /// Returns the first file of a form: its name and its bytes.
-pub(super) async fn file_of_form(
+pub(super) async fn first_form_file(
     body: BodyDataStream,
     boundary: String,
 ) -> Result<(Option<String>, Field<'static>), ProblemResponse> {
@@ -226,7 +226,7 @@ pub async fn list(
     Query(parameters): Query<ListParameters>,
 ) -> Result<axum::Json<SceneList>, ProblemResponse> {
     let ListParameters { limit, cursor, labels } = parameters;
-    let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
+    let (limit, cursor) = validate(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
     let labels =
         labels.map(|labels| read_labels("labels", &labels)).transpose().map_err(Error::from)?;
     Ok(axum::Json(
@@ -344,10 +344,10 @@ pub async fn name(
 pub async fn cloud(
     State(app): State<App>,
     ScenePath(scene_id): ScenePath<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Cloud).await?;
-    send_download(file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &request_headers).await
 }
 
 /// Returns the cloud colored by instance as PLY, with the instance id of each point.
@@ -363,10 +363,10 @@ pub async fn cloud(
 pub async fn instances_cloud(
     State(app): State<App>,
     ScenePath(scene_id): ScenePath<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Instances).await?;
-    send_download(file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &request_headers).await
 }
 
 /// Returns the embeddings of the instances: a numpy array of half floats, one unit vector per
@@ -384,8 +384,8 @@ pub async fn instances_cloud(
 pub async fn embeddings(
     State(app): State<App>,
     ScenePath(scene_id): ScenePath<String>,
-    asked: HeaderMap,
+    request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
     let file = app.services.parses.parse_file(&scene_id, ParseFile::Embeddings).await?;
-    send_download(file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &request_headers).await
 }

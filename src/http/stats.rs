@@ -39,10 +39,10 @@ pub async fn metrics(State(app): State<App>) -> Response {
 }
 
 /// Counts a request and its outcome.
-pub async fn count(State(app): State<App>, request: Request, next: Next) -> Response {
+pub async fn count_request(State(app): State<App>, request: Request, next: Next) -> Response {
     let route = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let underway = app.metrics.requests.begin(request.method().as_str(), route);
     let response = next.run(request).await;
-    underway.answered(response.status().as_u16());
+    underway.finish(response.status().as_u16());
     response
 }

@@ -29,11 +29,11 @@ pub const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-method-o
 pub const SCENE_ID: HeaderName = HeaderName::from_static("uniground-scene-id");
 pub const JOB_ID: HeaderName = HeaderName::from_static("uniground-job-id");
 
-const SPOKEN: HeaderValue = HeaderValue::from_static("1.0.0");
+const SUPPORTED_VERSION: HeaderValue = HeaderValue::from_static("1.0.0");
 const EXTENSIONS: &str = "creation,creation-with-upload,checksum,expiration,termination";
 const PART: &str = "application/offset+octet-stream";
 /// Maximum length of the metadata, bytes.
-const MOST_METADATA: usize = 8 << 10;
+const MAX_METADATA_CHARS: usize = 8 << 10;
 
 /// The supported version of tus.
 #[derive(utoipa::ToSchema)]
@@ -44,22 +44,23 @@ pub enum Version {
 }
 
 /// Rejects requests with another version of tus, and adds the version to responses.
-pub async fn speak(request: Request, next: Next) -> Response {
+pub async fn check_version(request: Request, next: Next) -> Response {
     let is_asked =
         matches!(*request.method(), Method::POST | Method::HEAD | Method::PATCH | Method::DELETE);
-    let mut response = match is_asked && request.headers().get(RESUMABLE) != Some(&SPOKEN) {
-        true => {
-            let detail = "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0";
-            let refused = ProblemResponse::new(
-                StatusCode::PRECONDITION_FAILED,
-                "tus_version_unknown",
-                detail,
-            );
-            ([(VERSION, SPOKEN)], refused).into_response()
-        }
-        false => next.run(request).await,
-    };
-    response.headers_mut().insert(RESUMABLE, SPOKEN);
+    let mut response =
+        match is_asked && request.headers().get(RESUMABLE) != Some(&SUPPORTED_VERSION) {
+            true => {
+                let detail = "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0";
+                let refused = ProblemResponse::new(
+                    StatusCode::PRECONDITION_FAILED,
+                    "tus_version_unknown",
+                    detail,
+                );
+                ([(VERSION, SUPPORTED_VERSION)], refused).into_response()
+            }
+            false => next.run(request).await,
+        };
+    response.headers_mut().insert(RESUMABLE, SUPPORTED_VERSION);
     response
 }
 
@@ -76,7 +77,7 @@ pub fn capabilities(max_bytes: u64) -> Response {
 }
 
 /// Returns the state of an upload as headers.
-pub fn state(upload: &Upload) -> HeaderMap {
+pub fn state_headers(upload: &Upload) -> HeaderMap {
     let mut headers = HeaderMap::new();
     headers.insert(OFFSET, upload.offset.into());
     let expires = upload.expires_at.as_deref().and_then(|at| at.parse::<Timestamp>().ok());
@@ -117,7 +118,7 @@ pub fn check_part(headers: &HeaderMap) -> Result<(), ProblemResponse> {
 ///
 /// # Errors
 /// Returns an error if the header is missing or invalid.
-pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemResponse> {
+pub fn parse_byte_count(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemResponse> {
     let value = headers
         .get(name)
         .and_then(|value| value.to_str().ok())
@@ -125,7 +126,7 @@ pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, ProblemRespo
     // SQLite and many clients use signed 64-bit integers.
     let value =
         value.and_then(|value| value.parse().ok()).filter(|bytes| i64::try_from(*bytes).is_ok());
-    value.ok_or_else(|| wrong(name, "must be a number of bytes"))
+    value.ok_or_else(|| invalid_header(name, "must be a number of bytes"))
 }
 
 /// Parses the checksum of a part.
@@ -143,7 +144,7 @@ pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, ProblemResponse
     };
     let known = ChecksumAlgorithm::ALL.map(ChecksumAlgorithm::word).join(" or ");
     read().map(Some).ok_or_else(|| {
-        wrong(&CHECKSUM, &format!("must be {known}, a space, and the checksum in base64"))
+        invalid_header(&CHECKSUM, &format!("must be {known}, a space, and the checksum in base64"))
     })
 }
 
@@ -162,9 +163,12 @@ pub struct Metadata {
 /// Returns an error if the header is invalid.
 pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
-    let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
+    let value = value.to_str().ok().filter(|value| value.len() <= MAX_METADATA_CHARS);
     let value = value.ok_or_else(|| {
-        wrong(&METADATA, &format!("must have at most {MOST_METADATA} visible characters"))
+        invalid_header(
+            &METADATA,
+            &format!("must have at most {MAX_METADATA_CHARS} visible characters"),
+        )
     })?;
     let pairs = value.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
         let (key, coded) = pair.split_once(' ').unwrap_or((pair, ""));
@@ -174,12 +178,12 @@ pub fn metadata(headers: &HeaderMap) -> Result<Metadata, ProblemResponse> {
     });
     let pairs: Option<Vec<_>> = pairs.collect();
     let pairs = pairs.ok_or_else(|| {
-        wrong(&METADATA, "must be comma-separated pairs of a key and a base64 value")
+        invalid_header(&METADATA, "must be comma-separated pairs of a key and a base64 value")
     })?;
     Ok(Metadata { header: Some(value.to_owned()).filter(|value| !value.is_empty()), pairs })
 }
 
-fn wrong(name: &HeaderName, detail: &str) -> ProblemResponse {
+fn invalid_header(name: &HeaderName, detail: &str) -> ProblemResponse {
     ProblemResponse::new(StatusCode::BAD_REQUEST, "header_wrong", format!("{name}: {detail}"))
 }
 
@@ -206,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_and_sums_are_read_strictly() {
+    fn numbers_and_checksums_are_parsed_strictly() {
         for (value, read) in [
             ("0", Some(0)),
             ("17", Some(17)),
@@ -215,9 +219,9 @@ mod tests {
             ("", None),
             ("9223372036854775808", None),
         ] {
-            assert_eq!(bytes(&of(OFFSET, value), &OFFSET).ok(), read, "{value:?}");
+            assert_eq!(parse_byte_count(&of(OFFSET, value), &OFFSET).ok(), read, "{value:?}");
         }
-        assert!(bytes(&HeaderMap::new(), &OFFSET).is_err());
+        assert!(parse_byte_count(&HeaderMap::new(), &OFFSET).is_err());
         let read = |value| {
             checksum(&of(CHECKSUM, value)).ok().flatten().map(|checksum| checksum.algorithm)
         };

@@ -26,7 +26,7 @@ pub fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new()
         .routes(routes!(create, capabilities))
         .routes(routes!(get, head, append, post, delete))
-        .layer(from_fn(tus::speak))
+        .layer(from_fn(tus::check_version))
 }
 
 /// Options of the scene. `Upload-Metadata` accepts the same names; these parameters take
@@ -54,7 +54,7 @@ pub struct UploadParameters {
 }
 
 impl UploadParameters {
-    fn of(pairs: Vec<(String, String)>) -> Result<Self, ProblemResponse> {
+    fn from_pairs(pairs: Vec<(String, String)>) -> Result<Self, ProblemResponse> {
         let mut parameters = Self::default();
         for (key, text) in pairs {
             match key.as_str() {
@@ -66,8 +66,8 @@ impl UploadParameters {
                             ProblemResponse::invalid("parse", "\"true\" or \"false\"")
                         })?);
                 }
-                "up" => parameters.up = Some(word("up", text)?),
-                "preset" => parameters.preset = Some(word("preset", text)?),
+                "up" => parameters.up = Some(parse_word("up", text)?),
+                "preset" => parameters.preset = Some(parse_word("preset", text)?),
                 // Other keys are for the client's own use.
                 _ => {}
             }
@@ -86,7 +86,7 @@ impl UploadParameters {
     }
 }
 
-fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, ProblemResponse> {
+fn parse_word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, ProblemResponse> {
     serde_json::from_value(text.into())
         .map_err(|error| ProblemResponse::invalid(key, error.to_string()))
 }
@@ -127,10 +127,10 @@ pub async fn create(
     headers: HeaderMap,
     request: Request,
 ) -> Result<Response, ProblemResponse> {
-    let length = tus::bytes(&headers, &tus::LENGTH)?;
+    let length = tus::parse_byte_count(&headers, &tus::LENGTH)?;
     let tus::Metadata { header: note, pairs } = tus::metadata(&headers)?;
     let UploadParameters { name, filename, parse, up, preset } =
-        parameters.or(UploadParameters::of(pairs)?);
+        parameters.or(UploadParameters::from_pairs(pairs)?);
     let (parse, preset) = (parse.unwrap_or(true), preset.unwrap_or_default());
     let wanted =
         SceneRequest { name, file_name: filename, parse, up, preset, idempotency_key, note };
@@ -142,16 +142,16 @@ pub async fn create(
         true => {
             let part = UploadPart {
                 offset: 0,
-                announced_bytes: announced(&headers),
+                announced_bytes: content_length(&headers),
                 checksum,
                 body: request.into_body().into_data_stream(),
             };
             match app.services.uploads.append(&upload.id, part, caller).await {
-                Ok(upload) => came_of(StatusCode::CREATED, upload),
+                Ok(upload) => upload_response(StatusCode::CREATED, upload),
                 Err(error) => ProblemResponse::from(error).into_response(),
             }
         }
-        false => came_of(StatusCode::CREATED, upload),
+        false => upload_response(StatusCode::CREATED, upload),
     };
     response
         .headers_mut()
@@ -223,7 +223,7 @@ pub async fn head(
 ) -> Result<Response, ProblemResponse> {
     let upload = app.services.uploads.upload(&upload_id, &caller).await?;
     let note = app.services.uploads.upload_note(&upload_id, &caller).await?;
-    let mut headers = tus::state(&upload);
+    let mut headers = tus::state_headers(&upload);
     headers.insert(tus::LENGTH, upload.length.into());
     headers.extend(
         note.and_then(|note| HeaderValue::from_str(&note).ok()).map(|note| (tus::METADATA, note)),
@@ -269,7 +269,7 @@ pub async fn append(
     headers: HeaderMap,
     request: Request,
 ) -> Result<Response, ProblemResponse> {
-    take(&app, &upload_id, caller, &headers, request.into_body()).await
+    append_part(&app, &upload_id, caller, &headers, request.into_body()).await
 }
 
 /// Does the same as `PATCH` or `DELETE`, for networks that block these methods.
@@ -301,7 +301,9 @@ pub async fn post(
     request: Request,
 ) -> Result<Response, ProblemResponse> {
     match headers.get(tus::METHOD_OVERRIDE).map(HeaderValue::as_bytes) {
-        Some(b"PATCH") => take(&app, &upload_id, caller, &headers, request.into_body()).await,
+        Some(b"PATCH") => {
+            append_part(&app, &upload_id, caller, &headers, request.into_body()).await
+        }
         Some(b"DELETE") => {
             app.services.uploads.delete_upload(&upload_id, &caller).await?;
             Ok(StatusCode::NO_CONTENT.into_response())
@@ -334,7 +336,7 @@ pub async fn delete(
     Ok(StatusCode::NO_CONTENT)
 }
 
-async fn take(
+async fn append_part(
     app: &App,
     upload_id: &str,
     caller: Caller,
@@ -342,15 +344,16 @@ async fn take(
     body: Body,
 ) -> Result<Response, ProblemResponse> {
     tus::check_part(headers)?;
-    let (offset, checksum) = (tus::bytes(headers, &tus::OFFSET)?, tus::checksum(headers)?);
+    let (offset, checksum) =
+        (tus::parse_byte_count(headers, &tus::OFFSET)?, tus::checksum(headers)?);
     let part = UploadPart {
         offset,
-        announced_bytes: announced(headers),
+        announced_bytes: content_length(headers),
         checksum,
         body: body.into_data_stream(),
     };
     match app.services.uploads.append(upload_id, part, caller).await {
-        Ok(upload) => Ok(came_of(StatusCode::NO_CONTENT, upload)),
+        Ok(upload) => Ok(upload_response(StatusCode::NO_CONTENT, upload)),
         Err(uniground_service::error::Error::WrongOffset { offset }) => {
             let refused =
                 ProblemResponse::from(uniground_service::error::Error::WrongOffset { offset });
@@ -361,8 +364,8 @@ async fn take(
 }
 
 /// Returns the state of an upload, or the reason why it was rejected.
-fn came_of(status: StatusCode, upload: Upload) -> Response {
-    let headers = tus::state(&upload);
+fn upload_response(status: StatusCode, upload: Upload) -> Response {
+    let headers = tus::state_headers(&upload);
     match (&upload.problem, status) {
         (Some(problem), _) => (headers, ProblemResponse::from(problem.clone())).into_response(),
         (None, StatusCode::CREATED) => (status, headers, axum::Json(upload)).into_response(),
@@ -370,7 +373,7 @@ fn came_of(status: StatusCode, upload: Upload) -> Response {
     }
 }
 
-fn announced(headers: &HeaderMap) -> u64 {
+fn content_length(headers: &HeaderMap) -> u64 {
     headers
         .get(header::CONTENT_LENGTH)
         .and_then(|bytes| bytes.to_str().ok()?.parse().ok())

@@ -69,15 +69,15 @@ pub struct Places {
 #[derive(Debug)]
 pub enum Event<'a> {
     /// All files of the part existed already.
-    There(&'a Utf8Path),
+    AlreadyInstalled(&'a Utf8Path),
     /// The download of a package with this many bytes begins.
-    Begins(String, u64),
+    Started(String, u64),
     /// This many bytes have been received.
     Received(u64),
     /// The download is complete and verified.
-    Arrived,
+    Downloaded,
     /// A file is installed.
-    Placed(&'a Utf8Path),
+    Installed(&'a Utf8Path),
 }
 
 /// Installs the missing files of a part. Blocks: not for asynchronous code.
@@ -88,7 +88,7 @@ pub fn fetch(
     part: &PackagePart,
     places: &Places,
     registries: &Registries,
-    tell: &mut dyn FnMut(Event),
+    on_event: &mut dyn FnMut(Event),
 ) -> Result<(), FetchError> {
     let folder = part.folder(places);
     let build = part.build()?;
@@ -102,7 +102,7 @@ pub fn fetch(
     };
     let carried: Vec<&CarriedFile> = part.carried.iter().filter(|file| !is_there(file)).collect();
     if missing.is_empty() && carried.is_empty() {
-        tell(Event::There(&folder));
+        on_event(Event::AlreadyInstalled(&folder));
         return Ok(());
     }
     std::fs::create_dir_all(&folder)
@@ -112,19 +112,19 @@ pub fn fetch(
         // A file without a name: a killed process leaves nothing behind.
         let mut archive = tempfile::tempfile_in(&folder)
             .map_err(|why| FetchError::File { file: folder.clone(), why })?;
-        download::archive(package, registries, &mut archive, tell)?;
-        tell(Event::Arrived);
-        unpack::files(package, archive, &missing, &folder, tell)?;
+        download::download_archive(package, registries, &mut archive, on_event)?;
+        on_event(Event::Downloaded);
+        unpack::extract_files(package, archive, &missing, &folder, on_event)?;
     }
     // A bundle's manifest is written last: a folder without one is not a bundle yet.
     for file in carried {
-        let placed = unpack::place(&folder.join(file.name), &mut &*file.bytes, None);
-        tell(Event::Placed(&placed.map_err(|problem| problem.of(part.name))?));
+        let placed = unpack::write_file(&folder.join(file.name), &mut &*file.bytes, None);
+        on_event(Event::Installed(&placed.map_err(|problem| problem.into_fetch_error(part.name))?));
     }
     Ok(())
 }
 
 /// Describes an error of the client without its address, which may hold a password.
-fn why(error: reqwest::Error) -> String {
+fn describe_error(error: reqwest::Error) -> String {
     with_causes(&error.without_url())
 }

@@ -1,6 +1,6 @@
 //! Finds the address of an archive in a registry, with the requests of the registry's own tool.
 
-use super::{FetchError, Package, Source, why};
+use super::{FetchError, Package, Source, describe_error};
 use reqwest::blocking::{Client, Response};
 use reqwest::header::{ACCEPT, CONTENT_TYPE};
 use reqwest::{StatusCode, Url};
@@ -61,7 +61,7 @@ struct NpmDist {
 
 impl Registries {
     /// Returns the registry that hosts a package.
-    pub(super) fn of(&self, package: &Package) -> &Registry {
+    pub(super) fn registry_of(&self, package: &Package) -> &Registry {
         match package.source {
             Source::PyPi => &self.pypi,
             Source::Npm => &self.npm,
@@ -71,7 +71,7 @@ impl Registries {
 
 impl Registry {
     /// Returns the address for display: without user name and password.
-    fn shown(&self) -> String {
+    fn display_address(&self) -> String {
         let mut shown = self.base.clone();
         // Addresses that cannot hold them have none.
         let _none = (shown.set_username(""), shown.set_password(None));
@@ -82,7 +82,7 @@ impl Registry {
     pub(super) fn unreachable(&self, package: &Package, why: String) -> FetchError {
         FetchError::Unreachable {
             package: package.to_string(),
-            address: self.shown(),
+            address: self.display_address(),
             why,
             remedy: self.remedy.clone(),
         }
@@ -92,7 +92,7 @@ impl Registry {
         let archive = package.archive.to_owned();
         FetchError::NotListed {
             package: package.to_string(),
-            address: self.shown(),
+            address: self.display_address(),
             archive,
             remedy: self.remedy.clone(),
         }
@@ -109,16 +109,17 @@ impl Registry {
             Source::Npm => (package.name.replace('/', "%2F"), NPM_ACCEPTS),
         };
         let page =
-            self.below(&page).ok_or_else(|| self.unreachable(package, "invalid URL".into()))?;
+            self.url_below(&page).ok_or_else(|| self.unreachable(package, "invalid URL".into()))?;
         let asked = client
             .get(page)
             .header(ACCEPT, accepts)
             .send()
-            .map_err(|e| self.unreachable(package, why(e)))?;
+            .map_err(|e| self.unreachable(package, describe_error(e)))?;
         if asked.status() == StatusCode::NOT_FOUND {
             return Err(self.not_listed(package));
         }
-        let answer = asked.error_for_status().map_err(|e| self.unreachable(package, why(e)))?;
+        let answer =
+            asked.error_for_status().map_err(|e| self.unreachable(package, describe_error(e)))?;
         let from = answer.url().clone();
         let link = read(answer, package).map_err(|why| {
             self.unreachable(package, format!("its response cannot be read: {why}"))
@@ -128,7 +129,7 @@ impl Registry {
         Ok(self.with_password(address))
     }
 
-    fn below(&self, page: &str) -> Option<Url> {
+    fn url_below(&self, page: &str) -> Option<Url> {
         let mut base = self.base.clone();
         let path = format!("{}/", base.path().trim_end_matches('/'));
         base.set_path(&path);
@@ -191,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_page_of_links_is_read() {
+    fn links_on_an_index_page_are_found() {
         let page = r#"<a href="../../x/lib-1.0-any.whl.metadata">m</a><a data-x="1" href="../../x/lib-1.0-any.whl?a=1&amp;b=2#sha256=00">lib-1.0-any.whl</a>
             <a href='/y/lib-2.0-any.whl'>lib-2.0-any.whl</a>"#;
         assert_eq!(
@@ -203,12 +204,12 @@ mod tests {
     }
 
     #[test]
-    fn names_and_passwords_stay_with_their_host_and_are_not_shown() {
+    fn credentials_stay_with_their_host_and_are_not_shown() {
         let registry = Registry {
             base: Url::parse("https://me:secret@host.example/simple?key=secret").unwrap(),
             remedy: String::new(),
         };
-        assert_eq!(registry.shown(), "https://host.example/simple");
+        assert_eq!(registry.display_address(), "https://host.example/simple");
         let own = registry.with_password(Url::parse("https://host.example/files/a.whl").unwrap());
         assert_eq!(own.as_str(), "https://me:secret@host.example/files/a.whl");
         let other = registry.with_password(Url::parse("https://files.example/a.whl").unwrap());

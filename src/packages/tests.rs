@@ -25,7 +25,7 @@ const MANIFEST: &[u8] = b"{}";
 
 /// The behavior of the registries.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Mood {
+enum ServedContent {
     Json,
     /// Only pages of links, like older mirrors.
     Html,
@@ -37,7 +37,7 @@ enum Mood {
 }
 
 struct Served {
-    mood: Mutex<Mood>,
+    mood: Mutex<ServedContent>,
     archive: Vec<u8>,
     /// Number of downloads of the archive.
     downloads: AtomicUsize,
@@ -85,8 +85,8 @@ async fn answer(State(served): State<Arc<Served>>, uri: Uri, headers: HeaderMap)
         headers.get(header::ACCEPT).map_or("", |value| value.to_str().unwrap()).to_owned();
     let mood = *served.mood.lock().unwrap();
     match uri.path() {
-        _ if mood == Mood::NotThere => StatusCode::NOT_FOUND.into_response(),
-        "/simple/networks/" if mood == Mood::Html => {
+        _ if mood == ServedContent::NotThere => StatusCode::NOT_FOUND.into_response(),
+        "/simple/networks/" if mood == ServedContent::Html => {
             let page = r#"<html><a href="../../files/networks-1.0-py3-none-any.whl#sha256=0">networks</a></html>"#;
             ([(header::CONTENT_TYPE, "text/html")], page).into_response()
         }
@@ -116,8 +116,8 @@ async fn answer(State(served): State<Arc<Served>>, uri: Uri, headers: HeaderMap)
             served.downloads.fetch_add(1, Ordering::Relaxed);
             let mut bytes = served.archive.clone();
             match mood {
-                Mood::BreaksOff => bytes.truncate(bytes.len() / 2),
-                Mood::Altered => bytes[10] ^= 1,
+                ServedContent::BreaksOff => bytes.truncate(bytes.len() / 2),
+                ServedContent::Altered => bytes[10] ^= 1,
                 _ => {}
             }
             bytes.into_response()
@@ -127,7 +127,7 @@ async fn answer(State(served): State<Arc<Served>>, uri: Uri, headers: HeaderMap)
 }
 
 impl Bench {
-    fn new(source: Source, mood: Mood) -> Self {
+    fn new(source: Source, mood: ServedContent) -> Self {
         let (bytes, name, archive) = match source {
             Source::PyPi => (wheel(), "networks", "networks-1.0-py3-none-any.whl"),
             Source::Npm => (tarball(), "@scope/networks", "networks-1.0.tgz"),
@@ -198,10 +198,12 @@ impl Bench {
 /// From index to file, for each kind of registry. A second fetch downloads nothing, and replaces
 /// files that were damaged in between.
 #[test]
-fn a_part_is_brought_to_its_place_once() {
-    for (source, mood) in
-        [(Source::PyPi, Mood::Json), (Source::PyPi, Mood::Html), (Source::Npm, Mood::Json)]
-    {
+fn a_part_is_installed_once() {
+    for (source, mood) in [
+        (Source::PyPi, ServedContent::Json),
+        (Source::PyPi, ServedContent::Html),
+        (Source::Npm, ServedContent::Json),
+    ] {
         let bench = Bench::new(source, mood);
         bench.fetch().unwrap();
         assert_eq!(
@@ -228,18 +230,21 @@ fn a_part_is_brought_to_its_place_once() {
 
 /// A failed fetch leaves no files, and the message names the package and what to do.
 #[test]
-fn what_is_not_what_was_published_is_not_placed() {
+fn files_with_a_wrong_hash_are_not_installed() {
     for (mood, expected) in [
-        (Mood::Altered, "networks 1.0: the archive has the SHA-256"),
-        (Mood::BreaksOff, "networks 1.0: the archive is not"),
-        (Mood::NotThere, "does not have networks-1.0-py3-none-any.whl. Try another registry."),
+        (ServedContent::Altered, "networks 1.0: the archive has the SHA-256"),
+        (ServedContent::BreaksOff, "networks 1.0: the archive is not"),
+        (
+            ServedContent::NotThere,
+            "does not have networks-1.0-py3-none-any.whl. Try another registry.",
+        ),
     ] {
         let bench = Bench::new(Source::PyPi, mood);
         let error = bench.fetch().unwrap_err().to_string();
         assert!(error.contains(expected), "{mood:?}: {error}");
         assert!(bench.placed().is_empty(), "{mood:?}: {:?}", bench.placed());
         // The next attempt succeeds.
-        *bench.served.mood.lock().unwrap() = Mood::Json;
+        *bench.served.mood.lock().unwrap() = ServedContent::Json;
         bench.fetch().unwrap();
         assert_eq!(bench.placed().len(), 3);
     }
@@ -247,12 +252,12 @@ fn what_is_not_what_was_published_is_not_placed() {
 
 /// An intact archive with a different or missing file.
 #[test]
-fn every_file_has_a_hash_of_its_own() {
+fn every_file_has_its_own_hash() {
     for source in [Source::PyPi, Source::Npm] {
         for (inside, expected) in
             [("lib/other", "network.onnx has the SHA-256"), ("lib/nowhere", "lib/nowhere")]
         {
-            let mut bench = Bench::new(source, Mood::Json);
+            let mut bench = Bench::new(source, ServedContent::Json);
             let Build { package, .. } = bench.part.builds[0].clone();
             let files = vec![PackagedFile { inside, name: "network.onnx", sha256: sum(NETWORK) }];
             bench.part.builds = vec![Build { system: None, package, files: files.leak() }].leak();
@@ -264,8 +269,8 @@ fn every_file_has_a_hash_of_its_own() {
 }
 
 #[test]
-fn a_registry_that_is_not_there_is_told_with_what_to_do() {
-    let mut bench = Bench::new(Source::PyPi, Mood::Json);
+fn an_unreachable_registry_is_reported_with_advice() {
+    let mut bench = Bench::new(Source::PyPi, ServedContent::Json);
     // A port without a listener.
     let gone = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     bench.registries.pypi.base = Url::parse(&format!("http://me:secret@{gone}/simple")).unwrap();
@@ -279,7 +284,7 @@ fn a_registry_that_is_not_there_is_told_with_what_to_do() {
 
 /// Downloaded and included files together form complete bundles.
 #[test]
-fn bundles_are_whole() {
+fn bundles_are_complete() {
     let folder = tempfile::tempdir().unwrap();
     let models = Utf8PathBuf::from_path_buf(folder.path().to_owned()).unwrap();
     let places = Places { library: models.join("library"), models: models.clone() };

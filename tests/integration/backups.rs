@@ -49,7 +49,7 @@ impl TempFolders {
 }
 
 async fn run_backup(data: &Utf8Path, to: &Utf8Path) -> BackupReport {
-    let done = back_up(data, BackupTarget::of(to)).await.unwrap();
+    let done = back_up(data, BackupTarget::from_path(to)).await.unwrap();
     assert_eq!(done.left_out, Vec::new());
     done
 }
@@ -57,7 +57,9 @@ async fn run_backup(data: &Utf8Path, to: &Utf8Path) -> BackupReport {
 /// Starts a server on a restored backup.
 async fn start_restored(from: &Utf8Path) -> TestServer {
     let data = tempfile::tempdir().unwrap();
-    restore(BackupSource::of(from), Utf8Path::from_path(data.path()).unwrap()).await.unwrap();
+    restore(BackupSource::from_path(from), Utf8Path::from_path(data.path()).unwrap())
+        .await
+        .unwrap();
     TestServer::start_on(
         data,
         LimitsConfig::default(),
@@ -99,12 +101,12 @@ async fn a_backup_of_a_busy_server_answers_as_the_server_did() {
     // Each backup is consistent, whatever is in progress while it is made.
     for round in 0..5 {
         run_backup(server.data(), &folders.at("backup")).await;
-        check(BackupSource::of(&folders.at("backup")))
+        check(BackupSource::from_path(&folders.at("backup")))
             .await
             .unwrap_or_else(|error| panic!("round {round}: {error}"));
         let archive = folders.at("backup.tar.zst");
         run_backup(server.data(), &archive).await;
-        check(BackupSource::of(&archive))
+        check(BackupSource::from_path(&archive))
             .await
             .unwrap_or_else(|error| panic!("round {round}, archive: {error}"));
     }
@@ -168,7 +170,7 @@ async fn a_second_backup_copies_only_new_files() {
     let last = run_backup(server.data(), &to).await;
     assert_eq!((last.scenes, last.folders, last.new_folders), (1, 2, 1));
     assert_eq!(to.join("blobs/contents").read_dir_utf8().unwrap().count(), 1);
-    check(BackupSource::of(&to)).await.unwrap();
+    check(BackupSource::from_path(&to)).await.unwrap();
     // A stopped server's folder is backed up in the same way.
     let data = server.stop_and_keep_data().await;
     let stopped =

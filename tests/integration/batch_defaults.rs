@@ -147,7 +147,7 @@ async fn a_batch_stored_without_shared_defaults_gives_the_same_results() {
     let digest: String = digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
     let sql = "UPDATE batches SET defaults = NULL, request = $1, state = 'paused', finished_at = NULL WHERE id = $2";
     sqlx::query(sql).bind(digest).bind(&batch.id).execute(&mut database).await.unwrap();
-    client.tell_batch(&batch.id, "resume").await.unwrap();
+    client.control_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(wait_for_batch(client, &batch.id).await.state, BatchState::Succeeded);
     assert_eq!(results_without_ids(client, &batch.id).await, of_today);
     assert_eq!(

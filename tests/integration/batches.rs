@@ -173,7 +173,10 @@ async fn an_invalid_batch_is_refused_as_a_whole() {
     assert_eq!(client.batches(10, None).await.unwrap().batches, []);
     let missing = "018f0000-0000-7000-8000-000000000000";
     assert_eq!(expect_problem(client.batch(missing).await).code, "batch_not_found");
-    assert_eq!(expect_problem(client.tell_batch(missing, "pause").await).code, "batch_not_found");
+    assert_eq!(
+        expect_problem(client.control_batch(missing, "pause").await).code,
+        "batch_not_found"
+    );
     server.stop().await;
 }
 
@@ -195,7 +198,7 @@ async fn an_idempotency_key_creates_one_batch() {
     assert_eq!((batches.len(), batches[0].items), (1, 900));
     let batch = wait_for_batch(client, &batches[0].id).await;
     assert_eq!((batch.state, batch.done), (BatchState::Succeeded, 900));
-    assert_eq!(expect_problem(client.tell_batch(&batch.id, "pause").await).code, "batch_over");
+    assert_eq!(expect_problem(client.control_batch(&batch.id, "pause").await).code, "batch_over");
     server.stop().await;
 }
 
@@ -207,22 +210,22 @@ async fn a_batch_can_be_paused_resumed_and_cancelled() {
     let options = [("concurrency", "1".to_owned())];
     let batch =
         client.create_batch_of_lines(question_lines(&scene, 1500), &options, None).await.unwrap();
-    let paused = client.tell_batch(&batch.id, "pause").await.unwrap();
+    let paused = client.control_batch(&batch.id, "pause").await.unwrap();
     assert_eq!((paused.state, paused.reason), (BatchState::Paused, None));
     // The item in progress finishes; then nothing changes.
     client.follow_job(paused.job_id.as_deref().unwrap(), |_| {}).await.unwrap();
     let before = client.batch(&batch.id).await.unwrap().done;
     assert!(before < 1500, "{before}");
     assert_eq!(fetch_results(client, &batch.id, 0, false).await.len(), before as usize);
-    let resumed = client.tell_batch(&batch.id, "resume").await.unwrap();
+    let resumed = client.control_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(resumed.state, BatchState::Running);
     while client.batch(&batch.id).await.unwrap().done == before {
         sleep(Duration::from_millis(5)).await;
     }
-    client.tell_batch(&batch.id, "cancel").await.unwrap();
+    client.control_batch(&batch.id, "cancel").await.unwrap();
     let over = wait_for_batch(client, &batch.id).await;
     assert_eq!((over.state, over.finished_at.is_some()), (BatchState::Cancelled, true));
-    assert_eq!(expect_problem(client.tell_batch(&batch.id, "resume").await).code, "batch_over");
+    assert_eq!(expect_problem(client.control_batch(&batch.id, "resume").await).code, "batch_over");
     // Cancelling the job leaves a batch that can be resumed.
     let batch =
         client.create_batch_of_lines(question_lines(&scene, 1500), &options, None).await.unwrap();
@@ -230,7 +233,7 @@ async fn a_batch_can_be_paused_resumed_and_cancelled() {
     client.follow_job(&job.id, |_| {}).await.unwrap();
     let stopped = client.batch(&batch.id).await.unwrap();
     assert_eq!((stopped.state, stopped.reason.as_deref()), (BatchState::Paused, Some("job_ended")));
-    client.tell_batch(&batch.id, "resume").await.unwrap();
+    client.control_batch(&batch.id, "resume").await.unwrap();
     assert_eq!(wait_for_batch(client, &batch.id).await.done, 1500);
     server.stop().await;
 }

@@ -47,7 +47,7 @@ async fn start_server(data: &Utf8Path, role: Role) -> (RunningService, Client) {
 async fn start_worker(data: &Utf8Path, kinds: &[JobType]) -> RunningService {
     let worker =
         WorkerConfig { kinds: kinds.to_vec(), concurrency: Some(2), serve: serve_config(data) };
-    app::start_part(&worker.serve, &ProcessRole::from(&worker)).await.unwrap()
+    app::start_role(&worker.serve, &ProcessRole::from(&worker)).await.unwrap()
 }
 
 #[tokio::test]
@@ -178,7 +178,7 @@ async fn a_job_of_a_lost_process_is_taken_over() {
         sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
     }
     let worker = WorkerConfig { kinds: vec![JobType::Parse], concurrency: None, serve: short };
-    let other = app::start_part(&worker.serve, &ProcessRole::from(&worker)).await.unwrap();
+    let other = app::start_role(&worker.serve, &ProcessRole::from(&worker)).await.unwrap();
     sleep(Duration::from_secs(4)).await;
     let state = client.job(&job.id).await.unwrap();
     assert_eq!((state.state, state.attempts), (JobState::Running, 1), "the lease has not expired");

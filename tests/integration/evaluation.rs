@@ -116,7 +116,7 @@ fn a_server_gives_the_same_figures_as_the_process() {
     let server = runtime.block_on(TestServer::start());
     let (_keep, remote_out) = temp_folder();
     let suite = Suite::open(Utf8Path::new(EXAMPLES), &SuiteOptions::default()).unwrap();
-    let cells = configuration::cells("", &Configuration::default()).unwrap();
+    let cells = configuration::expand_matrix("", &Configuration::default()).unwrap();
     let system = Server::connect(&server.url(), None).unwrap();
     let options = RunOptions { out: &remote_out, cells: &cells, concurrency: 1, progress: &|_| {} };
     let remote = Report::new(&suite, local.run.clone(), run(&suite, &system, &options).unwrap());
@@ -146,7 +146,7 @@ fn a_server_gives_the_same_figures_as_the_process() {
     assert!(scenes().len() == 1 && scenes()[0].id != lost);
     assert_eq!(asked_again[0].outcomes.len(), suite.tasks.len());
     // Options that need an in-process run are refused before any question is asked.
-    let oracle = configuration::cells("source=oracle", &Configuration::default()).unwrap();
+    let oracle = configuration::expand_matrix("source=oracle", &Configuration::default()).unwrap();
     let refused = run(&suite, &system, &RunOptions { cells: &oracle, ..options }).unwrap_err();
     assert!(format!("{refused:#}").contains("need a run in process"), "{refused:#}");
     drop(system);

@@ -315,10 +315,10 @@ async fn a_batch_stops_when_its_key_is_revoked() {
     let items: Vec<Value> = (0..3).map(|_| json!({"query": "the red sofa"})).collect();
     let request = json!({"items": items, "defaults": {"scene_id": scene, "reasoner": "vlm", "timeout_s": 0.5}, "concurrency": 1});
     let batch = robot.create_batch(&serde_json::from_value(request).unwrap(), None).await.unwrap();
-    admin.tell_batch(&batch.id, "pause").await.unwrap();
+    admin.control_batch(&batch.id, "pause").await.unwrap();
     wait_for_job(&admin, batch.job_id.as_deref().unwrap()).await;
     admin.revoke_key(&key.key.id).await.unwrap();
-    let resumed = admin.tell_batch(&batch.id, "resume").await.unwrap();
+    let resumed = admin.control_batch(&batch.id, "resume").await.unwrap();
     wait_for_job(&admin, resumed.job_id.as_deref().unwrap()).await;
     let paused = admin.batch(&batch.id).await.unwrap();
     assert_eq!((paused.state, paused.reason.as_deref()), (BatchState::Paused, Some("key_refused")));

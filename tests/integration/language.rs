@@ -123,7 +123,7 @@ fn answers_do_not_depend_on_the_orientation_of_the_axes() {
             assert_accuracy(
                 &format!("{name} turned by {deg}"),
                 &known,
-                &known.annotations.turned(deg),
+                &known.annotations.rotated(deg),
                 str::to_owned,
                 true,
             );
@@ -209,7 +209,7 @@ fn questions_about_parsed_rooms_are_answered_without_a_model() {
     let suite =
         Suite::open(Utf8Path::from_path(rooms.path()).unwrap(), &SuiteOptions::default()).unwrap();
     let out = tempfile::tempdir().unwrap();
-    let cells = configuration::cells("source=parsed", &Configuration::default()).unwrap();
+    let cells = configuration::expand_matrix("source=parsed", &Configuration::default()).unwrap();
     let options = RunOptions {
         out: Utf8Path::from_path(out.path()).unwrap(),
         cells: &cells,

@@ -183,14 +183,14 @@ async fn old_answers_are_removed_and_new_ones_stay() {
                SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, (SELECT '1' AS value UNION ALL SELECT '2' UNION ALL SELECT '3') AS few";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
     let store =
-        Store::open(folder, &database_location(folder), &blobs_config(folder).home().unwrap())
+        Store::open(folder, &database_location(folder), &blobs_config(folder).blob_home().unwrap())
             .await
             .unwrap();
     let limits = LimitsConfig {
         retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() },
         ..LimitsConfig::default()
     };
-    let dependencies = Dependencies::at_rest(store.clone(), limits.service_limits()).await.unwrap();
+    let dependencies = Dependencies::offline(store.clone(), limits.service_limits()).await.unwrap();
     let services = Services::new(dependencies);
     services.maintenance.run_maintenance().await.unwrap();
     let left: Vec<String> =
@@ -251,7 +251,7 @@ async fn a_batch_waits_for_disk_space() {
         .create_batch_of_lines(line.repeat(600), &[("concurrency", "1".to_owned())], None)
         .await
         .unwrap();
-    let paused = server.client.tell_batch(&batch.id, "pause").await.unwrap();
+    let paused = server.client.control_batch(&batch.id, "pause").await.unwrap();
     wait_for_job(&server.client, paused.job_id.as_deref().unwrap()).await;
     let before = server.client.batch(&batch.id).await.unwrap().done;
     assert!(before < 600, "{before} items were answered before the disk check");
@@ -259,7 +259,7 @@ async fn a_batch_waits_for_disk_space() {
     let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
     let server =
         TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::builtin()).await;
-    let job = server.client.tell_batch(&batch.id, "resume").await.unwrap().job_id.unwrap();
+    let job = server.client.control_batch(&batch.id, "resume").await.unwrap().job_id.unwrap();
     while server.client.job(&job).await.unwrap().attempts < 2 {
         tokio::time::sleep(std::time::Duration::from_millis(50)).await;
     }

@@ -135,7 +135,7 @@ async fn the_latest_labels_apply() {
     // Renaming a scene changes nothing else.
     assert_eq!(client.rename_scene(&scene.id, "study").await.unwrap().labels.len(), 2);
     let listed = async |labels: &str| {
-        client.scenes_labelled(labels, 10, None).await.map(|page| page.scenes.len())
+        client.scenes_with_labels(labels, 10, None).await.map(|page| page.scenes.len())
     };
     assert_eq!(listed("building=A").await.unwrap(), 1);
     assert_eq!(listed("building=A,floor=2").await.unwrap(), 1);

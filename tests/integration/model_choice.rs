@@ -49,18 +49,18 @@ fn bundles_in_the_folder_are_used_in_name_order() {
     let chosen = models_config(&tiny_bundles(), AUTO, AUTO).load().unwrap();
     assert_eq!(model_names(&chosen), ["tiny-segmenter", "tiny-dual-encoder"]);
     assert!(
-        chosen.told.contains("masks: tiny-segmenter (found in")
-            && chosen.told.contains("--masks builtin"),
+        chosen.summary.contains("masks: tiny-segmenter (found in")
+            && chosen.summary.contains("--masks builtin"),
         "{}",
-        chosen.told
+        chosen.summary
     );
-    assert!(chosen.told.contains("encoder: tiny-dual-encoder (found in"), "{}", chosen.told);
+    assert!(chosen.summary.contains("encoder: tiny-dual-encoder (found in"), "{}", chosen.summary);
     assert_eq!(chosen.warnings, [""; 0]);
     // A named bundle is not searched for.
     let asked = models_config(&tiny_bundles(), "tiny-segmenter-sam", BUILTIN).load().unwrap();
     assert_eq!(model_names(&asked), ["tiny-segmenter-sam"]);
     assert_eq!(
-        asked.told,
+        asked.summary,
         "masks: tiny-segmenter-sam (as configured); encoder: built in (as configured)"
     );
 }
@@ -78,7 +78,7 @@ fn without_bundles_built_in_models_are_used() {
             "{:?}",
             chosen.warnings
         );
-        assert_eq!(chosen.told.matches("uniground models fetch").count(), 2, "{}", chosen.told);
+        assert_eq!(chosen.summary.matches("uniground models fetch").count(), 2, "{}", chosen.summary);
     }
 }
 
@@ -98,9 +98,9 @@ fn a_broken_bundle_is_a_warning_unless_named_in_the_configuration() {
     let chosen = models_config(&models, AUTO, AUTO).load().unwrap();
     assert_eq!(model_names(&chosen), ["tiny-dual-encoder"]);
     assert!(
-        chosen.told.starts_with("masks: built in (no segmentation model in"),
+        chosen.summary.starts_with("masks: built in (no segmentation model in"),
         "{}",
-        chosen.told
+        chosen.summary
     );
     let warned = chosen.warnings.join("\n");
     assert!(warned.contains("c-unreadable/model.json") && warned.contains("a-broken/"), "{warned}");

@@ -21,7 +21,7 @@ use uniground_endpoints::inference::RemoteServer;
 use uniground_evaluation::annotated::AnnotatedRoom;
 use uniground_evaluation::annotations::Annotations;
 use uniground_evaluation::segmentation::score_instances;
-use uniground_evaluation::systems::{NamedBy, instances_of, see};
+use uniground_evaluation::systems::{NamedBy, embed_and_name, instances_of};
 
 fn repository_root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -270,13 +270,19 @@ fn clip_retrieves_annotated_objects_by_name() {
         let scratch = tempfile::tempdir().unwrap();
         let room = load_room(name, &scratch);
         let folder = repository_root().join("../shared/scenes");
-        let (annotations, _) = Annotations::read(&Annotations::file_of(&folder, name).unwrap());
+        let (annotations, _) = Annotations::read(&Annotations::find_file(&folder, name).unwrap());
         let cloud = &room.bundle.cloud;
         let mut instances = instances_of(&annotations, cloud, NamedBy::Encoder);
         let settings = ParsingSettings::default();
-        let seen =
-            see(&annotations, &mut instances, cloud, &room.bundle.frames, &encoder, &settings)
-                .unwrap();
+        let seen = embed_and_name(
+            &annotations,
+            &mut instances,
+            cloud,
+            &room.bundle.frames,
+            &encoder,
+            &settings,
+        )
+        .unwrap();
         // Structure is not an object; names come from the annotations.
         let things: Vec<usize> = (0..instances.len())
             .filter(|&i| instances[i].structure.is_none() && seen.is_seen(i))

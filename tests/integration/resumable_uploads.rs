@@ -465,12 +465,12 @@ async fn an_abandoned_upload_is_removed_and_counted() {
     let data = server.stop_and_keep_data().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let store =
-        Store::open(folder, &database_location(folder), &blobs_config(folder).home().unwrap())
+        Store::open(folder, &database_location(folder), &blobs_config(folder).blob_home().unwrap())
             .await
             .unwrap();
     let limits = LimitsConfig::default().service_limits();
-    let services = Services::new(Dependencies::at_rest(store.clone(), limits).await.unwrap());
-    let removed = services.maintenance.apply_retention(RunMode::Nobody).await.unwrap();
+    let services = Services::new(Dependencies::offline(store.clone(), limits).await.unwrap());
+    let removed = services.maintenance.apply_retention(RunMode::Offline).await.unwrap();
     let removed = removed.iter().find(|removed| removed.kind == "uploads in parts").unwrap();
     assert_eq!((removed.entries, removed.bytes), (1, 6000));
     store.close().await;

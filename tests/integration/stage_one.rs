@@ -116,8 +116,8 @@ fn rotation_and_point_order_do_not_change_the_result() {
         print_score("as is", &as_is);
         for (what, other) in [
             ("shuffled", room.shuffled()),
-            ("turned by 90", room.turned(90.0)),
-            ("turned by 33", room.turned(33.0)),
+            ("turned by 90", room.rotated(90.0)),
+            ("turned by 33", room.rotated(33.0)),
         ] {
             let score = score(&other, &masks);
             print_score(what, &score);

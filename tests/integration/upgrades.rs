@@ -379,7 +379,11 @@ async fn databases_of_every_schema_are_migrated_without_loss() {
             .filter(|(since, _)| version >= *since)
             .map(|(_, usd)| usd)
             .sum::<f64>();
-        assert_eq!(store.spending.spent_on("2026-11-20").await.unwrap(), spent, "schema {version}");
+        assert_eq!(
+            store.spending.spending_on_day("2026-11-20").await.unwrap(),
+            spent,
+            "schema {version}"
+        );
         let parse = &store.parses.all_parses().await.unwrap()[0].id;
         assert_eq!(
             store.names.instance_names(parse, "a-model", 1).await.unwrap().len(),

@@ -44,7 +44,7 @@ use uniground_types::transcript::{AnswerPrompt, AnswerReply};
 
 /// Chooses the cryptography of TLS for this process: ring, unless something else was chosen before.
 /// `reqwest` brings none of its own and wants it to be there when a client is made.
-pub fn choose_cryptography() {
+pub fn install_crypto_provider() {
     if rustls::crypto::CryptoProvider::get_default().is_none() {
         let _chosen_meanwhile = rustls::crypto::ring::default_provider().install_default();
     }
@@ -68,7 +68,7 @@ impl Client {
             .ok()
             .filter(|url| !url.cannot_be_a_base())
             .ok_or_else(|| ClientError::BadAddress(server.into()))?;
-        choose_cryptography();
+        install_crypto_provider();
         Ok(Self { http: reqwest::Client::new(), base, api_key })
     }
 
@@ -144,7 +144,7 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn scenes_labelled(
+    pub async fn scenes_with_labels(
         &self,
         labels: &str,
         limit: u32,
@@ -358,7 +358,7 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn tell_batch(&self, id: &str, what: &str) -> Result<Batch, ClientError> {
+    pub async fn control_batch(&self, id: &str, what: &str) -> Result<Batch, ClientError> {
         json(self.request(Method::POST, &format!("v1/batches/{id}/{what}"))).await
     }
 

@@ -37,7 +37,7 @@ impl AnnotatedRoom {
     /// # Errors
     /// Returns an error that names the unreadable or malformed file.
     pub fn load(folder: &Utf8Path, name: &str, scratch: &Utf8Path) -> anyhow::Result<Self> {
-        let file = Annotations::file_of(folder, name)
+        let file = Annotations::find_file(folder, name)
             .with_context(|| format!("{folder}: no annotations of {name}"))?;
         let (annotations, omissions) = Annotations::read(&file);
         ensure!(
@@ -56,8 +56,11 @@ impl AnnotatedRoom {
             &ImportSettings { levelling: LevellingChoice::Off, ..ImportSettings::default() },
             &Progress::silent(),
         )?;
-        let truth =
-            annotations.label(&bundle.cloud).into_iter().map(Option::unwrap_or_default).collect();
+        let truth = annotations
+            .label_points(&bundle.cloud)
+            .into_iter()
+            .map(Option::unwrap_or_default)
+            .collect();
         Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
     }
 
@@ -93,7 +96,7 @@ impl AnnotatedRoom {
     }
 
     /// Returns the annotations as a source of 2D masks. Only valid for the world as annotated, not
-    /// after [`turned`](Self::turned).
+    /// after [`rotated`](Self::rotated).
     #[must_use]
     pub fn masks(&self) -> AnnotatedMasks {
         self.annotations.masks(&self.bundle.cloud)
@@ -101,7 +104,7 @@ impl AnnotatedRoom {
 
     /// Returns the same room in a world rotated about Z.
     #[must_use]
-    pub fn turned(&self, deg: f32) -> Self {
+    pub fn rotated(&self, deg: f32) -> Self {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
         let mut room = self.clone();
         room.bundle.cloud.positions.iter_mut().for_each(|p| *p = turn * *p);
@@ -142,12 +145,12 @@ impl Annotations {
     /// Returns the annotated id of each point of a cloud, if any: from the point annotations if it
     /// is the room's own cloud, otherwise from the annotated boxes. `None` instead of 0, because
     /// data sets have objects with number 0.
-    pub(super) fn label(&self, cloud: &PointCloud) -> Vec<Option<u32>> {
+    pub(super) fn label_points(&self, cloud: &PointCloud) -> Vec<Option<u32>> {
         match &self.of_point {
             Some(of_point) if of_point.len() == cloud.len() => {
                 of_point.iter().map(|&id| (id != 0).then_some(id)).collect()
             }
-            _ => cloud.positions.iter().map(|p| self.at(p, 0.02)).collect(),
+            _ => cloud.positions.iter().map(|p| self.object_at(p, 0.02)).collect(),
         }
     }
 
@@ -157,7 +160,7 @@ impl Annotations {
     /// The smallest box that contains the position wins: a cup in a shelf is not the shelf. A
     /// position on a floor or wall belongs to the floor or wall, unless the box is a flat one on it
     /// (rugs, pictures) or is embedded in it (windows, doors).
-    fn at(&self, p: &Point3<f32>, noise_m: f32) -> Option<u32> {
+    fn object_at(&self, p: &Point3<f32>, noise_m: f32) -> Option<u32> {
         let holding = |slack: f32| self.objects.iter().filter(move |o| o.distance(p) <= slack);
         let smallest = holding(noise_m).min_by(|a, b| a.volume().total_cmp(&b.volume()));
         let structural = holding(noise_m).find(|o| o.structure().is_some());
@@ -171,7 +174,7 @@ impl Annotations {
     }
 
     fn masks(&self, cloud: &PointCloud) -> AnnotatedMasks {
-        let mut near: VoxelMap<Vec<LabelledPoint>> = VoxelMap::default();
+        let mut near: VoxelMap<Vec<LabeledPoint>> = VoxelMap::default();
         if let Some(of_point) = self.of_point.as_ref().filter(|ids| ids.len() == cloud.len()) {
             for (p, &id) in cloud.positions.iter().zip(of_point) {
                 near.entry(VoxelKey::of(p, NEAR_M)).or_default().push((*p, id));
@@ -207,7 +210,7 @@ impl SceneObject {
 }
 
 /// A point and the object it belongs to.
-type LabelledPoint = (Point3<f32>, u32);
+type LabeledPoint = (Point3<f32>, u32);
 
 /// Maximum distance of a pixel from the annotated point whose object it takes, meters.
 const NEAR_M: f32 = 0.03;
@@ -217,13 +220,13 @@ const NEAR_M: f32 = 0.03;
 #[derive(Clone)]
 pub struct AnnotatedMasks {
     annotations: Arc<Annotations>,
-    near: Arc<VoxelMap<Vec<LabelledPoint>>>,
+    near: Arc<VoxelMap<Vec<LabeledPoint>>>,
 }
 
 impl AnnotatedMasks {
-    fn at(&self, p: &Point3<f32>, z_m: f32) -> u32 {
+    fn object_at(&self, p: &Point3<f32>, z_m: f32) -> u32 {
         if self.near.is_empty() {
-            return self.annotations.at(p, 0.01 + 0.003 * z_m * z_m).unwrap_or_default();
+            return self.annotations.object_at(p, 0.01 + 0.003 * z_m * z_m).unwrap_or_default();
         }
         let center = VoxelKey::of(p, NEAR_M);
         let mut best = (NEAR_M * NEAR_M, 0);
@@ -251,7 +254,8 @@ impl MaskSource for AnnotatedMasks {
         let intrinsics = frame.depth_camera.intrinsics;
         let at = |u: u32, v: u32| match frame.depth.at((u, v)) {
             0.0 => 0,
-            z_m => self.at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m)
+            z_m => self
+                .object_at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m)
                 as u16,
         };
         let ids = (0..height)
@@ -268,14 +272,14 @@ mod tests {
 
     /// `ScanNet` counts from 0: unlabeled points do not belong to its object 0.
     #[test]
-    fn a_point_of_no_object_is_not_of_object_zero() {
+    fn unlabeled_points_do_not_belong_to_object_zero() {
         let boxes = [-1.0, 1.0].map(|x| {
             (
                 "box".to_owned(),
                 Aabb { center: Point3::new(x, 0.0, 0.0), size: Vector3::new(1.0, 1.0, 1.0) },
             )
         });
-        let mut annotations = Annotations::named(&boxes);
+        let mut annotations = Annotations::from_boxes(&boxes);
         annotations.objects.iter_mut().for_each(|object| object.id -= 1);
         let positions = vec![
             Point3::new(-1.0, 0.0, 0.0),
@@ -283,6 +287,6 @@ mod tests {
             Point3::new(9.0, 0.0, 0.0),
         ];
         let cloud = PointCloud { colours: vec![[0; 3]; 3], positions };
-        assert_eq!(annotations.label(&cloud), [Some(0), Some(1), None]);
+        assert_eq!(annotations.label_points(&cloud), [Some(0), Some(1), None]);
     }
 }

@@ -83,7 +83,7 @@ struct LookupRecord {
 impl Annotations {
     /// Returns the file that describes a scene, if `folder` contains one.
     #[must_use]
-    pub fn file_of(folder: &Utf8Path, scene: &str) -> Option<Utf8PathBuf> {
+    pub fn find_file(folder: &Utf8Path, scene: &str) -> Option<Utf8PathBuf> {
         [format!("{scene}.scene.json"), format!("{scene}.json")]
             .iter()
             .map(|name| folder.join(name))
@@ -118,24 +118,27 @@ impl Annotations {
             vec![Omission::new(file, error.line() as u64, error.to_string())]
         };
         if text.trim_start().starts_with('[') {
-            match Record::all(&text) {
+            match Record::parse_list(&text) {
                 Ok(records) => records.iter().for_each(|r| {
-                    take(r.line, r.decode(file).and_then(|o| of_lookup(o, file, r.line)));
+                    take(r.line, r.decode(file).and_then(|o| object_from_lookup(o, file, r.line)));
                 }),
                 Err(error) => return (Self::default(), broken(error)),
             }
         } else {
             match serde_json::from_str::<SceneFile>(&text) {
                 Ok(scene) => {
-                    let records = Record::located(&text, &scene.objects);
+                    let records = Record::with_locations(&text, &scene.objects);
                     records.iter().for_each(|r| {
-                        take(r.line, r.decode(file).and_then(|o| of_object(o, file, r.line)));
+                        take(
+                            r.line,
+                            r.decode(file).and_then(|o| object_from_record(o, file, r.line)),
+                        );
                     });
                 }
                 Err(error) => return (Self::default(), broken(error)),
             }
         }
-        let of_point = match read_of_point(file) {
+        let of_point = match read_point_labels(file) {
             Ok(of_point) => of_point,
             Err(omission) => {
                 omissions.push(omission);
@@ -149,7 +152,7 @@ impl Annotations {
 
     /// Returns boxes and their names, numbered from 1.
     #[must_use]
-    pub fn named(boxes: &[(String, Aabb)]) -> Self {
+    pub fn from_boxes(boxes: &[(String, Aabb)]) -> Self {
         let object = |(i, (name, aabb)): (usize, &(String, Aabb))| SceneObject {
             id: i as u32 + 1,
             name: name.clone(),
@@ -171,7 +174,7 @@ impl Annotations {
     /// Returns the same objects in a world rotated about Z. Axis-aligned boxes become the bounds of
     /// the rotated ones.
     #[must_use]
-    pub fn turned(&self, deg: f32) -> Self {
+    pub fn rotated(&self, deg: f32) -> Self {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
         let turned = |object: &SceneObject| {
             let own = object.rotated_box();
@@ -207,7 +210,11 @@ impl SceneObject {
     }
 }
 
-fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneObject, Omission> {
+fn object_from_record(
+    record: ObjectRecord,
+    file: &Utf8Path,
+    line: u64,
+) -> Result<SceneObject, Omission> {
     let ObjectRecord { id, name, min, max, obb, cloud_points, mean_rgb, colour } = record;
     let words = colour.unwrap_or_default().replace("gray", "grey");
     let colours = ColourName::ALL
@@ -222,15 +229,15 @@ fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneOb
     });
     let object =
         SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours, seen_as: None };
-    sound(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
+    check_object(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
-fn of_lookup(
+fn object_from_lookup(
     LookupRecord { bbox_id: id, target: name, bbox_3d }: LookupRecord,
     file: &Utf8Path,
     line: u64,
 ) -> Result<SceneObject, Omission> {
-    box_of_numbers(&bbox_3d)
+    parse_box(&bbox_3d)
         .map(|rotated| SceneObject {
             id,
             name: name.replace('_', " "),
@@ -241,12 +248,12 @@ fn of_lookup(
             colours: Vec::new(),
             seen_as: None,
         })
-        .and_then(sound)
+        .and_then(check_object)
         .map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
 /// Parses center, full extent and, with nine numbers, `ZXY` Euler angles in radians.
-fn box_of_numbers(numbers: &[f32]) -> Result<RotatedBox, String> {
+fn parse_box(numbers: &[f32]) -> Result<RotatedBox, String> {
     let (center, size, turn) = match *numbers {
         [x, y, z, dx, dy, dz] => ([x, y, z], [dx, dy, dz], [0.0; 3]),
         [x, y, z, dx, dy, dz, a, b, c] => ([x, y, z], [dx, dy, dz], [a, b, c]),
@@ -259,7 +266,7 @@ fn box_of_numbers(numbers: &[f32]) -> Result<RotatedBox, String> {
     Ok(RotatedBox { center: Point3::from(center), size: Vector3::from(size), rotation })
 }
 
-fn sound(object: SceneObject) -> Result<SceneObject, String> {
+fn check_object(object: SceneObject) -> Result<SceneObject, String> {
     check_box(&object.aabb)?;
     object.rotated.map_or(Ok(()), |b| check_box(&Aabb { center: b.center, size: b.size }))?;
     if object.rotated.is_some_and(|b| !b.rotation.coords.iter().all(|v| v.is_finite())) {
@@ -304,7 +311,7 @@ fn read_seen_names(file: &Utf8Path, objects: &mut [SceneObject]) -> Result<(), O
     Ok(())
 }
 
-fn read_of_point(file: &Utf8Path) -> Result<Option<Vec<u32>>, Omission> {
+fn read_point_labels(file: &Utf8Path) -> Result<Option<Vec<u32>>, Omission> {
     let Some(stem) = file.as_str().strip_suffix(".scene.json") else { return Ok(None) };
     let file = Utf8PathBuf::from(format!("{stem}.cloud_instance.npy"));
     if !file.is_file() {
@@ -341,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn malformed_boxes_are_told_and_the_rest_is_kept() {
+    fn malformed_boxes_are_reported_and_valid_ones_kept() {
         let (annotations, omissions) = read(
             "a.scene.json",
             r#"{"name": "a", "objects": [

@@ -2,7 +2,7 @@
 //! significant.
 
 use super::digest;
-use super::measures::interval;
+use super::measures::confidence_interval;
 use super::report::{CellReport, Report};
 use super::scoring::ScoredExpression;
 use super::segmentation::IOU_THRESHOLDS;
@@ -69,17 +69,17 @@ impl Change {
 /// Returns a key of an expression from its id and its text. Where ids are positions in a list, the
 /// text shows whether it is still the same expression.
 #[must_use]
-pub fn key(outcome: &ScoredExpression) -> String {
-    format!("{}~{:.6}", outcome.id, digest::of(outcome.query.as_bytes()))
+pub fn expression_key(outcome: &ScoredExpression) -> String {
+    format!("{}~{:.6}", outcome.id, digest::short_digest(outcome.query.as_bytes()))
 }
 
 impl Baseline {
     #[must_use]
-    pub fn of(report: &Report) -> Self {
+    pub fn from_report(report: &Report) -> Self {
         let cells = report
             .cells
             .iter()
-            .map(|cell| (cell.name.clone(), BaselineCell::of(cell, report.run.seed)))
+            .map(|cell| (cell.name.clone(), BaselineCell::from_report(cell, report.run.seed)))
             .collect();
         Self {
             format: FORMAT.into(),
@@ -95,11 +95,11 @@ impl Baseline {
     /// Returns an error for a file that is neither.
     pub fn read(path: &Utf8Path) -> anyhow::Result<Self> {
         if path.is_dir() {
-            return Ok(Self::of(&Report::read(path)?));
+            return Ok(Self::from_report(&Report::read(path)?));
         }
         let text = fs::read_to_string(path).with_context(|| path.to_string())?;
         if let Ok(report) = serde_json::from_str::<Report>(&text) {
-            return Ok(Self::of(&report));
+            return Ok(Self::from_report(&report));
         }
         let baseline: Self = serde_json::from_str(&text).with_context(|| path.to_string())?;
         ensure!(
@@ -120,11 +120,11 @@ impl Baseline {
 
     /// Returns the changes, cell by cell. The second list names cells that only one side has.
     #[must_use]
-    pub fn against(&self, after: &Self) -> (Vec<CellChange>, Vec<String>) {
+    pub fn compare_with(&self, after: &Self) -> (Vec<CellChange>, Vec<String>) {
         let changes = self
             .cells
             .iter()
-            .filter_map(|(name, before)| Some(before.against(name, after.cells.get(name)?)))
+            .filter_map(|(name, before)| Some(before.compare_with(name, after.cells.get(name)?)))
             .collect();
         let only = |a: &Self, b: &Self| {
             a.cells.keys().filter(|name| !b.cells.contains_key(*name)).cloned().collect::<Vec<_>>()
@@ -134,20 +134,20 @@ impl Baseline {
 }
 
 impl BaselineCell {
-    fn of(cell: &CellReport, seed: u64) -> Self {
-        let right = |o: &ScoredExpression| IOU_THRESHOLDS.map(|at| o.right_at(at));
+    fn from_report(cell: &CellReport, seed: u64) -> Self {
+        let right = |o: &ScoredExpression| IOU_THRESHOLDS.map(|at| o.is_right_at(at));
         let low = std::array::from_fn(|i| {
             let values: Vec<(&str, f32)> = cell
                 .outcomes
                 .iter()
                 .map(|o| (o.scene.as_str(), f32::from(u8::from(right(o)[i]))))
                 .collect();
-            interval(&values, seed).0
+            confidence_interval(&values, seed).0
         });
-        Self { low, right: cell.outcomes.iter().map(|o| (key(o), right(o))).collect() }
+        Self { low, right: cell.outcomes.iter().map(|o| (expression_key(o), right(o))).collect() }
     }
 
-    fn against(&self, cell: &str, after: &Self) -> CellChange {
+    fn compare_with(&self, cell: &str, after: &Self) -> CellChange {
         let pairs: Vec<(&String, [bool; 2], [bool; 2])> = self
             .right
             .iter()
@@ -166,7 +166,7 @@ impl BaselineCell {
             Change {
                 before: pairs.iter().filter(|p| p.1[i]).count() as f32 / n,
                 after: pairs.iter().filter(|p| p.2[i]).count() as f32 / n,
-                interval: interval(&differences, 0),
+                interval: confidence_interval(&differences, 0),
                 low_before: self.low[i],
                 gained: named(1.0),
                 lost: named(-1.0),
@@ -236,11 +236,11 @@ mod tests {
     }
 
     fn change(before: &BaselineCell, after: &BaselineCell) -> Change {
-        before.against("cell", after).thresholds[0].clone()
+        before.compare_with("cell", after).thresholds[0].clone()
     }
 
     #[test]
-    fn losing_many_is_a_drop_losing_one_is_luck() {
+    fn only_significant_losses_count_as_a_drop() {
         let all = cell(0.8, &[true; 40]);
         let mut one = [true; 40];
         one[3] = false;
@@ -256,8 +256,9 @@ mod tests {
     }
 
     #[test]
-    fn expressions_of_one_side_only_are_counted_not_compared() {
-        let compared = cell(0.0, &[true, false]).against("cell", &cell(0.0, &[true, true, false]));
+    fn unpaired_expressions_are_counted_but_not_compared() {
+        let compared =
+            cell(0.0, &[true, false]).compare_with("cell", &cell(0.0, &[true, true, false]));
         assert_eq!((compared.expressions, compared.unpaired), (2, 1));
         assert_eq!(compared.thresholds[0].gained, ["t01"]);
     }

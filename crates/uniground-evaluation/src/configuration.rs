@@ -103,7 +103,10 @@ const MAX_CELLS: usize = 1000;
 /// # Errors
 /// Returns an error for an unknown axis or value (with the known ones), an axis given twice, too
 /// many cells, or a parser that is equivalent to another one.
-pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, Configuration)>> {
+pub fn expand_matrix(
+    matrix: &str,
+    base: &Configuration,
+) -> anyhow::Result<Vec<(String, Configuration)>> {
     let mut cells = vec![(String::new(), base.clone())];
     let mut seen: Vec<&str> = Vec::new();
     for part in matrix.split(';').map(str::trim).filter(|part| !part.is_empty()) {
@@ -112,7 +115,7 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
         let axis = axis.trim();
         ensure!(!seen.contains(&axis), "the axis {axis} is given twice");
         seen.push(axis);
-        let values = values_of(values);
+        let values = split_values(values);
         ensure!(!values.is_empty(), "the axis {axis} has no values");
         ensure!(
             (1..values.len()).all(|i| !values[..i].contains(&values[i])),
@@ -123,7 +126,7 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
         for (name, configuration) in cells {
             for value in &values {
                 let mut configuration = configuration.clone();
-                set(&mut configuration, axis, value)?;
+                set_axis(&mut configuration, axis, value)?;
                 let joint = if name.is_empty() { "" } else { ", " };
                 varied.push((format!("{name}{joint}{axis}={value}"), configuration));
             }
@@ -147,7 +150,7 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
 }
 
 /// Splits values at commas. Commas within brackets belong to a list.
-fn values_of(values: &str) -> Vec<&str> {
+fn split_values(values: &str) -> Vec<&str> {
     let mut depth = 0;
     let between = |c: char| {
         depth += i32::from(c == '[') - i32::from(c == ']');
@@ -174,31 +177,35 @@ fn set_parse(configuration: &mut Configuration, axis: &str, value: &str) -> anyh
     Ok(())
 }
 
-fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
+fn set_axis(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
     match axis {
         _ if axis.starts_with("import.") || axis.starts_with("parsing.") => {
             set_parse(configuration, axis, value)?;
         }
         "source" => {
-            configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?;
+            configuration.source =
+                parse_word(axis, value, "parsed, oracle, oracle-boxes, recorded")?;
         }
-        "names" => configuration.names = word(axis, value, "own, seen")?,
-        "candidates" => configuration.candidates = word(axis, value, "fused, encoder, reasoner")?,
-        "query_text" => configuration.query_text = word(axis, value, "full, target, mean")?,
-        "prompt" => configuration.prompt = word(axis, value, "paper, revised")?,
-        "preset" => configuration.preset = word(axis, value, "default, paper")?,
-        "parser" => configuration.parser = word(axis, value, "auto, builtin, vlm")?,
-        "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
+        "names" => configuration.names = parse_word(axis, value, "own, seen")?,
+        "candidates" => {
+            configuration.candidates = parse_word(axis, value, "fused, encoder, reasoner")?
+        }
+        "query_text" => configuration.query_text = parse_word(axis, value, "full, target, mean")?,
+        "prompt" => configuration.prompt = parse_word(axis, value, "paper, revised")?,
+        "preset" => configuration.preset = parse_word(axis, value, "default, paper")?,
+        "parser" => configuration.parser = parse_word(axis, value, "auto, builtin, vlm")?,
+        "reasoner" => configuration.reasoner = parse_word(axis, value, "auto, builtin, vlm")?,
         "ablation" => {
             configuration.ablation =
-                word(axis, value, "full, no_global, no_candidate, simple_prompt")?;
+                parse_word(axis, value, "full, no_global, no_candidate, simple_prompt")?;
         }
         "evidence" => {
-            configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?;
+            configuration.evidence =
+                parse_word(axis, value, "full, cached_names, sheet, two_step")?;
         }
-        "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
-        "masks" => configuration.masks = bundle(axis, value, BUILTIN_MASKS)?,
-        "encoder" => configuration.encoder = bundle(axis, value, BUILTIN_ENCODER)?,
+        "convention" => configuration.convention = parse_word(axis, value, "paper, viewer")?,
+        "masks" => configuration.masks = parse_bundle(axis, value, BUILTIN_MASKS)?,
+        "encoder" => configuration.encoder = parse_bundle(axis, value, BUILTIN_ENCODER)?,
         "top_k" => match value.parse() {
             Ok(top_k) if (1..=MAX_TOP_K).contains(&top_k) => configuration.top_k = top_k,
             _ => bail!("top_k={value}: expected 1 to {MAX_TOP_K}"),
@@ -212,7 +219,7 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
 
 /// Returns a bundle's name, or the name of the built-in implementation, so that a figure states
 /// what it was measured with.
-fn bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
+fn parse_bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
     ensure!(
         value != AUTO,
         "{axis}={AUTO}: a figure must say what it was measured with: {builtin}, or a bundle's name"
@@ -221,7 +228,7 @@ fn bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
 }
 
 /// Parses a value in the spelling of the HTTP API.
-fn word<T: DeserializeOwned>(axis: &str, value: &str, known: &str) -> anyhow::Result<T> {
+fn parse_word<T: DeserializeOwned>(axis: &str, value: &str, known: &str) -> anyhow::Result<T> {
     serde_json::from_value(value.into())
         .map_err(|_| anyhow::anyhow!("{axis}={value}: there is only {known}"))
 }
@@ -233,7 +240,8 @@ mod tests {
 
     #[test]
     fn a_matrix_spells_out_every_combination_in_order() {
-        let cells = cells("source=oracle,parsed; top_k=3,5", &Configuration::default()).unwrap();
+        let cells =
+            expand_matrix("source=oracle,parsed; top_k=3,5", &Configuration::default()).unwrap();
         let names: Vec<&str> = cells.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(
             names,
@@ -245,14 +253,14 @@ mod tests {
             ]
         );
         assert_eq!((cells[1].1.source, cells[1].1.top_k), (Source::Oracle, 5));
-        let plain = super::cells("", &Configuration::default()).unwrap();
+        let plain = super::expand_matrix("", &Configuration::default()).unwrap();
         assert_eq!(plain, [("default".to_owned(), Configuration::default())]);
     }
 
     #[test]
     fn every_setting_of_a_parse_is_an_axis() {
         let matrix = "parsing.merging.thresholds=[0.9,0.5],[0.7]; parsing.refine_borders=false; parsing.merging.normalisation=literal";
-        let cells = cells(matrix, &Configuration::default()).unwrap();
+        let cells = expand_matrix(matrix, &Configuration::default()).unwrap();
         assert_eq!(cells.len(), 2);
         let settings =
             ParseSettings::from_request(ParsePreset::Default, cells[0].1.settings.clone())
@@ -267,14 +275,15 @@ mod tests {
 
     #[test]
     fn built_in_parts_go_by_their_own_names() {
-        let cells = cells("masks=builtin,mine;encoder=builtin", &Configuration::default()).unwrap();
+        let cells =
+            expand_matrix("masks=builtin,mine;encoder=builtin", &Configuration::default()).unwrap();
         let used: Vec<(&str, &str)> =
             cells.iter().map(|(_, c)| (c.masks.as_str(), c.encoder.as_str())).collect();
         assert_eq!(used, [(BUILTIN_MASKS, BUILTIN_ENCODER), ("mine", BUILTIN_ENCODER)]);
     }
 
     #[test]
-    fn what_is_not_there_is_told_with_what_is() {
+    fn unknown_axes_and_values_are_rejected_with_the_known_ones() {
         for (matrix, expected) in [
             ("sources=oracle", "the axes are source"),
             ("source=magic", "there is only parsed, oracle"),
@@ -287,7 +296,7 @@ mod tests {
             ("parsing.merging.max_hop=9", "max_hop: must be 1 to 4"),
             ("parsing.merge.max_hop=1", "unknown field `merge`"),
         ] {
-            let error = cells(matrix, &Configuration::default()).unwrap_err().to_string();
+            let error = expand_matrix(matrix, &Configuration::default()).unwrap_err().to_string();
             assert!(error.contains(expected), "{matrix}: {error}");
         }
     }

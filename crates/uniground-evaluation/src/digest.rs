@@ -7,13 +7,13 @@ use std::io::{self, Read};
 
 /// Returns the first 16 digits of the digest of `bytes`.
 #[must_use]
-pub fn of(bytes: &[u8]) -> String {
+pub fn short_digest(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }
 
 /// Returns the first 16 digits of a hasher's digest.
 #[must_use]
-pub fn finish(hasher: Sha256) -> String {
+pub fn short_hex(hasher: Sha256) -> String {
     hex(&hasher.finalize())
 }
 

@@ -90,12 +90,12 @@ const CLUSTERED_FROM: usize = 10;
 
 impl Figures {
     #[must_use]
-    pub fn of(outcomes: &[&ScoredExpression], seed: u64) -> Self {
+    pub fn from_outcomes(outcomes: &[&ScoredExpression], seed: u64) -> Self {
         let targets: Vec<(&ScoredExpression, &TargetOutcome)> =
             outcomes.iter().filter_map(|o| Some((*o, o.target.as_ref()?))).collect();
         let retained: Vec<&ScoredExpression> = targets
             .iter()
-            .filter(|(_, t)| best(&t.candidate_ious) >= IOU_THRESHOLDS[0])
+            .filter(|(_, t)| best_iou(&t.candidate_ious) >= IOU_THRESHOLDS[0])
             .map(|(o, _)| *o)
             .collect();
         let with_target: Vec<&ScoredExpression> = targets.iter().map(|(o, _)| *o).collect();
@@ -109,7 +109,7 @@ impl Figures {
         };
         let curve = |of: fn(&TargetOutcome) -> &Vec<f32>| {
             let depth = targets.iter().map(|(_, t)| of(t).len()).max().unwrap_or(0);
-            (1..=depth).map(|k| recall(&|t| best(&of(t)[..k.min(of(t).len())]))).collect()
+            (1..=depth).map(|k| recall(&|t| best_iou(&of(t)[..k.min(of(t).len())]))).collect()
         };
         let answered = outcomes.iter().filter_map(|o| o.reply.as_ref());
         let per_question = |total: u64| total as f32 / outcomes.len().max(1) as f32;
@@ -117,17 +117,17 @@ impl Figures {
         targets.iter().for_each(|(_, t)| iou_histogram[((t.iou * 20.0) as usize).min(19)] += 1);
         Self {
             expressions: outcomes.len(),
-            complete: IOU_THRESHOLDS.map(|at| Share::of_right(&with_target, at, seed)),
-            filtered: IOU_THRESHOLDS.map(|at| Share::of_right(&retained, at, seed)),
+            complete: IOU_THRESHOLDS.map(|at| Share::share_right(&with_target, at, seed)),
+            filtered: IOU_THRESHOLDS.map(|at| Share::share_right(&retained, at, seed)),
             mean_iou: mean(&mut targets.iter().map(|(_, t)| t.iou)),
-            oriented: Oriented::of(
+            oriented: Oriented::from_ious(
                 &targets.iter().filter_map(|(_, t)| t.iou_9dof).collect::<Vec<_>>(),
             ),
             recall_at: curve(|t| &t.candidate_ious),
             shortlist_recall_at: curve(|t| &t.shortlist_ious),
             any_instance: recall(&|t| t.best_instance_iou),
-            abstention: Abstention::of(outcomes),
-            reliability: Reliability::of(outcomes),
+            abstention: Abstention::from_outcomes(outcomes),
+            reliability: Reliability::from_outcomes(outcomes),
             ambiguous: outcomes.iter().filter(|o| o.status() == Some(Status::Ambiguous)).count(),
             failed: outcomes.iter().filter(|o| o.reply.is_none()).count(),
             vlm_calls: per_question(answered.clone().map(|r| u64::from(r.usage.vlm_calls)).sum()),
@@ -136,20 +136,20 @@ impl Figures {
                 answered.clone().map(|r| r.usage.completion_tokens).sum(),
             ),
             cost_usd: answered.clone().fold(0.0, |sum, r| sum + r.usage.cost_usd),
-            latency_ms: Percentiles::of(answered.map(|r| r.latency_ms).collect()),
+            latency_ms: Percentiles::from_values(answered.map(|r| r.latency_ms).collect()),
             iou_histogram,
         }
     }
 }
 
 impl Share {
-    fn of_right(outcomes: &[&ScoredExpression], at: f32, seed: u64) -> Self {
+    fn share_right(outcomes: &[&ScoredExpression], at: f32, seed: u64) -> Self {
         let values: Vec<(&str, f32)> = outcomes
             .iter()
-            .map(|o| (o.scene.as_str(), f32::from(u8::from(o.right_at(at)))))
+            .map(|o| (o.scene.as_str(), f32::from(u8::from(o.is_right_at(at)))))
             .collect();
         let value = values.iter().fold(0.0, |sum, (_, v)| sum + v) / values.len().max(1) as f32;
-        let (low, high) = interval(&values, seed);
+        let (low, high) = confidence_interval(&values, seed);
         Self { of: values.len(), value, low, high }
     }
 
@@ -161,7 +161,7 @@ impl Share {
 }
 
 impl Abstention {
-    fn of(outcomes: &[&ScoredExpression]) -> Self {
+    fn from_outcomes(outcomes: &[&ScoredExpression]) -> Self {
         let share = |n: usize, of: usize| (of > 0).then(|| n as f32 / of as f32);
         let said = |o: &&&ScoredExpression| o.status() == Some(Status::NoMatch);
         let absent = outcomes.iter().filter(|o| o.target.is_none()).count();
@@ -178,7 +178,7 @@ impl Abstention {
 }
 
 impl Oriented {
-    fn of(ious: &[f32]) -> Option<Self> {
+    fn from_ious(ious: &[f32]) -> Option<Self> {
         let n = ious.len() as f32;
         (!ious.is_empty()).then(|| Self {
             targets: ious.len(),
@@ -190,7 +190,7 @@ impl Oriented {
 }
 
 impl Percentiles {
-    fn of(mut values: Vec<f64>) -> Option<Self> {
+    fn from_values(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
         let at =
             |q: f64| values[((q * values.len() as f64).ceil() as usize).clamp(1, values.len()) - 1];
@@ -198,14 +198,14 @@ impl Percentiles {
     }
 }
 
-fn best(ious: &[f32]) -> f32 {
+fn best_iou(ious: &[f32]) -> f32 {
     ious.iter().copied().fold(0.0, f32::max)
 }
 
 /// Returns the 95 % percentile interval of a mean, by resampling. Each value has its scene. With
 /// many scenes, whole scenes are resampled.
 #[must_use]
-pub fn interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
+pub fn confidence_interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
     if values.is_empty() {
         return (0.0, 0.0);
     }
@@ -222,8 +222,8 @@ pub fn interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
     let mut state = seed;
     let mut means: Vec<f32> = (0..RESAMPLES)
         .map(|_| {
-            let drawn =
-                (0..units.len()).map(|_| units[(next(&mut state) % units.len() as u64) as usize]);
+            let drawn = (0..units.len())
+                .map(|_| units[(next_random(&mut state) % units.len() as u64) as usize]);
             let (sum, n) = drawn.fold((0.0, 0.0), |(sum, n), (s, m)| (sum + s, n + m));
             (sum / n) as f32
         })
@@ -233,7 +233,7 @@ pub fn interval(values: &[(&str, f32)], seed: u64) -> (f32, f32) {
 }
 
 /// Returns the next number of `SplitMix64`.
-fn next(state: &mut u64) -> u64 {
+fn next_random(state: &mut u64) -> u64 {
     *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let mut z = *state;
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -259,7 +259,7 @@ mod tests {
             shortlist_ious: Vec::new(),
             best_instance_iou: candidates.iter().copied().fold(0.0, f32::max),
         });
-        let reply = Reply { status, latency_ms: f64::from(id), ..Reply::nothing() };
+        let reply = Reply { status, latency_ms: f64::from(id), ..Reply::empty() };
         let splits = Vec::new();
         ScoredExpression {
             id: id.to_string(),
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_by_hand() {
+    fn figures_match_hand_computed_values() {
         let outcomes = [
             outcome(1, Some((0.6, &[0.6, 0.1])), Status::Grounded),
             outcome(2, Some((0.3, &[0.3])), Status::Grounded),
@@ -284,7 +284,7 @@ mod tests {
             outcome(5, None, Status::NoMatch),
             outcome(6, None, Status::Grounded),
         ];
-        let figures = Figures::of(&outcomes.iter().collect::<Vec<_>>(), 0);
+        let figures = Figures::from_outcomes(&outcomes.iter().collect::<Vec<_>>(), 0);
         assert_eq!(figures.expressions, 6);
         assert_eq!(figures.complete.map(|s| (s.value, s.of)), [(0.5, 4), (0.25, 4)]);
         assert_eq!(figures.filtered.map(|s| s.of), [3, 3]);
@@ -308,24 +308,28 @@ mod tests {
     fn intervals_hold_the_mean_and_narrow_with_more_values() {
         let few: Vec<(&str, f32)> = (0..40_u8).map(|i| ("a", f32::from(i % 2))).collect();
         let many: Vec<(&str, f32)> = (0..4000_u16).map(|i| ("a", f32::from(i % 2))).collect();
-        let (low, high) = interval(&few, 7);
+        let (low, high) = confidence_interval(&few, 7);
         assert!(
             low < 0.5 && high > 0.5 && (high - low) > 0.2 && (high - low) < 0.4,
             "{low} {high}"
         );
-        let (narrow_low, narrow_high) = interval(&many, 7);
+        let (narrow_low, narrow_high) = confidence_interval(&many, 7);
         assert!(narrow_high - narrow_low < 0.05, "{narrow_low} {narrow_high}");
-        assert_eq!(interval(&few, 7), (low, high), "the same seed gives the same interval");
+        assert_eq!(
+            confidence_interval(&few, 7),
+            (low, high),
+            "the same seed gives the same interval"
+        );
     }
 
     #[test]
-    fn scenes_are_drawn_whole_where_there_are_many() {
+    fn bootstrap_resamples_whole_scenes_when_there_are_many() {
         // Twelve scenes, each entirely right or wrong: 1,200 expressions carry the information of
         // twelve.
         let names: Vec<String> = (0..12).map(|i| format!("s{i}")).collect();
         let values: Vec<(&str, f32)> =
             (0..1200).map(|i| (names[i % 12].as_str(), f32::from(u8::from(i % 12 < 6)))).collect();
-        let (low, high) = interval(&values, 1);
+        let (low, high) = confidence_interval(&values, 1);
         assert!(high - low > 0.3, "{low} {high}");
     }
 }

@@ -42,14 +42,14 @@ impl<'a> Record<'a> {
     ///
     /// # Errors
     /// Returns an error when `text` is not a JSON list.
-    pub fn all(text: &'a str) -> serde_json::Result<Vec<Self>> {
+    pub fn parse_list(text: &'a str) -> serde_json::Result<Vec<Self>> {
         let raw: Vec<&RawValue> = serde_json::from_str(text)?;
-        Ok(Self::located(text, &raw))
+        Ok(Self::with_locations(text, &raw))
     }
 
     /// Returns elements borrowed from `text`, in its order.
     #[must_use]
-    pub fn located(text: &'a str, raw: &[&'a RawValue]) -> Vec<Self> {
+    pub fn with_locations(text: &'a str, raw: &[&'a RawValue]) -> Vec<Self> {
         let (mut line, mut counted_to) = (1, 0);
         let locate = |value: &&'a RawValue| {
             // The value is a slice of the text, so its distance from the start is its position.
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn a_broken_record_is_named_by_its_line_and_field() {
         let text = "[\n {\"id\": 1},\n\n {\n  \"id\": \"two\"\n }, {\"id\": 3}]";
-        let records = Record::all(text).unwrap();
+        let records = Record::parse_list(text).unwrap();
         assert_eq!(records.iter().map(|r| r.line).collect::<Vec<_>>(), [2, 4, 6]);
         let file = Utf8Path::new("rows.json");
         assert_eq!(records[2].decode::<Row>(file).unwrap().id, 3);

@@ -34,7 +34,7 @@ const STEPS: [f32; 5] = [0.1, 0.3, 0.5, 0.7, 0.9];
 impl Reliability {
     /// Computes the reliability. Returns `None` if no answer has a box.
     #[must_use]
-    pub fn of(outcomes: &[&ScoredExpression]) -> Option<Self> {
+    pub fn from_outcomes(outcomes: &[&ScoredExpression]) -> Option<Self> {
         let grounded: Vec<(f32, bool)> = outcomes
             .iter()
             .filter(|o| o.status() == Some(Status::Grounded))
@@ -114,7 +114,7 @@ mod tests {
             shortlist_ious: Vec::new(),
             best_instance_iou: 1.0,
         });
-        let reply = Some(Reply { status: Status::Grounded, confidence, ..Reply::nothing() });
+        let reply = Some(Reply { status: Status::Grounded, confidence, ..Reply::empty() });
         ScoredExpression {
             id: String::new(),
             scene: String::new(),
@@ -128,10 +128,10 @@ mod tests {
     }
 
     #[test]
-    fn coverage_falls_and_risk_is_told_by_hand() {
+    fn reliability_matches_hand_computed_values() {
         let outcomes =
             [answer(0.95, true), answer(0.85, true), answer(0.55, false), answer(0.05, false)];
-        let found = Reliability::of(&outcomes.iter().collect::<Vec<_>>()).unwrap();
+        let found = Reliability::from_outcomes(&outcomes.iter().collect::<Vec<_>>()).unwrap();
         assert_eq!((found.grounded, found.right), (4, 0.5));
         let at: Vec<(f32, Option<f32>)> =
             found.at_least.iter().map(|risk| (risk.coverage, risk.right)).collect();
@@ -156,6 +156,6 @@ mod tests {
                 .to_string()
                 .starts_with("4 answers with a box, 50.0 % right; calibration error 0.200; from 0.1 on 66.7 % right of 75 %")
         );
-        assert_eq!(Reliability::of(&[]), None);
+        assert_eq!(Reliability::from_outcomes(&[]), None);
     }
 }

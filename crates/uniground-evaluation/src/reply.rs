@@ -29,7 +29,7 @@ pub const SHORTLIST_DEPTH: u32 = 24;
 
 impl Reply {
     /// Returns an empty reply.
-    pub(super) fn nothing() -> Self {
+    pub(super) fn empty() -> Self {
         let answer = SixFields {
             predicted_id: None,
             explanation: String::new(),

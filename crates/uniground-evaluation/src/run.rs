@@ -87,7 +87,7 @@ pub fn run(
     options: &RunOptions,
 ) -> anyhow::Result<Vec<CellResult>> {
     for (name, configuration) in options.cells {
-        system.accepts(configuration).with_context(|| name.clone())?;
+        system.check_configuration(configuration).with_context(|| name.clone())?;
     }
     fs::create_dir_all(options.out.join(pictures::FOLDER))
         .with_context(|| options.out.to_string())?;
@@ -111,17 +111,17 @@ pub fn run(
         // Cells with the same instances are run one after another, so that the scene is prepared
         // once for all of them.
         let mut order: Vec<usize> = (0..results.len()).collect();
-        order.sort_by_key(|&i| setup(&results[i].configuration));
+        order.sort_by_key(|&i| source_settings(&results[i].configuration));
         let mut open: Option<OpenedScene> = None;
         for i in order {
             if open
                 .as_ref()
-                .is_some_and(|entered| entered.setup != setup(&results[i].configuration))
+                .is_some_and(|entered| entered.setup != source_settings(&results[i].configuration))
             {
                 open = None;
             }
             let cell = CellOfScene { system, scene, tasks, out: options.out, pool: &pool };
-            cell.answer(&mut results[i], &mut open)?;
+            cell.answer_tasks(&mut results[i], &mut open)?;
             done += 1;
             (options.progress)(&Step { cell: &results[i].name, scene: &scene.id, done, of });
         }
@@ -135,7 +135,7 @@ pub fn run(
 }
 
 /// Returns the settings that determine which instances a cell sees.
-fn setup(configuration: &Configuration) -> (Source, String) {
+fn source_settings(configuration: &Configuration) -> (Source, String) {
     let Configuration { source, names, preset, settings, masks, encoder, .. } = configuration;
     (*source, format!("{names:?} {preset:?} {settings:?} {masks} {encoder}"))
 }
@@ -155,12 +155,21 @@ struct CellOfScene<'a> {
 }
 
 impl CellOfScene<'_> {
-    fn answer(&self, cell: &mut CellResult, open: &mut Option<OpenedScene>) -> anyhow::Result<()> {
-        let key =
-            digest::of(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
-        let file =
-            self.out.join("cells").join(&key).join(format!("{}.jsonl", file_safe(&self.scene.id)));
-        let content = match content(self.scene, self.tasks, &cell.configuration) {
+    fn answer_tasks(
+        &self,
+        cell: &mut CellResult,
+        open: &mut Option<OpenedScene>,
+    ) -> anyhow::Result<()> {
+        let key = digest::short_digest(&serde_json::to_vec(&(
+            self.system.fingerprint(),
+            &cell.configuration,
+        ))?);
+        let file = self
+            .out
+            .join("cells")
+            .join(&key)
+            .join(format!("{}.jsonl", to_file_name(&self.scene.id)));
+        let content = match content_digest(self.scene, self.tasks, &cell.configuration) {
             Ok(content) => content,
             Err(error) => {
                 cell.left_out
@@ -170,7 +179,7 @@ impl CellOfScene<'_> {
         };
         let header = Header { scene: self.scene.id.clone(), content };
         let mut log = ReplyLog::open(&file, &header)?;
-        if log.token.as_ref().is_some_and(|token| !self.system.still_has(token)) {
+        if log.token.as_ref().is_some_and(|token| !self.system.has_scene(token)) {
             log.restart(&header)?;
         }
         let missing: Vec<&Task> =
@@ -178,7 +187,7 @@ impl CellOfScene<'_> {
 
         let mut failures: BTreeMap<String, String> = BTreeMap::new();
         if !missing.is_empty() {
-            let entered = match self.enter(cell, open) {
+            let entered = match self.open_scene(cell, open) {
                 Ok(entered) => entered,
                 Err(reason) => {
                     cell.left_out.extend(self.tasks.iter().map(|t| (t.id.clone(), reason.clone())));
@@ -206,16 +215,16 @@ impl CellOfScene<'_> {
         }
 
         for task in self.tasks {
-            let ranked = log.reply(task).cloned().map(Ranked::of);
+            let ranked = log.reply(task).cloned().map(Ranked::new);
             let failure = || failures.get(&task.id).cloned().unwrap_or_default();
-            let mut outcome = ScoredExpression::of(
+            let mut outcome = ScoredExpression::score(
                 task,
                 &self.scene.id,
                 ranked.as_ref().ok_or_else(failure),
                 &log.boxes,
             );
             if !outcome.is_right() {
-                outcome.picture = self.picture(&key, cell, open, &outcome)?;
+                outcome.picture = self.draw_wrong_answer(&key, cell, open, &outcome)?;
             }
             cell.outcomes.push(outcome);
         }
@@ -223,23 +232,23 @@ impl CellOfScene<'_> {
     }
 
     /// Returns the scene for this cell, and prepares it if necessary.
-    fn enter<'o>(
+    fn open_scene<'o>(
         &self,
         cell: &CellResult,
         open: &'o mut Option<OpenedScene>,
     ) -> Result<&'o dyn OpenScene, String> {
         let entered = open.get_or_insert_with(|| OpenedScene {
-            setup: setup(&cell.configuration),
+            setup: source_settings(&cell.configuration),
             scene: self
                 .system
-                .enter(self.scene, &cell.configuration)
+                .open_scene(self.scene, &cell.configuration)
                 .map_err(|error| format!("{error:#}")),
         });
         entered.scene.as_ref().map(AsRef::as_ref).map_err(Clone::clone)
     }
 
     /// Draws a wrong answer unless its picture exists. The file name covers the drawn content.
-    fn picture(
+    fn draw_wrong_answer(
         &self,
         key: &str,
         cell: &CellResult,
@@ -249,7 +258,7 @@ impl CellOfScene<'_> {
         let drawn = pictures::boxes(outcome);
         let name = format!(
             "{}.jpg",
-            digest::of(&serde_json::to_vec(&(
+            digest::short_digest(&serde_json::to_vec(&(
                 key,
                 &outcome.scene,
                 &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()
@@ -257,7 +266,7 @@ impl CellOfScene<'_> {
         );
         let file = self.out.join(pictures::FOLDER).join(&name);
         if file.metadata().map_or(0, |m| m.len()) == 0 {
-            let Ok(scene) = self.enter(cell, open) else { return Ok(None) };
+            let Ok(scene) = self.open_scene(cell, open) else { return Ok(None) };
             let Some(jpeg) = pictures::draw(scene.render_scene(), &drawn) else { return Ok(None) };
             fs::write(&file, jpeg).with_context(|| file.to_string())?;
         }
@@ -346,7 +355,7 @@ impl ReplyLog {
 
 /// Returns the data that replies depend on: the scan, the annotations if they are the source, and
 /// the hints if they are passed on.
-fn content(
+fn content_digest(
     scene: &SuiteScene,
     tasks: &[&Task],
     configuration: &Configuration,
@@ -362,16 +371,16 @@ fn content(
     if configuration.paper_compatible {
         tasks.iter().for_each(|task| hasher.update(format!("{:?}", task.hints.for_reader())));
     }
-    Ok(digest::finish(hasher))
+    Ok(digest::short_hex(hasher))
 }
 
 /// Returns a scene's id as a file name: readable, short, and unique to this id.
-fn file_safe(id: &str) -> String {
+fn to_file_name(id: &str) -> String {
     const READABLE_CHARS: usize = 60;
     let readable: String = id
         .chars()
         .take(READABLE_CHARS)
         .map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' })
         .collect();
-    format!("{readable}-{}", digest::of(id.as_bytes()))
+    format!("{readable}-{}", digest::short_digest(id.as_bytes()))
 }

@@ -46,7 +46,7 @@ pub struct TargetOutcome {
 impl ScoredExpression {
     /// Scores a finished reply. `instances` are the boxes of all instances.
     #[must_use]
-    pub fn of(
+    pub fn score(
         task: &Task,
         scene: &str,
         asked: Result<&Ranked, String>,
@@ -101,7 +101,7 @@ impl ScoredExpression {
     /// Returns whether it is right at an IoU: the box overlaps enough, or an absent target was
     /// reported as absent.
     #[must_use]
-    pub fn right_at(&self, threshold: f32) -> bool {
+    pub fn is_right_at(&self, threshold: f32) -> bool {
         match &self.target {
             Some(target) => target.iou >= threshold,
             None => self.status() == Some(Status::NoMatch),
@@ -110,6 +110,6 @@ impl ScoredExpression {
 
     #[must_use]
     pub fn is_right(&self) -> bool {
-        self.right_at(IOU_THRESHOLDS[0])
+        self.is_right_at(IOU_THRESHOLDS[0])
     }
 }

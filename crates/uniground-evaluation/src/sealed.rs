@@ -53,13 +53,13 @@ impl<T> Sealed<T> {
 
 impl Ranked {
     #[must_use]
-    pub fn of(reply: Reply) -> Self {
+    pub fn new(reply: Reply) -> Self {
         Self(reply)
     }
 
     /// A failed question counts as finished, with an empty answer.
     pub(super) fn failed() -> Self {
-        Self(Reply::nothing())
+        Self(Reply::empty())
     }
 
     #[must_use]

@@ -230,7 +230,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn superpoint_scores_by_hand() {
+    fn superpoint_scores_match_hand_computed_values() {
         // Superpoint 0 covers all of object 1 and one point of 2; superpoint 1 the rest of 2;
         // superpoint 2 is not annotated.
         let labels = [0, 0, 0, 0, 1, 1, 1, 2];
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn average_precision_by_hand() {
+    fn average_precision_matches_hand_computed_values() {
         assert_eq!(average_precision(&[true, true], 2), 1.0);
         assert_eq!(average_precision(&[], 2), 0.0);
         // Hits at ranks 1 and 3 of two objects: (1 + 2/3) / 2.

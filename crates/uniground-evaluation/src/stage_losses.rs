@@ -47,7 +47,7 @@ impl StageLoss {
 ///
 /// # Errors
 /// Returns [`ParseError`] when a frame cannot be read or a model fails.
-pub fn climb(
+pub fn measure_stage_losses(
     room: &AnnotatedRoom,
     masks: &dyn MaskSource,
     settings: &ParsingSettings,
@@ -87,7 +87,11 @@ pub fn climb(
     };
 
     push("cloud", cloud.len(), score_points(&room.truth)?);
-    push("superpoints", superpoints.patches.len(), score(&majorities(&superpoints, &room.truth))?);
+    push(
+        "superpoints",
+        superpoints.patches.len(),
+        score(&majority_objects(&superpoints, &room.truth))?,
+    );
 
     let judged = ScoredMaskSource { masks, truth: room.masks(), best: Mutex::default() };
     let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
@@ -101,7 +105,7 @@ pub fn climb(
         lifting.all(&frames, &depths, Checkpoints::none().log("lifting", &()), &quiet)?;
     let (tables, masks_of, _) = Lifted::apart(lifted);
     let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let pixels = objects.iter().map(|object| in_best_views(&best, object.id)).collect();
+    let pixels = objects.iter().map(|object| mean_iou_of_best_views(&best, object.id)).collect();
     let count = tables.iter().map(|t| t.masks as usize).sum();
     push(
         "masks",
@@ -115,7 +119,7 @@ pub fn climb(
             ap50: 0.0,
         },
     );
-    push("lifted masks", count, score(&voted(&superpoints, &tables, &best))?);
+    push("lifted masks", count, score(&vote_superpoints(&superpoints, &tables, &best))?);
 
     let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
@@ -181,7 +185,7 @@ pub fn climb(
     )?;
     let shown =
         score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth);
-    let point_iou = reached(&built.labels, &objects, &room.truth);
+    let point_iou = best_ious(&built.labels, &objects, &room.truth);
     let with_all =
         InstanceScore { box_iou: shown.reachable_box_iou.clone(), point_iou, ..shown.clone() };
     push("shown by masks", shown.instances, shown);
@@ -193,7 +197,7 @@ pub fn climb(
 }
 
 /// Returns the best IoU of point sets per object. Parts and wholes count as instances too.
-fn reached(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f32> {
+fn best_ious(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f32> {
     let (mut shared, mut of_instance, mut of_object) =
         (BTreeMap::new(), vec![0_u32; labels.len() + 1], BTreeMap::new());
     for (point, &object) in truth.iter().enumerate() {
@@ -216,15 +220,15 @@ fn reached(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f
 }
 
 /// Returns the object of the majority of each superpoint's annotated points, 0 = none.
-fn majorities(superpoints: &Superpoints, truth: &[u32]) -> Vec<u32> {
+fn majority_objects(superpoints: &Superpoints, truth: &[u32]) -> Vec<u32> {
     let mut votes: Vec<BTreeMap<u32, u32>> = vec![BTreeMap::new(); superpoints.patches.len()];
     for (&superpoint, &id) in superpoints.of_point.iter().zip(truth) {
         *votes[superpoint as usize].entry(id).or_default() += 1;
     }
-    votes.iter().map(|votes| most(votes).map_or(0, |(id, _)| id)).collect()
+    votes.iter().map(|votes| most_voted(votes).map_or(0, |(id, _)| id)).collect()
 }
 
-fn most(votes: &BTreeMap<u32, u32>) -> Option<(u32, u32)> {
+fn most_voted(votes: &BTreeMap<u32, u32>) -> Option<(u32, u32)> {
     votes.iter().map(|(&id, &n)| (id, n)).max_by_key(|&(id, n)| (n, std::cmp::Reverse(id)))
 }
 
@@ -258,13 +262,13 @@ impl MaskSource for ScoredMaskSource<'_> {
             (self.masks.masks(frame, progress)?, self.truth.masks(frame, progress)?);
         (0..)
             .zip(&found)
-            .for_each(|(layer, found)| self.judge(frame.index, (layer, found), &truth[0]));
+            .for_each(|(layer, found)| self.record_masks(frame.index, (layer, found), &truth[0]));
         Ok(found)
     }
 }
 
 impl ScoredMaskSource<'_> {
-    fn judge(&self, frame: FrameIndex, (layer, found): (u32, &IdImage), truth: &IdImage) {
+    fn record_masks(&self, frame: FrameIndex, (layer, found): (u32, &IdImage), truth: &IdImage) {
         let (mut shared, mut of_mask, mut of_object) =
             (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         for (&mask, &object) in found.ids.iter().zip(&truth.ids) {
@@ -292,7 +296,7 @@ impl ScoredMaskSource<'_> {
 
 /// Returns the mean IoU over the three views with the most pixels of the object. 0 if no mask
 /// touches it.
-fn in_best_views(best: &BestMasks, object: u32) -> f32 {
+fn mean_iou_of_best_views(best: &BestMasks, object: u32) -> f32 {
     const VIEWS: usize = 3;
     let mut views: Vec<&BestMask> =
         best.iter().filter(|((_, id), _)| *id == object).map(|(_, best)| best).collect();
@@ -303,7 +307,11 @@ fn in_best_views(best: &BestMasks, object: u32) -> f32 {
 
 /// Returns the object of each superpoint when every frame uses the best mask of every object: the
 /// object whose masks cover more than half of the superpoint's sightings, 0 = none.
-fn voted(superpoints: &Superpoints, tables: &[FrameVisibility], best: &BestMasks) -> Vec<u32> {
+fn vote_superpoints(
+    superpoints: &Superpoints,
+    tables: &[FrameVisibility],
+    best: &BestMasks,
+) -> Vec<u32> {
     let mut votes: Vec<(u32, BTreeMap<u32, u32>)> =
         vec![Default::default(); superpoints.patches.len()];
     for table in tables {
@@ -325,7 +333,7 @@ fn voted(superpoints: &Superpoints, tables: &[FrameVisibility], best: &BestMasks
         }
     }
     let winner = |(visible, votes): &(u32, BTreeMap<u32, u32>)| {
-        most(votes).filter(|&(_, n)| 2 * n > *visible).map_or(0, |(id, _)| id)
+        most_voted(votes).filter(|&(_, n)| 2 * n > *visible).map_or(0, |(id, _)| id)
     };
     votes.iter().map(winner).collect()
 }

@@ -18,7 +18,7 @@ use uniground_ingest::{IngestError, IngestErrorKind};
 /// The subcommand that runs the child.
 pub const SUBCOMMAND: &str = "isolated-reader";
 /// Polling interval for cancellation and timeout.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// The last bytes of a child's stderr that are stored.
 const STDERR_BYTES: usize = 4 << 10;
 /// Longest message of a child.
@@ -50,7 +50,7 @@ struct ChildExit {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum StopReason {
     Cancelled,
-    TooLate,
+    TimedOut,
 }
 
 impl ChildProcess {
@@ -87,7 +87,7 @@ impl ChildProcess {
             .stderr(Stdio::piped())
             .spawn()?;
         let ended = follow(child, &request, Instant::now() + time_limit, progress)?;
-        outcome(ended, task, memory_bytes, time_limit)
+        task_outcome(ended, task, memory_bytes, time_limit)
     }
 }
 
@@ -118,16 +118,16 @@ fn follow(
     thread::scope(|scope| {
         let (sender, messages) = mpsc::channel();
         if let Some(stdout) = stdout {
-            scope.spawn(move || forward(stdout, &sender));
+            scope.spawn(move || forward_messages(stdout, &sender));
         }
-        let stderr = stderr.map(|stderr| scope.spawn(move || tail_of(stderr)));
+        let stderr = stderr.map(|stderr| scope.spawn(move || read_tail(stderr)));
         // Keep stdin open: a child sees the end of its service by its closing.
         let mut stdin = stdin;
         // A child that has ended already is handled below.
         let _ = stdin.as_mut().map(|stdin| stdin.write_all(request));
         let (mut last, mut stopped) = (None, None);
         loop {
-            match messages.recv_timeout(LOOK_EVERY) {
+            match messages.recv_timeout(POLL_INTERVAL) {
                 Ok(Message::Progress { stage, done }) => {
                     let stage =
                         STAGES.into_iter().find(|known| *known == stage).unwrap_or(STAGES[0]);
@@ -142,7 +142,7 @@ fn follow(
             let why = match () {
                 () if stopped.is_some() => None,
                 () if progress.check().is_err() => Some(StopReason::Cancelled),
-                () if Instant::now() >= deadline => Some(StopReason::TooLate),
+                () if Instant::now() >= deadline => Some(StopReason::TimedOut),
                 () => None,
             };
             if why.is_some() {
@@ -150,7 +150,7 @@ fn follow(
                 child.kill()?;
             }
         }
-        let status = ended(&mut child)?;
+        let status = wait_for_exit(&mut child)?;
         drop(stdin);
         let stderr = stderr.and_then(|tail| tail.join().ok()).unwrap_or_default();
         Ok(ChildExit { status, last, stopped, stderr })
@@ -158,7 +158,7 @@ fn follow(
 }
 
 /// Returns the exit status of a child that has closed its stdout. Kills a child that keeps running.
-fn ended(child: &mut Child) -> io::Result<ExitStatus> {
+fn wait_for_exit(child: &mut Child) -> io::Result<ExitStatus> {
     const GRACE: Duration = Duration::from_secs(2);
     let closed = Instant::now();
     while closed.elapsed() < GRACE {
@@ -172,7 +172,7 @@ fn ended(child: &mut Child) -> io::Result<ExitStatus> {
 }
 
 /// Forwards the messages of a child, until it ends or sends something else.
-fn forward(stdout: ChildStdout, to: &Sender<Message>) {
+fn forward_messages(stdout: ChildStdout, to: &Sender<Message>) {
     let mut stdout = BufReader::new(stdout);
     let mut line = Vec::new();
     loop {
@@ -189,7 +189,7 @@ fn forward(stdout: ChildStdout, to: &Sender<Message>) {
 }
 
 /// Returns the end of a child's stderr.
-fn tail_of(mut stderr: ChildStderr) -> String {
+fn read_tail(mut stderr: ChildStderr) -> String {
     let (mut tail, mut chunk) = (Vec::new(), [0; 1024]);
     while let Ok(read) = stderr.read(&mut chunk)
         && read > 0
@@ -202,7 +202,7 @@ fn tail_of(mut stderr: ChildStderr) -> String {
 }
 
 /// Returns the outcome of a task from the exit of its child.
-fn outcome(
+fn task_outcome(
     ended: ChildExit,
     task: &Task,
     memory_bytes: u64,
@@ -215,7 +215,7 @@ fn outcome(
     let file = task.subject();
     let too_costly =
         |limit: String| Err(IngestError::TooCostly { file: file.clone(), limit }.into());
-    let out_of_time = stopped == Some(StopReason::TooLate) || status.signal() == Some(SIGXCPU);
+    let out_of_time = stopped == Some(StopReason::TimedOut) || status.signal() == Some(SIGXCPU);
     match last {
         Some(told) if status.success() => {
             if !stderr.trim().is_empty() {
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_becomes_of_a_child_is_an_error_and_no_more() {
+    fn every_child_exit_maps_to_an_error() {
         let never = || false;
         let done = run(r#"echo '{"done":{"scan":{"name":"hall"}}}'"#, never).unwrap();
         assert_eq!(done, TaskOutcome::Scan { name: Some("hall".into()) });
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_there_is_no_fault_of_the_scan() {
+    fn a_missing_reader_program_is_not_blamed_on_the_scan() {
         let child = ChildProcess::new(Some("/nowhere/uniground".into()), 64 << 20);
         let task = Task::Inspect { folder: "/nowhere".into() };
         assert!(matches!(child.run(&task, 1, &Progress::silent()), Err(ReadError::Process(_))));

@@ -65,16 +65,16 @@ impl ScanReader {
     /// Creates a reader that works in this process, for programs whose scans are their user's own.
     #[must_use]
     pub fn in_process() -> Self {
-        Self::of(ReaderMode::InProcess)
+        Self::with_mode(ReaderMode::InProcess)
     }
 
     /// Creates a reader that uses child processes.
     #[must_use]
     pub fn isolated(child: ChildProcess) -> Self {
-        Self::of(ReaderMode::Isolated(Arc::new(child)))
+        Self::with_mode(ReaderMode::Isolated(Arc::new(child)))
     }
 
-    fn of(how: ReaderMode) -> Self {
+    fn with_mode(how: ReaderMode) -> Self {
         Self { how, checks: Arc::new(Semaphore::new(MAX_CONCURRENT_CHECKS)) }
     }
 

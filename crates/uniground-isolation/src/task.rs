@@ -64,9 +64,9 @@ impl Task {
                 let packed = ArchiveFormat::of_head(&head, file_name)
                     .ok_or_else(|| unreadable(file_name, what_it_is(&head)))?;
                 packed.unpack(archive, folder, limits)?;
-                Ok(named(uniground_ingest::open(folder)?.name))
+                Ok(with_name(uniground_ingest::open(folder)?.name))
             }
-            Self::Inspect { folder } => Ok(named(uniground_ingest::open(folder)?.name)),
+            Self::Inspect { folder } => Ok(with_name(uniground_ingest::open(folder)?.name)),
             Self::CheckFit { folder, cloud, to_scene } => {
                 let (scan, known) =
                     (uniground_ingest::open(folder)?, uniground_ingest::read_cloud(cloud)?);
@@ -80,7 +80,7 @@ impl Task {
                             scan.try_pictures(&progress.part(0.8, 1.0))?;
                             Ok(TaskOutcome::Imported { stages: scan.stages().to_vec() })
                         });
-                imported.map_err(|error| of_import(error, content))
+                imported.map_err(|error| to_ingest_error(error, content))
             }
         }
     }
@@ -110,7 +110,7 @@ impl Task {
 /// A longer name is ignored.
 const MAX_NAME_BYTES: usize = 4 << 10;
 
-fn named(name: Option<String>) -> TaskOutcome {
+fn with_name(name: Option<String>) -> TaskOutcome {
     TaskOutcome::Scan { name: name.filter(|name| name.len() <= MAX_NAME_BYTES) }
 }
 
@@ -118,7 +118,7 @@ fn unreadable(file_name: &str, reason: &str) -> IngestError {
     IngestError::Malformed { file: file_name.into(), reason: reason.to_owned() }
 }
 
-fn of_import(error: ScanError, content: &Utf8Path) -> IngestError {
+fn to_ingest_error(error: ScanError, content: &Utf8Path) -> IngestError {
     match error {
         ScanError::Ingest(error) => error,
         ScanError::Io(source) => IngestError::Io { file: content.to_owned(), source },

@@ -38,7 +38,7 @@ pub(super) struct Failure {
 /// Longest error message, characters. Callers get an even shorter one.
 const MAX_MESSAGE_CHARS: usize = 4000;
 
-fn shortened(message: String) -> String {
+fn shorten(message: String) -> String {
     match message.char_indices().nth(MAX_MESSAGE_CHARS) {
         Some((end, _)) => message[..end].to_owned(),
         None => message,
@@ -47,19 +47,14 @@ fn shortened(message: String) -> String {
 
 impl From<IngestError> for Failure {
     fn from(error: IngestError) -> Self {
-        let (kind, message) = (error.kind(), shortened(error.to_string()));
+        let (kind, message) = (error.kind(), shorten(error.to_string()));
         match error {
             IngestError::Io { file, source } => {
                 let is_disk_full = matches!(
                     source.kind(),
                     io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded
                 );
-                Self {
-                    kind,
-                    message: shortened(source.to_string()),
-                    file: Some(file),
-                    is_disk_full,
-                }
+                Self { kind, message: shorten(source.to_string()), file: Some(file), is_disk_full }
             }
             _ => Self { kind, message, file: None, is_disk_full: false },
         }

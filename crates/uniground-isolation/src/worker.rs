@@ -21,22 +21,22 @@ pub fn run() -> io::Result<()> {
     let mut line = String::new();
     io::stdin().lock().read_line(&mut line)?;
     let Request { task, memory_bytes, cpu_s } = serde_json::from_str(&line)?;
-    limit(Resource::Core, 0);
-    limit(Resource::Cpu, cpu_s);
+    set_limit(Resource::Core, 0);
+    set_limit(Resource::Cpu, cpu_s);
     limit_memory(memory_bytes);
-    offer_to_oom_killer();
-    end_with_parent()?;
+    prefer_for_oom_killer();
+    exit_with_parent()?;
     let pool = background::pool().map_err(io::Error::other)?;
     let subject = task.subject();
     // A panic has already printed its message and location to stderr.
-    let done = catch_unwind(AssertUnwindSafe(|| pool.install(|| task.run(&reported()))))
+    let done = catch_unwind(AssertUnwindSafe(|| pool.install(|| task.run(&report_progress()))))
         .unwrap_or_else(|_| {
             Err(IngestError::Malformed {
                 file: subject,
                 reason: "it is damaged: its reader gave up".into(),
             })
         });
-    tell(&match done {
+    send_message(&match done {
         Ok(outcome) => Message::Done(outcome),
         Err(error) => Message::Failed(error.into()),
     })
@@ -46,20 +46,20 @@ pub fn run() -> io::Result<()> {
 /// reserve more of it than they use.
 fn limit_memory(bytes: u64) {
     #[cfg(target_os = "linux")]
-    limit(Resource::Data, bytes);
+    set_limit(Resource::Data, bytes);
     #[cfg(not(target_os = "linux"))]
-    limit(Resource::As, bytes);
+    set_limit(Resource::As, bytes);
 }
 
 /// Makes the system kill this process before the service when memory runs out.
-fn offer_to_oom_killer() {
+fn prefer_for_oom_killer() {
     #[cfg(target_os = "linux")]
     if let Err(error) = std::fs::write("/proc/self/oom_score_adj", "1000") {
         tracing::debug!(%error, "out-of-memory score could not be raised");
     }
 }
 
-fn limit(resource: Resource, most: u64) {
+fn set_limit(resource: Resource, most: u64) {
     if let Err(error) = setrlimit(resource, Rlimit { current: Some(most), maximum: Some(most) }) {
         eprintln!("a limit could not be set: {error}");
     }
@@ -67,7 +67,7 @@ fn limit(resource: Resource, most: u64) {
 
 /// Ends this process when the service is gone: the service keeps stdin open while it wants an
 /// answer.
-fn end_with_parent() -> io::Result<()> {
+fn exit_with_parent() -> io::Result<()> {
     let watch = || {
         let mut rest = [0; 64];
         while io::stdin().lock().read(&mut rest).is_ok_and(|read| read > 0) {}
@@ -76,20 +76,20 @@ fn end_with_parent() -> io::Result<()> {
     std::thread::Builder::new().name("parent".into()).spawn(watch).map(drop)
 }
 
-fn reported() -> Progress {
-    let told = Arc::new(Mutex::new(None::<Instant>));
+fn report_progress() -> Progress {
+    let last_report = Arc::new(Mutex::new(None::<Instant>));
     let sink = move |stage: &'static str, done: f32| {
-        let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
-        if told.is_none_or(|told| told.elapsed() >= PROGRESS_EVERY) {
-            *told = Some(Instant::now());
+        let mut last_report = last_report.lock().unwrap_or_else(PoisonError::into_inner);
+        if last_report.is_none_or(|last_report| last_report.elapsed() >= PROGRESS_EVERY) {
+            *last_report = Some(Instant::now());
             // If the service does not read any more, it has killed this process.
-            let _ = tell(&Message::Progress { stage: stage.to_owned(), done });
+            let _ = send_message(&Message::Progress { stage: stage.to_owned(), done });
         }
     };
     Progress::new(sink, || false)
 }
 
-fn tell(message: &Message) -> io::Result<()> {
+fn send_message(message: &Message) -> io::Result<()> {
     let mut line = serde_json::to_vec(message)?;
     line.push(b'\n');
     let mut stdout = io::stdout().lock();

@@ -39,7 +39,7 @@ pub struct Retry {
 /// What a running job gets.
 pub struct JobContext<P> {
     /// The lease under which all results of the job are written.
-    pub hold: JobLease,
+    pub lease: JobLease,
     /// Cancelled once the lease has passed to another worker, because this process missed its
     /// heartbeats. Results are then discarded, and the job must not spend any more money.
     pub lost: CancellationToken,

@@ -23,7 +23,7 @@ use uniground_storage::{JobRow, JobState};
 const MIN_PROGRESS_FOR_ETA: f32 = 0.03;
 
 /// Converts a stored job to its API form at the time `now`.
-fn job_of(row: JobRow, now: Timestamp) -> Job {
+fn to_job(row: JobRow, now: Timestamp) -> Job {
     let JobRow {
         id,
         kind,

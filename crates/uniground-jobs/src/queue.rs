@@ -1,7 +1,7 @@
 //! Submitting, watching and cancelling jobs.
 
 use super::watchers::JobWatchers;
-use super::{Job, JobKind, JobList, JobRequest, job_of};
+use super::{Job, JobKind, JobList, JobRequest, to_job};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use uniground_storage::{
-    InsertedJob, JobFilter, JobRepository, JobRow, JobState, QueueLengths, StoreError, page,
+    InsertedJob, JobFilter, JobRepository, JobRow, JobState, QueueLengths, StoreError, split_page,
 };
 use uniground_telemetry::metrics::Metrics;
 
@@ -24,11 +24,11 @@ pub enum JobsError {
 }
 
 /// Period over which the throughput of a queue is measured.
-const LATELY: Duration = Duration::from_mins(10);
+const THROUGHPUT_WINDOW: Duration = Duration::from_mins(10);
 /// Shortest retry delay for callers that find a queue full, seconds.
-const SOONEST_S: u32 = 2;
+const MIN_RETRY_AFTER_S: u32 = 2;
 /// Longest retry delay, seconds.
-const LATEST_S: u32 = 120;
+const MAX_RETRY_AFTER_S: u32 = 120;
 
 /// The progress of a running job.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -40,19 +40,19 @@ pub(super) struct JobProgress {
 /// A job that a worker of this process runs.
 #[derive(Clone)]
 pub(super) struct RunningJob {
-    pub pulse: Arc<Mutex<JobProgress>>,
+    pub progress: Arc<Mutex<JobProgress>>,
     pub cancel: CancellationToken,
     /// The row at the time the worker claimed it.
     pub row: Arc<JobRow>,
 }
 
 impl RunningJob {
-    pub fn pulse(&self) -> JobProgress {
-        *self.pulse.lock().unwrap_or_else(PoisonError::into_inner)
+    pub fn progress_snapshot(&self) -> JobProgress {
+        *self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub fn beat(&self, pulse: JobProgress) {
-        *self.pulse.lock().unwrap_or_else(PoisonError::into_inner) = pulse;
+    pub fn update_progress(&self, progress: JobProgress) {
+        *self.progress.lock().unwrap_or_else(PoisonError::into_inner) = progress;
     }
 }
 
@@ -87,7 +87,7 @@ impl Jobs {
 
     /// Sets the metrics that count jobs.
     #[must_use]
-    pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
+    pub fn with_metrics(self, metrics: Arc<Metrics>) -> Self {
         Self { metrics, ..self }
     }
 
@@ -99,14 +99,14 @@ impl Jobs {
 
     /// Returns the kinds with a lane in this process, and whether the lane is running.
     #[must_use]
-    pub fn lanes(&self) -> BTreeMap<&'static str, bool> {
+    pub fn lane_states(&self) -> BTreeMap<&'static str, bool> {
         self.lanes.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Records whether a lane is running.
-    pub(super) fn note_lane(&self, kind: &'static str, up: bool) {
+    pub(super) fn set_lane_running(&self, kind: &'static str, up: bool) {
         self.lanes.lock().unwrap_or_else(PoisonError::into_inner).insert(kind, up);
-        self.metrics.jobs.lane(kind, up);
+        self.metrics.jobs.set_lane_running(kind, up);
     }
 
     /// Queues a job on a subject, the id of what it works on. `key_id` is the API key that
@@ -141,9 +141,9 @@ impl Jobs {
         }
         let outcome = insert.await?;
         match outcome.inserted_job().map(|row| row.state) {
-            Some(JobState::Queued) => self.bell(K::NAME).notify_one(),
+            Some(JobState::Queued) => self.notifier(K::NAME).notify_one(),
             Some(state) if state.is_final() => {
-                self.metrics.jobs.finished(K::NAME, state.word(), None);
+                self.metrics.jobs.record_finished(K::NAME, state.word(), None);
             }
             _ => {}
         }
@@ -167,9 +167,13 @@ impl Jobs {
         if queued < self.max_queued - kept_free {
             return Ok(());
         }
-        let done = self.repository.done_lately(K::NAME, LATELY).await?;
-        let again_in_s = u32::try_from(LATELY.as_secs()).unwrap_or(u32::MAX) / done.max(1);
-        Err(JobsError::QueueFull { queued, again_in_s: again_in_s.clamp(SOONEST_S, LATEST_S) })
+        let done = self.repository.count_recently_finished(K::NAME, THROUGHPUT_WINDOW).await?;
+        let again_in_s =
+            u32::try_from(THROUGHPUT_WINDOW.as_secs()).unwrap_or(u32::MAX) / done.max(1);
+        Err(JobsError::QueueFull {
+            queued,
+            again_in_s: again_in_s.clamp(MIN_RETRY_AFTER_S, MAX_RETRY_AFTER_S),
+        })
     }
 
     /// Requests cancellation of every job on a subject.
@@ -208,7 +212,9 @@ impl Jobs {
         cursor: Option<&str>,
     ) -> Result<JobList, JobsError> {
         let (rows, next_cursor) =
-            page(self.repository.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
+            split_page(self.repository.jobs(filter, limit + 1, cursor).await?, limit, |row| {
+                &row.id
+            });
         Ok(JobList { jobs: rows.into_iter().map(|row| self.to_job(row)).collect(), next_cursor })
     }
 
@@ -219,11 +225,11 @@ impl Jobs {
         if row.state == JobState::Running
             && let Some(running) = self.running().get(&row.id)
         {
-            let JobProgress { stage, progress } = running.pulse();
+            let JobProgress { stage, progress } = running.progress_snapshot();
             row.progress = f64::from(progress);
             row.stage = (!stage.is_empty()).then(|| stage.to_owned());
         }
-        job_of(row, Timestamp::now())
+        to_job(row, Timestamp::now())
     }
 
     /// Cancels a job. Queued jobs stop at once, running ones at their next check; finished ones
@@ -241,14 +247,16 @@ impl Jobs {
             }
         }
         let job = self.get(id).await?;
-        if was_queued && let Some(kind) = self.lanes().into_keys().find(|kind| *kind == job.kind) {
-            self.metrics.jobs.finished(kind, job.state.word(), None);
+        if was_queued
+            && let Some(kind) = self.lane_states().into_keys().find(|kind| *kind == job.kind)
+        {
+            self.metrics.jobs.record_finished(kind, job.state.word(), None);
         }
         Ok(job)
     }
 
     /// Wakes the lane of a kind, or all lanes, after another process has queued a job.
-    pub fn ring(&self, kind: Option<&str>) {
+    pub fn wake_lanes(&self, kind: Option<&str>) {
         let bells = self.bells.lock().unwrap_or_else(PoisonError::into_inner);
         bells
             .iter()
@@ -257,7 +265,7 @@ impl Jobs {
     }
 
     /// Returns the notifier for queued jobs of this kind.
-    pub(super) fn bell(&self, kind: &'static str) -> Arc<Notify> {
+    pub(super) fn notifier(&self, kind: &'static str) -> Arc<Notify> {
         self.bells.lock().unwrap_or_else(PoisonError::into_inner).entry(kind).or_default().clone()
     }
 
@@ -322,21 +330,24 @@ mod tests {
     }
 
     /// Takes the next job, as a worker does.
-    async fn take(jobs: &Jobs) -> (JobLease, RunningJob) {
+    async fn claim_next(jobs: &Jobs) -> (JobLease, RunningJob) {
         let row = jobs.repository.claim_job(Parsing::NAME).await.unwrap().unwrap();
-        let hold = JobLease::of(&row);
-        let running =
-            RunningJob { pulse: Arc::default(), cancel: CancellationToken::new(), row: row.into() };
-        jobs.running().insert(hold.job_id.clone(), running.clone());
-        (hold, running)
+        let lease = JobLease::from_claimed_row(&row);
+        let running = RunningJob {
+            progress: Arc::default(),
+            cancel: CancellationToken::new(),
+            row: row.into(),
+        };
+        jobs.running().insert(lease.job_id.clone(), running.clone());
+        (lease, running)
     }
 
     /// Whether a bell was rung since it was last looked at.
-    fn rang(jobs: &Jobs, kind: &'static str) -> bool {
-        jobs.bell(kind).notified().now_or_never().is_some()
+    fn was_notified(jobs: &Jobs, kind: &'static str) -> bool {
+        jobs.notifier(kind).notified().now_or_never().is_some()
     }
 
-    async fn has_room(jobs: &Jobs, key_id: Option<&str>) -> bool {
+    async fn has_queue_capacity(jobs: &Jobs, key_id: Option<&str>) -> bool {
         match jobs.check_queue_capacity::<Parsing>(key_id).await {
             Ok(()) => true,
             Err(JobsError::QueueFull { .. }) => false,
@@ -345,16 +356,16 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_submitted_job_waits_and_its_lane_is_told() {
+    async fn submitting_a_job_queues_it_and_notifies_its_lane() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
-        assert!(!rang(&jobs, Parsing::NAME));
+        assert!(!was_notified(&jobs, Parsing::NAME));
         let job = jobs.submit::<Parsing>("scene", &vec![7, 9], Some("k")).await.unwrap();
         assert_eq!((job.kind.as_str(), job.subject.as_str()), ("parsing", "scene"));
         assert_eq!((job.state, job.attempts, job.progress), (JobState::Queued, 0, 0.0));
-        assert!(rang(&jobs, Parsing::NAME));
-        assert!(!rang(&jobs, Parsing::NAME), "once for each job");
-        assert!(!rang(&jobs, Naming::NAME));
+        assert!(was_notified(&jobs, Parsing::NAME));
+        assert!(!was_notified(&jobs, Parsing::NAME), "once for each job");
+        assert!(!was_notified(&jobs, Naming::NAME));
         let row = jobs.repository.job(&job.id).await.unwrap().unwrap();
         assert_eq!(row.payload, "[7,9]");
         let queued = jobs.repository.queued_jobs(Parsing::NAME, Some("k")).await.unwrap();
@@ -362,11 +373,11 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_queue_has_room_up_to_its_last_place_for_those_without_a_key() {
+    async fn callers_without_a_key_may_fill_the_queue_completely() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 20).await;
         fill(&jobs, 19, Some("many")).await;
-        assert!(has_room(&jobs, None).await);
+        assert!(has_queue_capacity(&jobs, None).await);
         submit(&jobs, "s").await;
         let full = jobs.submit::<Parsing>("s", &vec![], None).await;
         assert!(
@@ -377,12 +388,12 @@ mod tests {
         // Every kind has a queue of its own.
         jobs.submit::<Naming>("s", &(), None).await.unwrap();
         // A place is free once somebody has taken a job.
-        take(&jobs).await;
-        assert!(has_room(&jobs, None).await);
+        claim_next(&jobs).await;
+        assert!(has_queue_capacity(&jobs, None).await);
     }
 
     #[tokio::test]
-    async fn the_last_tenth_of_a_queue_is_for_keys_that_have_few_in_it() {
+    async fn the_last_tenth_of_the_queue_is_reserved_for_keys_with_few_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 20).await;
         // A tenth of 20 is 2: who has 2 or more finds 18 places.
@@ -393,7 +404,7 @@ mod tests {
         let room = async || {
             let mut room = Vec::new();
             for key_id in keys {
-                room.push(has_room(&jobs, key_id).await);
+                room.push(has_queue_capacity(&jobs, key_id).await);
             }
             room
         };
@@ -407,17 +418,17 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_queue_of_fewer_than_ten_places_keeps_none_free() {
+    async fn queues_below_ten_places_reserve_none() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 9).await;
         fill(&jobs, 8, Some("many")).await;
-        assert!(has_room(&jobs, Some("many")).await);
+        assert!(has_queue_capacity(&jobs, Some("many")).await);
         fill(&jobs, 1, Some("many")).await;
-        assert!(!has_room(&jobs, Some("many")).await);
+        assert!(!has_queue_capacity(&jobs, Some("many")).await);
     }
 
     #[tokio::test]
-    async fn who_finds_a_queue_full_is_told_when_by_how_fast_jobs_were_done() {
+    async fn retry_after_of_a_full_queue_follows_its_throughput() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 0).await;
         let again = async || match jobs.check_queue_capacity::<Parsing>(None).await {
@@ -429,8 +440,8 @@ mod tests {
         for (more, again_in_s) in [(8, 75), (4, 50)] {
             for _ in 0..more {
                 fill(&jobs, 1, None).await;
-                let (hold, _) = take(&jobs).await;
-                let done = jobs.repository.finish_job(&hold, JobState::Succeeded, None, None);
+                let (lease, _) = claim_next(&jobs).await;
+                let done = jobs.repository.finish_job(&lease, JobState::Succeeded, None, None);
                 done.await.unwrap();
             }
             assert_eq!(again().await, again_in_s);
@@ -445,15 +456,15 @@ mod tests {
         let row = jobs
             .enqueue(&job, async {
                 let row = jobs.repository.insert_job("s", &job.row()).await;
-                assert!(!rang(&jobs, Parsing::NAME), "woken before the transaction ended");
+                assert!(!was_notified(&jobs, Parsing::NAME), "woken before the transaction ended");
                 row
             })
             .await
             .unwrap();
-        assert!(rang(&jobs, Parsing::NAME));
+        assert!(was_notified(&jobs, Parsing::NAME));
         assert_eq!((row.payload.as_str(), row.state), ("[1]", JobState::Queued));
         let none = jobs.enqueue(&job, async { Ok(None::<JobRow>) }).await.unwrap();
-        assert!(none.is_none() && !rang(&jobs, Parsing::NAME), "nothing was inserted");
+        assert!(none.is_none() && !was_notified(&jobs, Parsing::NAME), "nothing was inserted");
     }
 
     #[tokio::test]
@@ -476,41 +487,41 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         fill(&jobs, 1, None).await;
-        let (hold, _) = take(&jobs).await;
+        let (lease, _) = claim_next(&jobs).await;
         let job = JobRequest::<Parsing>::new(&vec![], None).unwrap();
-        let row = async || Ok(jobs.repository.job(&hold.job_id).await.unwrap().unwrap());
+        let row = async || Ok(jobs.repository.job(&lease.job_id).await.unwrap().unwrap());
         jobs.enqueue(&job, row()).await.unwrap();
         let metrics = jobs.metrics().text();
         assert!(!metrics.contains("kind=\"parsing\""), "a running job is not counted: {metrics}");
-        jobs.repository.finish_job(&hold, JobState::Succeeded, Some("done"), None).await.unwrap();
+        jobs.repository.finish_job(&lease, JobState::Succeeded, Some("done"), None).await.unwrap();
         let job = jobs.to_job(jobs.enqueue(&job, row()).await.unwrap());
         assert_eq!((job.state, job.message.as_deref()), (JobState::Succeeded, Some("done")));
         let metrics = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"succeeded\"} 1";
         assert!(metrics.contains(counted), "{metrics}");
-        assert!(!rang(&jobs, Parsing::NAME), "a worker was woken for a finished job");
+        assert!(!was_notified(&jobs, Parsing::NAME), "a worker was woken for a finished job");
     }
 
     #[tokio::test]
-    async fn jobs_are_counted_where_it_was_said() {
+    async fn jobs_are_counted_in_the_given_metrics() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let metrics = Arc::new(Metrics::default());
         assert!(!Arc::ptr_eq(jobs.metrics(), &metrics));
-        let jobs = jobs.counted_by(metrics.clone());
+        let jobs = jobs.with_metrics(metrics.clone());
         assert!(Arc::ptr_eq(jobs.metrics(), &metrics));
         assert_eq!(jobs.max_queued, 10);
     }
 
     #[tokio::test]
-    async fn a_job_that_waits_is_told_with_how_many_are_ahead() {
+    async fn a_queued_job_reports_how_many_are_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let mut ids = Vec::new();
         for _ in 0..3 {
             ids.push(submit(&jobs, "s").await);
         }
-        take(&jobs).await;
+        claim_next(&jobs).await;
         let mut ahead = Vec::new();
         for id in &ids {
             let job = jobs.get(id).await.unwrap();
@@ -546,14 +557,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_running_job_stands_where_its_worker_says() {
+    async fn a_running_job_reports_live_progress() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let id = submit(&jobs, "s").await;
-        let (hold, running) = take(&jobs).await;
-        jobs.repository.save_job_progress(&hold, "masks", 0.25).await.unwrap();
-        running.beat(JobProgress { stage: "merge", progress: 0.5 });
-        assert_eq!(running.pulse(), JobProgress { stage: "merge", progress: 0.5 });
+        let (lease, running) = claim_next(&jobs).await;
+        jobs.repository.save_job_progress(&lease, "masks", 0.25).await.unwrap();
+        running.update_progress(JobProgress { stage: "merge", progress: 0.5 });
+        assert_eq!(running.progress_snapshot(), JobProgress { stage: "merge", progress: 0.5 });
         let stands = async || {
             let job = jobs.get(&id).await.unwrap();
             (job.state, job.stage, job.progress)
@@ -561,67 +572,67 @@ mod tests {
         assert_eq!(stands().await, (JobState::Running, Some("merge".into()), 0.5));
         let listed = jobs.list(&JobFilter::default(), 1, None).await.unwrap().jobs;
         assert_eq!((listed[0].stage.as_deref(), listed[0].progress), (Some("merge"), 0.5));
-        running.beat(JobProgress { stage: "", progress: 0.75 });
+        running.update_progress(JobProgress { stage: "", progress: 0.75 });
         assert_eq!(stands().await, (JobState::Running, None, 0.75), "no stage has a name yet");
         // One that is over stands as it was written down, though its worker is still there.
-        jobs.repository.finish_job(&hold, JobState::Failed, None, None).await.unwrap();
+        jobs.repository.finish_job(&lease, JobState::Failed, None, None).await.unwrap();
         assert_eq!(stands().await, (JobState::Failed, Some("masks".into()), 0.25));
         // Of one that runs elsewhere only its row is known.
         let elsewhere = submit(&jobs, "s").await;
-        let (hold, _) = take(&jobs).await;
+        let (lease, _) = claim_next(&jobs).await;
         jobs.running().remove(&elsewhere);
-        jobs.repository.save_job_progress(&hold, "masks", 0.125).await.unwrap();
+        jobs.repository.save_job_progress(&lease, "masks", 0.125).await.unwrap();
         let job = jobs.get(&elsewhere).await.unwrap();
         assert_eq!((job.stage.as_deref(), job.progress), (Some("masks"), 0.125));
     }
 
     #[tokio::test]
-    async fn a_job_that_waits_is_cancelled_and_counted_at_once() {
+    async fn cancelling_a_queued_job_finishes_and_counts_it_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let id = submit(&jobs, "s").await;
         // Without a lane here nobody counts.
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
         assert!(!jobs.metrics().text().contains("state=\"cancelled\""));
-        jobs.note_lane(Naming::NAME, true);
-        jobs.note_lane(Parsing::NAME, true);
+        jobs.set_lane_running(Naming::NAME, true);
+        jobs.set_lane_running(Parsing::NAME, true);
         let id = submit(&jobs, "s").await;
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
         // Again: it stays, and is not counted twice.
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
-        let told = jobs.metrics().text();
+        let exported = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"cancelled\"} 1";
-        assert!(told.contains(counted), "{told}");
-        assert!(!told.contains("{kind=\"naming\",state=\"cancelled\"}"), "{told}");
+        assert!(exported.contains(counted), "{exported}");
+        assert!(!exported.contains("{kind=\"naming\",state=\"cancelled\"}"), "{exported}");
         assert!(matches!(jobs.cancel("nobody's").await, Err(JobsError::NotFound { .. })));
     }
 
     #[tokio::test]
-    async fn a_running_job_is_asked_to_stop_and_the_wish_is_written_down() {
+    async fn cancelling_a_running_job_signals_it_and_stores_the_request() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
-        jobs.note_lane(Parsing::NAME, true);
+        jobs.set_lane_running(Parsing::NAME, true);
         let (id, other) = (submit(&jobs, "s").await, submit(&jobs, "s").await);
-        let ((hold, running), (_, beside)) = (take(&jobs).await, take(&jobs).await);
+        let ((lease, running), (_, other_job)) = (claim_next(&jobs).await, claim_next(&jobs).await);
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "until its next look");
-        assert!(running.cancel.is_cancelled() && !beside.cancel.is_cancelled());
+        assert!(running.cancel.is_cancelled() && !other_job.cancel.is_cancelled());
         assert!(jobs.repository.is_cancel_requested(&id).await.unwrap());
         assert!(!jobs.repository.is_cancel_requested(&other).await.unwrap());
         assert!(!jobs.metrics().text().contains("state=\"cancelled\""), "its worker counts it");
         // One that is over stays as it is.
-        jobs.repository.finish_job(&hold, JobState::Succeeded, None, None).await.unwrap();
+        jobs.repository.finish_job(&lease, JobState::Succeeded, None, None).await.unwrap();
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Succeeded);
     }
 
     #[tokio::test]
-    async fn all_jobs_on_a_subject_are_asked_to_stop_and_no_others() {
+    async fn cancelling_a_subject_affects_only_its_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let mut ids = Vec::new();
         for subject in ["a", "b", "a"] {
             ids.push(submit(&jobs, subject).await);
         }
-        let (_, running) = take(&jobs).await;
+        let (_, running) = claim_next(&jobs).await;
         jobs.cancel_all_of("a").await.unwrap();
         let mut states = Vec::new();
         for id in &ids {
@@ -633,14 +644,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_bell_rings_for_its_kind_or_for_all() {
+    async fn wake_lanes_notifies_one_kind_or_all() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let rung = |kind| {
             // Who listens has a bell.
-            let _bells = [jobs.bell(Parsing::NAME), jobs.bell(Naming::NAME)];
-            jobs.ring(kind);
-            [rang(&jobs, Parsing::NAME), rang(&jobs, Naming::NAME)]
+            let _bells = [jobs.notifier(Parsing::NAME), jobs.notifier(Naming::NAME)];
+            jobs.wake_lanes(kind);
+            [was_notified(&jobs, Parsing::NAME), was_notified(&jobs, Naming::NAME)]
         };
         assert_eq!(rung(Some("parsing")), [true, false]);
         assert_eq!(rung(Some("naming")), [false, true]);
@@ -649,17 +660,17 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn lanes_are_told_by_kind_with_whether_they_are_at_work() {
+    async fn lane_states_report_running_lanes_by_kind() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
-        assert!(jobs.lanes().is_empty());
-        jobs.note_lane(Parsing::NAME, true);
-        jobs.note_lane(Naming::NAME, false);
-        assert_eq!(jobs.lanes(), BTreeMap::from([("naming", false), ("parsing", true)]));
-        let told = jobs.metrics().text();
-        assert!(told.contains("uniground_lane_up{kind=\"parsing\"} 1"), "{told}");
-        assert!(told.contains("uniground_lane_up{kind=\"naming\"} 0"), "{told}");
-        jobs.note_lane(Parsing::NAME, false);
-        assert!(!jobs.lanes()["parsing"]);
+        assert!(jobs.lane_states().is_empty());
+        jobs.set_lane_running(Parsing::NAME, true);
+        jobs.set_lane_running(Naming::NAME, false);
+        assert_eq!(jobs.lane_states(), BTreeMap::from([("naming", false), ("parsing", true)]));
+        let exported = jobs.metrics().text();
+        assert!(exported.contains("uniground_lane_up{kind=\"parsing\"} 1"), "{exported}");
+        assert!(exported.contains("uniground_lane_up{kind=\"naming\"} 0"), "{exported}");
+        jobs.set_lane_running(Parsing::NAME, false);
+        assert!(!jobs.lane_states()["parsing"]);
     }
 }

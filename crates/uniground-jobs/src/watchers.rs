@@ -10,9 +10,9 @@ use tokio::time::sleep;
 use uniground_storage::JobRow;
 
 /// Polling interval of a watched job.
-const LOOK_EVERY: Duration = Duration::from_millis(150);
+const POLL_INTERVAL: Duration = Duration::from_millis(150);
 /// Polling interval after an error of the database.
-const TROUBLE: Duration = Duration::from_millis(1500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(1500);
 
 /// The watched jobs by id.
 #[derive(Clone, Default)]
@@ -26,10 +26,10 @@ impl JobWatchers {
 
 /// Returns whether two states of a job look the same to a caller.
 fn is_same(a: &Job, b: &Job) -> bool {
-    let told = |job: &Job| {
+    let visible_state = |job: &Job| {
         (job.attempts, job.state, job.ahead, job.stage.clone(), (job.progress * 1000.0) as i32)
     };
-    told(a) == told(b)
+    visible_state(a) == visible_state(b)
 }
 
 impl Jobs {
@@ -52,7 +52,7 @@ impl Jobs {
         let (sender, receiver) = watch::channel(job);
         if !is_over {
             all.insert(id.to_owned(), sender);
-            tokio::spawn(self.clone().look_after(id.to_owned()));
+            tokio::spawn(self.clone().poll_until_finished(id.to_owned()));
         }
         Ok(receiver)
     }
@@ -67,8 +67,8 @@ impl Jobs {
     }
 
     /// Polls a job as long as it is watched and not finished.
-    async fn look_after(self, id: String) {
-        let mut wait = LOOK_EVERY;
+    async fn poll_until_finished(self, id: String) {
+        let mut wait = POLL_INTERVAL;
         loop {
             sleep(wait).await;
             // Under the lock, so that no new watcher can subscribe between the check and the
@@ -82,9 +82,9 @@ impl Jobs {
             }
             let job = self.look(&id).await;
             wait = if matches!(job, Err(JobsError::Store(_) | JobsError::QueueFull { .. })) {
-                TROUBLE
+                RETRY_INTERVAL
             } else {
-                LOOK_EVERY
+                POLL_INTERVAL
             };
             let mut all = self.followed.all();
             let is_over = match (job, all.get(&id)) {

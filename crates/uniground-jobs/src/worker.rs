@@ -12,16 +12,16 @@ use uniground_geometry::progress::Progress;
 use uniground_storage::{JobLease, JobRecovery, JobRow, JobState, StoreError};
 
 /// How often the row of a running job is updated.
-const SAVE_EVERY: Duration = Duration::from_millis(500);
+const PROGRESS_SAVE_INTERVAL: Duration = Duration::from_millis(500);
 /// Polling interval of a worker that is not notified.
-const LOOK_EVERY: Duration = Duration::from_secs(2);
+const POLL_INTERVAL: Duration = Duration::from_secs(2);
 /// Progress must grow by more than this to count as further progress.
-const FURTHER: f64 = 0.001;
+const MIN_PROGRESS_STEP: f64 = 0.001;
 /// Upper limit of the delay between attempts.
-const LONGEST_BACKOFF: Duration = Duration::from_hours(1);
+const MAX_BACKOFF: Duration = Duration::from_hours(1);
 /// Interruptions of a job that are retried without delay. A job that is interrupted repeatedly
 /// without further progress may be what crashes its server.
-const TAKEN_UP_AT_ONCE: u32 = 3;
+const FREE_INTERRUPTIONS: u32 = 3;
 /// The delay after further interruptions. It doubles from one to the next.
 const WAIT_AFTER_INTERRUPTIONS: Duration = Duration::from_secs(30);
 
@@ -36,15 +36,16 @@ impl Jobs {
         at_once: usize,
         shutdown: CancellationToken,
     ) {
-        self.metrics.jobs.knows(K::NAME);
+        self.metrics.jobs.register(K::NAME);
         let _at_work = WorkerGuard::begin(self, K::NAME);
         self.recover::<K>(&shutdown).await;
         let recovering = async {
-            while shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_some() {
+            while shutdown.run_until_cancelled(time::sleep(POLL_INTERVAL)).await.is_some() {
                 self.recover::<K>(&shutdown).await;
             }
         };
-        let working = join_all((0..at_once.max(1)).map(|_| self.work(&kind, &shutdown)));
+        let working =
+            join_all((0..at_once.max(1)).map(|_| self.claim_and_run_jobs(&kind, &shutdown)));
         tokio::join!(recovering, working);
     }
 
@@ -52,7 +53,7 @@ impl Jobs {
     async fn recover<K: JobKind>(&self, shutdown: &CancellationToken) {
         let recovery = JobRecovery {
             give_up_after: K::RETRY.interrupted,
-            at_once: TAKEN_UP_AT_ONCE,
+            at_once: FREE_INTERRUPTIONS,
             wait: WAIT_AFTER_INTERRUPTIONS,
         };
         while let Err(error) = self.repository.recover_jobs(K::NAME, recovery).await {
@@ -61,7 +62,7 @@ impl Jobs {
                 error = &error as &dyn std::error::Error,
                 "interrupted jobs could not be recovered yet; retrying"
             );
-            if shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_none() {
+            if shutdown.run_until_cancelled(time::sleep(POLL_INTERVAL)).await.is_none() {
                 return;
             }
         }
@@ -72,7 +73,7 @@ impl Jobs {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn refuse_unknown_kinds(&self, known: &[&str]) -> Result<(), StoreError> {
+    pub async fn fail_unknown_kinds(&self, known: &[&str]) -> Result<(), StoreError> {
         for (id, kind) in self.repository.open_jobs().await? {
             if !known.contains(&kind.as_str()) {
                 let detail = format!("this server does not know jobs of the kind {kind:?}");
@@ -84,8 +85,8 @@ impl Jobs {
         Ok(())
     }
 
-    async fn work<K: JobKind>(&self, kind: &Arc<K>, shutdown: &CancellationToken) {
-        let bell = self.bell(K::NAME);
+    async fn claim_and_run_jobs<K: JobKind>(&self, kind: &Arc<K>, shutdown: &CancellationToken) {
+        let bell = self.notifier(K::NAME);
         while !shutdown.is_cancelled() {
             match self.repository.claim_job(K::NAME).await {
                 Ok(Some(job)) => {
@@ -108,7 +109,7 @@ impl Jobs {
                 Ok(None) => {
                     tokio::select! {
                         () = bell.notified() => {}
-                        () = time::sleep(LOOK_EVERY) => {}
+                        () = time::sleep(POLL_INTERVAL) => {}
                         () = shutdown.cancelled() => {}
                     }
                 }
@@ -118,7 +119,7 @@ impl Jobs {
                         error = &error as &dyn std::error::Error,
                         "job queue could not be read"
                     );
-                    time::sleep(LOOK_EVERY).await;
+                    time::sleep(POLL_INTERVAL).await;
                 }
             }
         }
@@ -131,24 +132,27 @@ impl Jobs {
         shutdown: &CancellationToken,
     ) -> Result<(), StoreError> {
         let JobRow { id, payload, attempts, failures, furthest, .. } = job.clone();
-        let hold = JobLease::of(&job);
+        let lease = JobLease::from_claimed_row(&job);
         let payload = match serde_json::from_str(&payload) {
             Ok(payload) => payload,
             Err(error) => {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "job payload could not be read");
-                self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
+                self.metrics.jobs.record_finished(K::NAME, JobState::Failed.word(), None);
                 return self
-                    .record(
-                        &hold,
+                    .record_outcome(
+                        &lease,
                         &JobOutcome::Failed { code: "internal".into(), detail },
                         shutdown,
                     )
                     .await;
             }
         };
-        let running =
-            RunningJob { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
+        let running = RunningJob {
+            progress: Arc::default(),
+            cancel: shutdown.child_token(),
+            row: job.into(),
+        };
         self.running().insert(id.clone(), running.clone());
         // From here on a cancellation request reaches the token. An earlier one is in the row.
         match self.repository.is_cancel_requested(&id).await {
@@ -161,17 +165,17 @@ impl Jobs {
                     "job could not be started yet; retrying"
                 );
                 self.running().remove(&id);
-                return self.record(&hold, &JobOutcome::PutBack, shutdown).await;
+                return self.record_outcome(&lease, &JobOutcome::Requeued, shutdown).await;
             }
         }
         let (beating, cancel) = (running.clone(), running.cancel.clone());
         let progress = Progress::new(
-            move |stage, progress| beating.beat(JobProgress { stage, progress }),
+            move |stage, progress| beating.update_progress(JobProgress { stage, progress }),
             move || cancel.is_cancelled(),
         );
         // In a task of its own: a job that panics ends itself, not the lane.
         let lost = CancellationToken::new();
-        let context = JobContext { hold: hold.clone(), lost: lost.clone(), payload, progress };
+        let context = JobContext { lease: lease.clone(), lost: lost.clone(), payload, progress };
         let work = {
             let kind = kind.clone();
             async move { kind.run(context).await }
@@ -179,18 +183,18 @@ impl Jobs {
         let mut work = tokio::spawn(work.in_current_span());
         tracing::info!(attempt = attempts, "job started");
         let start = Instant::now();
-        let mut saving = time::interval(SAVE_EVERY);
+        let mut saving = time::interval(PROGRESS_SAVE_INTERVAL);
         saving.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let result = loop {
             tokio::select! {
                 result = &mut work => break result,
                 _ = saving.tick() => {
-                    let JobProgress { stage, progress } = running.pulse();
-                    match self.repository.save_job_progress(&hold, stage, progress).await {
+                    let JobProgress { stage, progress } = running.progress_snapshot();
+                    match self.repository.save_job_progress(&lease, stage, progress).await {
                         Ok(false) => {}
                         // Cancellation was requested through another process.
                         Ok(true) => running.cancel.cancel(),
-                        Err(StoreError::NotHeld) => {
+                        Err(StoreError::LeaseLost) => {
                             lost.cancel();
                             running.cancel.cancel();
                         }
@@ -201,25 +205,28 @@ impl Jobs {
         };
         let end = match result {
             Ok(Ok(message)) => JobOutcome::Done(message),
-            Ok(Err(_)) if shutdown.is_cancelled() => JobOutcome::PutBack,
+            Ok(Err(_)) if shutdown.is_cancelled() => JobOutcome::Requeued,
             Ok(Err(JobFailure::Cancelled)) => JobOutcome::Cancelled,
             // The job failed because of its cancellation, so it counts as cancelled.
             Ok(Err(JobFailure::Failed { .. })) if running.cancel.is_cancelled() => {
                 JobOutcome::Cancelled
             }
             Ok(Err(JobFailure::Failed { code, detail, cause, transient })) => {
-                let progress = running.pulse().progress;
+                let progress = running.progress_snapshot().progress;
                 // Further progress resets the count of failures.
-                let failures =
-                    if f64::from(progress) > furthest + FURTHER { 1 } else { failures + 1 };
-                let again = transient.then(|| next_try(K::RETRY, failures)).flatten();
+                let failures = if f64::from(progress) > furthest + MIN_PROGRESS_STEP {
+                    1
+                } else {
+                    failures + 1
+                };
+                let again = transient.then(|| retry_delay(K::RETRY, failures)).flatten();
                 tracing::warn!(
                     code,
                     cause,
                     again_in_s = again.map(|wait| wait.as_secs()),
                     "job failed"
                 );
-                again.map_or(JobOutcome::Failed { code, detail }, |wait| JobOutcome::Again {
+                again.map_or(JobOutcome::Failed { code, detail }, |wait| JobOutcome::RetryLater {
                     wait,
                     failures,
                     progress,
@@ -233,34 +240,34 @@ impl Jobs {
             }
         };
         // Count first: whoever sees the finished job must find it in the metrics.
-        self.count(K::NAME, &end, start.elapsed());
-        let ended = self.record(&hold, &end, shutdown).await;
+        self.count_outcome(K::NAME, &end, start.elapsed());
+        let ended = self.record_outcome(&lease, &end, shutdown).await;
         self.running().remove(&id);
         ended
     }
 
-    fn count(&self, kind: &'static str, end: &JobOutcome, took: Duration) {
+    fn count_outcome(&self, kind: &'static str, end: &JobOutcome, took: Duration) {
         let state = match end {
             JobOutcome::Done(_) => JobState::Succeeded,
             JobOutcome::Failed { .. } => JobState::Failed,
             JobOutcome::Cancelled => JobState::Cancelled,
-            JobOutcome::Again { .. } => return self.metrics.jobs.retried(kind),
-            JobOutcome::PutBack => return,
+            JobOutcome::RetryLater { .. } => return self.metrics.jobs.record_retry(kind),
+            JobOutcome::Requeued => return,
         };
-        self.metrics.jobs.finished(kind, state.word(), Some(took));
+        self.metrics.jobs.record_finished(kind, state.word(), Some(took));
     }
 
     /// Stores the end of a job. Retries until the store accepts it or the server stops. Otherwise
     /// the job would appear to run forever.
-    async fn record(
+    async fn record_outcome(
         &self,
-        hold: &JobLease,
+        lease: &JobLease,
         end: &JobOutcome,
         shutdown: &CancellationToken,
     ) -> Result<(), StoreError> {
         loop {
-            match self.try_to_record(hold, end).await {
-                Err(StoreError::NotHeld) => {
+            match self.try_record_outcome(lease, end).await {
+                Err(StoreError::LeaseLost) => {
                     tracing::warn!(
                         "lease lost: another worker has this job, its result here is discarded"
                     );
@@ -271,29 +278,35 @@ impl Jobs {
                         error = &error as &dyn std::error::Error,
                         "job result could not be recorded yet; retrying"
                     );
-                    let _ = shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await;
+                    let _ = shutdown.run_until_cancelled(time::sleep(POLL_INTERVAL)).await;
                 }
                 recorded => return recorded,
             }
         }
     }
 
-    async fn try_to_record(&self, hold: &JobLease, end: &JobOutcome) -> Result<(), StoreError> {
+    async fn try_record_outcome(
+        &self,
+        lease: &JobLease,
+        end: &JobOutcome,
+    ) -> Result<(), StoreError> {
         match end {
             JobOutcome::Done(message) => {
                 tracing::info!(result = message, "job succeeded");
-                self.repository.finish_job(hold, JobState::Succeeded, Some(message), None).await
+                self.repository.finish_job(lease, JobState::Succeeded, Some(message), None).await
             }
-            JobOutcome::PutBack => self.repository.requeue_job(hold).await,
-            JobOutcome::Again { wait, failures, progress } => {
-                self.repository.requeue_job_after(hold, *wait, *failures, *progress).await
+            JobOutcome::Requeued => self.repository.requeue_job(lease).await,
+            JobOutcome::RetryLater { wait, failures, progress } => {
+                self.repository.requeue_job_after(lease, *wait, *failures, *progress).await
             }
             JobOutcome::Cancelled => {
                 tracing::info!("job cancelled");
-                self.repository.finish_job(hold, JobState::Cancelled, None, None).await
+                self.repository.finish_job(lease, JobState::Cancelled, None, None).await
             }
             JobOutcome::Failed { code, detail } => {
-                self.repository.finish_job(hold, JobState::Failed, None, Some((code, detail))).await
+                self.repository
+                    .finish_job(lease, JobState::Failed, None, Some((code, detail)))
+                    .await
             }
         }
     }
@@ -307,14 +320,14 @@ struct WorkerGuard<'a> {
 
 impl<'a> WorkerGuard<'a> {
     fn begin(jobs: &'a Jobs, kind: &'static str) -> Self {
-        jobs.note_lane(kind, true);
+        jobs.set_lane_running(kind, true);
         Self { jobs, kind }
     }
 }
 
 impl Drop for WorkerGuard<'_> {
     fn drop(&mut self) {
-        self.jobs.note_lane(self.kind, false);
+        self.jobs.set_lane_running(self.kind, false);
     }
 }
 
@@ -322,9 +335,9 @@ impl Drop for WorkerGuard<'_> {
 enum JobOutcome {
     Done(String),
     /// The server shuts down: another one continues.
-    PutBack,
+    Requeued,
     /// It failed with a transient error: failures in a row, and its progress.
-    Again {
+    RetryLater {
         wait: Duration,
         failures: u32,
         progress: f32,
@@ -337,10 +350,9 @@ enum JobOutcome {
 }
 
 /// Returns the delay before the next attempt after this many failures, or `None` if there is none.
-fn next_try(Retry { transient, backoff, .. }: Retry, failures: u32) -> Option<Duration> {
-    (failures < transient).then(|| {
-        backoff.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(LONGEST_BACKOFF)
-    })
+fn retry_delay(Retry { transient, backoff, .. }: Retry, failures: u32) -> Option<Duration> {
+    (failures < transient)
+        .then(|| backoff.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(MAX_BACKOFF))
 }
 
 #[cfg(test)]

@@ -93,7 +93,7 @@ impl DoctorService {
     ///
     /// # Errors
     /// [`Error`] if the check cannot run at all.
-    pub async fn examine(&self) -> Result<Vec<Finding>, Error> {
+    pub async fn check_all_data(&self) -> Result<Vec<Finding>, Error> {
         let mut findings = Vec::new();
         let mut found = |trouble, detail: String| findings.push(Finding { trouble, detail });
         for complaint in self.integrity_repository.integrity().await? {
@@ -113,8 +113,9 @@ impl DoctorService {
         }
         for hash in self.content_repository.all_contents().await? {
             let (blobs, place) = (self.blobs.clone(), self.blobs.content(&hash));
-            let wrong = spawn_blocking(move || blobs.look(&place, CheckDepth::Bytes)).await??;
-            if let Some(detail) = told(&wrong) {
+            let wrong =
+                spawn_blocking(move || blobs.check_folder(&place, CheckDepth::Bytes)).await??;
+            if let Some(detail) = describe_damage(&wrong) {
                 found(
                     FindingKind::Content { hash: hash.clone() },
                     format!("{hash}: {detail}; upload the scan again"),
@@ -122,8 +123,8 @@ impl DoctorService {
             }
         }
         for parse in self.parse_repository.all_parses().await? {
-            let wrong = self.parsed_scenes.look_at_parse(&parse.id, CheckDepth::Bytes).await?;
-            if let Some(detail) = told(&wrong)
+            let wrong = self.parsed_scenes.check_parse_files(&parse.id, CheckDepth::Bytes).await?;
+            if let Some(detail) = describe_damage(&wrong)
                 && !parse.is_retired()
             {
                 found(
@@ -174,7 +175,7 @@ impl DoctorService {
                 FindingKind::Unclaimed { kind, name } => {
                     self.orphan_repository.quarantine(vec![(kind, name.clone())]).await?;
                 }
-                FindingKind::Job { id } => self.job_repository.end_orphan(id).await?,
+                FindingKind::Job { id } => self.job_repository.cancel_orphan_job(id).await?,
                 FindingKind::Database
                 | FindingKind::References
                 | FindingKind::Content { .. }
@@ -197,7 +198,7 @@ impl DoctorService {
 
 /// Describes the first damaged file and how many more there are. Stray files are ignored because
 /// they do no harm.
-fn told(wrong: &[DamagedFile]) -> Option<String> {
+fn describe_damage(wrong: &[DamagedFile]) -> Option<String> {
     let mut wrong = wrong.iter().filter(|damage| damage.what != "stray");
     let DamagedFile { file, what } = wrong.next()?;
     let more = match wrong.count() {

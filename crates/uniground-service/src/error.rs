@@ -81,7 +81,7 @@ pub enum Error {
     #[error("a batch holds at most {} MB: split it into several", most_bytes >> 20)]
     BatchTooLarge { most_bytes: u64 },
     #[error("an answer could not be stored; the question is asked again")]
-    AnswerNotKept,
+    AnswerNotStored,
     #[error("scene {id} has not been parsed yet")]
     SceneNotReady { id: String, job_id: Option<String> },
     #[error("{pointer}: {detail}")]
@@ -267,7 +267,7 @@ impl Error {
                 | Self::MemoryShort { .. }
                 | Self::ReaderKilled
                 | Self::Overloaded
-                | Self::AnswerNotKept
+                | Self::AnswerNotStored
                 | Self::VlmFailed { .. }
                 | Self::VlmDown { .. }
                 | Self::Jobs(JobsError::Store(_))
@@ -394,7 +394,7 @@ impl Error {
             Self::WrongOffset { .. } => "upload_offset_wrong",
             Self::ChecksumMismatch => "checksum_mismatch",
             Self::TooManyUploads { .. } => "too_many_uploads",
-            Self::Store(_) | Self::Io(_) | Self::AnswerNotKept => "storage_failed",
+            Self::Store(_) | Self::Io(_) | Self::AnswerNotStored => "storage_failed",
             Self::DiskNearlyFull { .. } => "storage_full",
             Self::MemoryShort { .. } | Self::ReaderKilled => "memory_short",
             Self::Background(_) => "internal",

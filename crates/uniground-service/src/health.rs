@@ -54,22 +54,22 @@ pub struct HealthService {
 impl HealthService {
     /// Returns the state of the service.
     pub async fn health(&self) -> Health {
-        self.last_health.get(AGE, self.look_at_health()).await
+        self.last_health.get(AGE, self.check_health()).await
     }
 
     /// Returns the current state, or the last known one if the check takes longer than `patience`.
     /// Returns `None` if no state is known yet.
-    pub(super) async fn health_soon(&self, patience: Duration) -> Option<Health> {
+    pub(super) async fn health_within(&self, patience: Duration) -> Option<Health> {
         let service = self.clone();
         self.last_health
-            .get_soon(AGE, patience, async move { service.look_at_health().await })
+            .get_within(AGE, patience, async move { service.check_health().await })
             .await
     }
 
-    async fn look_at_health(&self) -> Health {
+    async fn check_health(&self) -> Health {
         let inference = async {
             match &self.inference {
-                Some(probe) => Some(probe.look().await),
+                Some(probe) => Some(probe.check_ready().await),
                 None => None,
             }
         };
@@ -78,8 +78,13 @@ impl HealthService {
         if let Some(before) = self.last_health.last().filter(|before| before.store.is_damaged) {
             store = StoreHealth { database: before.store.database, is_damaged: true, ..store };
         }
-        let dead_lanes =
-            self.jobs.lanes().into_iter().filter(|(_, up)| !up).map(|(kind, _)| kind).collect();
+        let dead_lanes = self
+            .jobs
+            .lane_states()
+            .into_iter()
+            .filter(|(_, up)| !up)
+            .map(|(kind, _)| kind)
+            .collect();
         Health { store, dead_lanes, inference, vlm: self.vlm.as_ref().map(|vlm| vlm.condition()) }
     }
 }
@@ -89,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_dead_lane_or_a_lost_network_is_not_ready_and_a_silent_model_is() {
+    fn readiness_depends_on_lanes_and_inference_but_not_on_the_vlm() {
         let with = |change: fn(&mut Health)| {
             let mut health = Health::default();
             change(&mut health);

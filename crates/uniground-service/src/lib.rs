@@ -45,7 +45,7 @@ pub use doctor::{Finding, FindingKind};
 pub use health::Health;
 pub use health::HealthService;
 pub use instances::InstanceService;
-pub use instances::{EvidenceFile, written};
+pub use instances::{EvidenceFile, write_graph};
 pub use keys::{
     AuditedRequest, Caller, KeyRejection, Keyring, LINK_PARAMETER, LinkSecret, RateLimitStatus,
 };
@@ -119,11 +119,11 @@ fn job_failure(error: Error) -> JobFailure {
 
 /// Returns when the job is to stop.
 async fn until_cancelled(progress: &Progress) -> Cancelled {
-    const LOOK_EVERY: Duration = Duration::from_millis(100);
+    const POLL_INTERVAL: Duration = Duration::from_millis(100);
     loop {
         if let Err(cancelled) = progress.check() {
             return cancelled;
         }
-        tokio::time::sleep(LOOK_EVERY).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 }

@@ -39,22 +39,24 @@ impl MaintenanceService {
     /// # Errors
     /// [`Error`] of the store. What was done stays done.
     pub async fn run_maintenance(&self) -> Result<(), Error> {
-        self.recovery.recover_beside_others().await;
+        self.recovery.recover_while_shared().await;
         // Every process has its own local copies of blobs.
-        if self.blobs.are_copies() {
-            self.orphan_repository.sweep(RunMode::TheServer.settled()).await?;
+        if self.blobs.is_cache() {
+            self.orphan_repository.collect_orphans(RunMode::Serving.min_age()).await?;
         }
         // One process does the rest for all.
-        let Some(_turn) = self.service_locks.keeping_house().await? else { return Ok(()) };
-        self.apply_retention(RunMode::TheServer).await?;
-        self.room_index_repository.forget_unused_names().await?;
+        let Some(_lock) = self.service_locks.try_lock_maintenance().await? else { return Ok(()) };
+        self.apply_retention(RunMode::Serving).await?;
+        self.room_index_repository.delete_unused_names().await?;
         // A retired parse is known to be damaged. It is stored only for its answers.
         for parse in
             self.parse_repository.all_parses().await?.iter().filter(|parse| !parse.is_retired())
         {
-            let wrong = self.parsed_scenes.look_at_parse(&parse.id, CheckDepth::Bytes).await?;
+            let wrong = self.parsed_scenes.check_parse_files(&parse.id, CheckDepth::Bytes).await?;
             if let Some(DamagedFile { file, what }) =
                 wrong.iter().find(|damage| damage.what != "stray")
+                // Deleted since the list was read: its files are gone rightly.
+                && self.parse_repository.parse(&parse.id).await?.is_some()
             {
                 tracing::error!(parse_id = parse.id, file = %file, what, "stored parse is damaged");
                 self.parsed_scenes.retire_parse(&parse.id).await?;

@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 
 /// The maximum depth of nested folders. It ends the recursion into a folder that links to itself.
-const DEEPEST: usize = 16;
+const MAX_DEPTH: usize = 16;
 
 /// Which links are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,7 +32,7 @@ pub enum PackingError {
 /// [`PackingError`].
 pub fn pack(folder: &Utf8Path, links: Links, to: impl Write) -> Result<(), PackingError> {
     let mut files = Vec::new();
-    collect(folder, links, DEEPEST, &mut files)?;
+    collect(folder, links, MAX_DEPTH, &mut files)?;
     if files.is_empty() {
         return Err(PackingError::Empty(folder.to_owned()));
     }
@@ -68,7 +68,8 @@ fn collect(
     for entry in folder.read_dir_utf8().map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.into_path();
         // Hidden files belong to file managers and git.
-        if path.file_name().is_some_and(|name| name.starts_with('.')) || !links.follow(&path) {
+        if path.file_name().is_some_and(|name| name.starts_with('.')) || !links.should_follow(&path)
+        {
             continue;
         }
         match fs::metadata(&path) {
@@ -84,7 +85,7 @@ fn collect(
 }
 
 impl Links<'_> {
-    fn follow(self, path: &Utf8Path) -> bool {
+    fn should_follow(self, path: &Utf8Path) -> bool {
         match self {
             Self::All => true,
             Self::Below(root) => path.canonicalize_utf8().is_ok_and(|path| path.starts_with(root)),
@@ -103,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_the_same_archive_whenever_it_is_packed() {
+    fn packing_is_deterministic() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap();
         fs::create_dir(path.join("color")).unwrap();
@@ -122,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn links_lead_nowhere_else() {
+    fn symlinks_out_of_the_root_are_not_followed() {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap().canonicalize_utf8().unwrap();
         for place in ["scans/room", "scans/shared", "elsewhere"] {

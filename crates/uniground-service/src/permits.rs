@@ -15,9 +15,9 @@ pub struct QuestionPermits {
 
 impl QuestionPermits {
     /// Waits for a permit to compute a question, for at most `QUEUE_TIMEOUT`.
-    pub(crate) async fn turn(&self) -> Result<OwnedSemaphorePermit, Error> {
-        let turn = timeout(QUEUE_TIMEOUT, self.permits.clone().acquire_owned()).await;
-        turn.ok().and_then(Result::ok).ok_or(Error::Overloaded)
+    pub(crate) async fn acquire(&self) -> Result<OwnedSemaphorePermit, Error> {
+        let permit = timeout(QUEUE_TIMEOUT, self.permits.clone().acquire_owned()).await;
+        permit.ok().and_then(Result::ok).ok_or(Error::Overloaded)
     }
 
     /// Computes for a question outside the async threads, once it has a permit.
@@ -25,7 +25,7 @@ impl QuestionPermits {
         &self,
         work: impl FnOnce() -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
-        let permit = self.turn().await?;
+        let permit = self.acquire().await?;
         let span = tracing::Span::current();
         spawn_blocking(move || {
             let _permit = permit;

@@ -29,7 +29,7 @@ pub struct RetentionReport {
 }
 
 /// Rows removed in one transaction.
-const TOGETHER: u32 = 200;
+const ROWS_PER_TRANSACTION: u32 = 200;
 const DAY: Duration = Duration::from_hours(24);
 
 /// What has been removed of one kind so far.
@@ -40,7 +40,7 @@ struct RemovedSoFar {
 }
 
 impl RemovedSoFar {
-    fn because(self, kind: &'static str, why: String) -> RetentionReport {
+    fn into_report(self, kind: &'static str, why: String) -> RetentionReport {
         RetentionReport { kind, entries: self.entries, bytes: self.bytes, why }
     }
 }
@@ -48,25 +48,25 @@ impl RemovedSoFar {
 /// Who else uses the store during a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunMode {
-    Nobody,
+    Offline,
     /// Questions come first, and data that is being written is left alone.
-    TheServer,
+    Serving,
 }
 
 impl RunMode {
     /// Pauses between two steps.
     async fn pause(self) {
-        const BREATH: Duration = Duration::from_millis(50);
-        if self == Self::TheServer {
-            sleep(BREATH).await;
+        const STEP_PAUSE: Duration = Duration::from_millis(50);
+        if self == Self::Serving {
+            sleep(STEP_PAUSE).await;
         }
     }
 
     /// Returns the age below which data may be incomplete.
-    pub(super) fn settled(self) -> Duration {
+    pub(super) fn min_age(self) -> Duration {
         match self {
-            Self::Nobody => Duration::ZERO,
-            Self::TheServer => Duration::from_hours(1),
+            Self::Offline => Duration::ZERO,
+            Self::Serving => Duration::from_hours(1),
         }
     }
 }
@@ -74,7 +74,7 @@ impl RunMode {
 /// A retention run.
 struct RetentionRun<'a> {
     service: &'a MaintenanceService,
-    beside: RunMode,
+    mode: RunMode,
     now: Timestamp,
     /// Folders that were removed, or would be. None is counted twice.
     folders: HashSet<Utf8PathBuf>,
@@ -86,10 +86,10 @@ impl MaintenanceService {
     ///
     /// # Errors
     /// [`Error`] of the store. What was removed stays removed.
-    pub async fn apply_retention(&self, beside: RunMode) -> Result<Vec<RetentionReport>, Error> {
-        let removed = match self.try_to_apply_retention(beside).await {
+    pub async fn apply_retention(&self, mode: RunMode) -> Result<Vec<RetentionReport>, Error> {
+        let removed = match self.try_to_apply_retention(mode).await {
             Err(error) if error.is_disk_full() && self.reserve.release_reserve() => {
-                self.try_to_apply_retention(beside).await
+                self.try_to_apply_retention(mode).await
             }
             done => done,
         }?;
@@ -97,9 +97,9 @@ impl MaintenanceService {
         Ok(removed)
     }
 
-    async fn try_to_apply_retention(&self, beside: RunMode) -> Result<Vec<RetentionReport>, Error> {
+    async fn try_to_apply_retention(&self, mode: RunMode) -> Result<Vec<RetentionReport>, Error> {
         let mut round =
-            RetentionRun { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
+            RetentionRun { service: self, mode, now: Timestamp::now(), folders: HashSet::new() };
         let Retention {
             answers_days,
             jobs_days,
@@ -111,33 +111,33 @@ impl MaintenanceService {
             ..
         } = self.limits.retention;
         // First, because it looks for folders without rows, and a dry run leaves some.
-        let quarantine = round.quarantine().await?;
+        let quarantine = round.collect_orphan_folders().await?;
         let mut removed = vec![
-            round.evidence().await?,
-            round.rows(RetentionKind::Answers, answers_days, "answers").await?,
-            round.rows(RetentionKind::Batches, batches_days, "batches").await?,
+            round.remove_transcripts().await?,
+            round.remove_rows(RetentionKind::Answers, answers_days, "answers").await?,
+            round.remove_rows(RetentionKind::Batches, batches_days, "batches").await?,
             // After batches and answers, which refer to jobs and parses.
-            round.rows(RetentionKind::Jobs, jobs_days, "jobs").await?,
+            round.remove_rows(RetentionKind::Jobs, jobs_days, "jobs").await?,
             round
-                .rows(RetentionKind::IdempotencyKeys, idempotency_days, "idempotency keys")
+                .remove_rows(RetentionKind::IdempotencyKeys, idempotency_days, "idempotency keys")
                 .await?,
             round
-                .rows(
+                .remove_rows(
                     RetentionKind::QuestionKeys,
                     idempotency_days,
                     "idempotency keys of questions",
                 )
                 .await?,
-            round.rows(RetentionKind::Audit, audit_days, "audit").await?,
-            round.superseded_parses(superseded_days).await?,
+            round.remove_rows(RetentionKind::Audit, audit_days, "audit").await?,
+            round.remove_superseded_parses(superseded_days).await?,
             // After the parses of these contents.
-            round.outgrown_contents(superseded_days).await?,
-            round.rows(RetentionKind::Uploads, uploads_days, "uploads in parts").await?,
-            round.checkpoints().await?,
+            round.remove_outgrown_contents(superseded_days).await?,
+            round.remove_rows(RetentionKind::Uploads, uploads_days, "uploads in parts").await?,
+            round.remove_checkpoints().await?,
             quarantine,
         ];
-        if self.blobs.are_copies() {
-            removed.push(round.orphans().await?);
+        if self.blobs.is_cache() {
+            removed.push(round.remove_orphan_objects().await?);
         }
         for RetentionReport { kind, entries, bytes, why } in
             removed.iter().filter(|removed| removed.entries > 0)
@@ -149,38 +149,39 @@ impl MaintenanceService {
 }
 
 impl RetentionRun<'_> {
-    async fn evidence(&mut self) -> Result<RetentionReport, Error> {
+    async fn remove_transcripts(&mut self) -> Result<RetentionReport, Error> {
         let days = self.service.limits.retention.evidence_days;
         let blobs = self.service.blobs.clone();
-        let old =
-            spawn_blocking(move || blobs.older_than("answers", DAY * days, SystemTime::now()))
-                .await??;
-        let mut gone = RemovedSoFar::default();
-        for names in old.chunks(TOGETHER as usize) {
+        let old = spawn_blocking(move || {
+            blobs.list_folders_older_than("answers", DAY * days, SystemTime::now())
+        })
+        .await??;
+        let mut removed_so_far = RemovedSoFar::default();
+        for names in old.chunks(ROWS_PER_TRANSACTION as usize) {
             let folders = names.iter().map(|name| self.service.blobs.answer(name)).collect();
-            gone.bytes += self.discard(folders).await?;
-            gone.entries += names.len() as u64;
+            removed_so_far.bytes += self.discard(folders).await?;
+            removed_so_far.entries += names.len() as u64;
         }
-        Ok(gone.because("evidence", format!("{days} days after the answer")))
+        Ok(removed_so_far.into_report("evidence", format!("{days} days after the answer")))
     }
 
     /// Removes the expired rows of a kind, with their files.
-    async fn rows(
+    async fn remove_rows(
         &mut self,
         aged: RetentionKind,
         days: u32,
         kind: &'static str,
     ) -> Result<RetentionReport, Error> {
-        let mut gone = RemovedSoFar::default();
+        let mut removed_so_far = RemovedSoFar::default();
         if days == 0 {
-            return Ok(gone.because(kind, "kept for ever".into()));
+            return Ok(removed_so_far.into_report(kind, "kept for ever".into()));
         }
         let before = Cutoff::days_ago(days, self.now);
         let rows = &self.service.retention_repository;
         let blobs = &self.service.blobs;
         let mut after = String::new();
         loop {
-            let due = rows.due(aged, &before, &after, TOGETHER).await?;
+            let due = rows.due(aged, &before, &after, ROWS_PER_TRANSACTION).await?;
             let Some(last) = due.last() else { break };
             after.clone_from(&last.id);
             let removed = rows
@@ -190,25 +191,25 @@ impl RetentionRun<'_> {
                     &due.iter().map(|due| due.id.as_str()).collect::<Vec<_>>(),
                 )
                 .await?;
-            gone.count(&due, &removed);
-            let beside = match aged {
+            removed_so_far.count(&due, &removed);
+            let folders = match aged {
                 RetentionKind::Answers => removed.iter().map(|id| blobs.answer(id)).collect(),
                 RetentionKind::Uploads => removed.iter().map(|id| blobs.upload(id)).collect(),
                 _ => Vec::new(),
             };
-            gone.bytes += self.discard(beside).await?;
-            self.beside.pause().await;
+            removed_so_far.bytes += self.discard(folders).await?;
+            self.mode.pause().await;
         }
-        Ok(gone.because(kind, format!("over {days} days old")))
+        Ok(removed_so_far.into_report(kind, format!("over {days} days old")))
     }
 
     /// Removes parses one by one, because they are large with their instances.
-    async fn superseded_parses(&mut self, days: u32) -> Result<RetentionReport, Error> {
+    async fn remove_superseded_parses(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "superseded parses";
-        let (service, mut gone) = (self.service, RemovedSoFar::default());
+        let (service, mut removed_so_far) = (self.service, RemovedSoFar::default());
         service.retention_repository.mark_superseded_parses(self.now).await?;
         if days == 0 {
-            return Ok(gone.because(KIND, "kept for ever".into()));
+            return Ok(removed_so_far.into_report(KIND, "kept for ever".into()));
         }
         let before = Cutoff::days_ago(days, self.now);
         let mut after = String::new();
@@ -222,8 +223,8 @@ impl RetentionRun<'_> {
             let removed = {
                 // The locks prevent a scene from taking the parse while it is removed.
                 let _references = (
-                    service.service_locks.content_references().await?,
-                    service.service_locks.parse_references().await?,
+                    service.service_locks.lock_content_references().await?,
+                    service.service_locks.lock_parse_references().await?,
                 );
                 service
                     .retention_repository
@@ -233,61 +234,64 @@ impl RetentionRun<'_> {
             for id in &removed {
                 service.parse_cache.forget(id);
                 service.parse_cache.render_scenes.remove(id);
-                gone.bytes += self.discard(vec![service.blobs.parse(id)]).await?;
+                removed_so_far.bytes += self.discard(vec![service.blobs.parse(id)]).await?;
             }
-            gone.count(&[due], &removed);
-            self.beside.pause().await;
+            removed_so_far.count(&[due], &removed);
+            self.mode.pause().await;
         }
-        Ok(gone
-            .because(KIND, format!("no scene and no answer has referred to them for {days} days")))
+        Ok(removed_so_far.into_report(
+            KIND,
+            format!("no scene and no answer has referred to them for {days} days"),
+        ))
     }
 
     /// Removes the contents of scans before they grew. The grown scan shares their files, so mostly
     /// links are removed.
-    async fn outgrown_contents(&mut self, days: u32) -> Result<RetentionReport, Error> {
+    async fn remove_outgrown_contents(&mut self, days: u32) -> Result<RetentionReport, Error> {
         const KIND: &str = "outgrown scans";
-        let (service, mut gone) = (self.service, RemovedSoFar::default());
+        let (service, mut removed_so_far) = (self.service, RemovedSoFar::default());
         if days == 0 {
-            return Ok(gone.because(KIND, "kept for ever".into()));
+            return Ok(removed_so_far.into_report(KIND, "kept for ever".into()));
         }
-        for hash in service.content_repository.outgrown_contents(TOGETHER).await? {
+        for hash in service.content_repository.outgrown_contents(ROWS_PER_TRANSACTION).await? {
             let folders = {
                 let _references = (
-                    service.service_locks.content_references().await?,
-                    service.service_locks.parse_references().await?,
+                    service.service_locks.lock_content_references().await?,
+                    service.service_locks.lock_parse_references().await?,
                 );
                 service.content_repository.remove_outgrown(&hash).await?
             };
-            gone.entries += u64::from(!folders.is_empty());
-            gone.bytes += self.discard(folders).await?;
-            self.beside.pause().await;
+            removed_so_far.entries += u64::from(!folders.is_empty());
+            removed_so_far.bytes += self.discard(folders).await?;
+            self.mode.pause().await;
         }
-        Ok(gone.because(KIND, "their scenes have grown, and no parse is of them any more".into()))
+        Ok(removed_so_far
+            .into_report(KIND, "their scenes have grown, and no parse is of them any more".into()))
     }
 
-    async fn checkpoints(&mut self) -> Result<RetentionReport, Error> {
+    async fn remove_checkpoints(&mut self) -> Result<RetentionReport, Error> {
         let Retention { checkpoints_days: days, checkpoints_bytes: most, .. } =
             self.service.limits.retention;
         let blobs = self.service.blobs.clone();
-        let kept = spawn_blocking(move || blobs.kept_checkpoints()).await??;
+        let kept = spawn_blocking(move || blobs.list_checkpoints()).await??;
         let oldest =
             if days == 0 { SystemTime::UNIX_EPOCH } else { SystemTime::now() - DAY * days };
-        let mut gone = RemovedSoFar::default();
-        for StoredCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
+        let mut removed_so_far = RemovedSoFar::default();
+        for StoredCheckpoints { hash, bytes, .. } in expired_checkpoints(kept, oldest, most) {
             // The locks prevent a parse from starting between the check and the removal.
             let references = (
-                self.service.service_locks.content_references().await?,
-                self.service.service_locks.parse_references().await?,
+                self.service.service_locks.lock_content_references().await?,
+                self.service.service_locks.lock_parse_references().await?,
             );
             if !self.service.retention_repository.contents_in_work().await?.contains(&hash) {
                 self.discard(vec![self.service.blobs.checkpoints(&hash)]).await?;
-                gone.entries += 1;
-                gone.bytes += bytes;
+                removed_so_far.entries += 1;
+                removed_so_far.bytes += bytes;
             }
             drop(references);
-            self.beside.pause().await;
+            self.mode.pause().await;
         }
-        Ok(gone.because(
+        Ok(removed_so_far.into_report(
             "checkpoints",
             format!(
                 "not used for {days} days, or together more than {most} bytes; they only save time"
@@ -295,30 +299,31 @@ impl RetentionRun<'_> {
         ))
     }
 
-    async fn quarantine(&self) -> Result<RetentionReport, Error> {
-        let (entries, bytes) = self.service.orphan_repository.sweep(self.beside.settled()).await?;
-        Ok(RemovedSoFar { entries, bytes }.because(
+    async fn collect_orphan_folders(&self) -> Result<RetentionReport, Error> {
+        let (entries, bytes) =
+            self.service.orphan_repository.collect_orphans(self.mode.min_age()).await?;
+        Ok(RemovedSoFar { entries, bytes }.into_report(
             "quarantine",
             format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days"),
         ))
     }
 
     /// Removes orphan objects one by one. Each is checked again right before its removal.
-    async fn orphans(&self) -> Result<RetentionReport, Error> {
-        let (service, mut gone) = (self.service, RemovedSoFar::default());
+    async fn remove_orphan_objects(&self) -> Result<RetentionReport, Error> {
+        let (service, mut removed_so_far) = (self.service, RemovedSoFar::default());
         for orphan in service.orphan_repository.orphan_objects().await? {
             let references = (
-                service.service_locks.content_references().await?,
-                service.service_locks.parse_references().await?,
+                service.service_locks.lock_content_references().await?,
+                service.service_locks.lock_parse_references().await?,
             );
             if service.orphan_repository.remove_orphan(&orphan).await? {
-                gone.entries += 1;
-                gone.bytes += orphan.bytes();
+                removed_so_far.entries += 1;
+                removed_so_far.bytes += orphan.bytes();
             }
             drop(references);
-            self.beside.pause().await;
+            self.mode.pause().await;
         }
-        Ok(gone.because(
+        Ok(removed_so_far.into_report(
             "orphaned objects",
             "no record speaks of them, for longer than the grace period".into(),
         ))
@@ -352,7 +357,11 @@ impl RemovedSoFar {
 
 /// Returns the checkpoints to remove, the longest unused first: those last used before `oldest`,
 /// and those that exceed `most` bytes in total.
-fn too_many(kept: Vec<StoredCheckpoints>, oldest: SystemTime, most: u64) -> Vec<StoredCheckpoints> {
+fn expired_checkpoints(
+    kept: Vec<StoredCheckpoints>,
+    oldest: SystemTime,
+    most: u64,
+) -> Vec<StoredCheckpoints> {
     let mut total: u64 = kept.iter().map(|kept| kept.bytes).sum();
     let mut going = Vec::new();
     for kept in kept {
@@ -369,7 +378,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn checkpoints_go_by_age_and_then_the_longest_unused_until_the_rest_fits() {
+    fn checkpoints_expire_by_age_then_least_recently_used_to_fit_the_limit() {
         let at = |days: u32| SystemTime::UNIX_EPOCH + DAY * days;
         let kept = |hash: &str, days, bytes| StoredCheckpoints {
             hash: hash.into(),
@@ -383,7 +392,7 @@ mod tests {
             kept("new", 9, 100),
         ];
         let going = |oldest, most| {
-            too_many(all.clone(), oldest, most)
+            expired_checkpoints(all.clone(), oldest, most)
                 .into_iter()
                 .map(|kept| kept.hash)
                 .collect::<Vec<_>>()

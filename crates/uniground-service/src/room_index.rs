@@ -19,7 +19,7 @@ use uniground_storage::{
 use uniground_types::labels::Labels;
 
 /// Rooms read for indexing at once.
-const AT_ONCE: u32 = 64;
+const ROOMS_PER_ROUND: u32 = 64;
 /// The pause between two rooms, so that indexing does not slow down other work.
 const PAUSE: Duration = Duration::from_millis(10);
 /// The names looked up for each object in a question: those that fit it best.
@@ -27,7 +27,7 @@ const NAMES: usize = 32;
 /// The rooms looked up for each name: those with the highest weight.
 const ROOMS: u32 = 512;
 /// The maximum number of scenes with the same parse that are scanned.
-const SAME_ROOM: u32 = 20;
+const MAX_SCENES_PER_PARSE: u32 = 20;
 /// The maximum age of the list of names.
 const AGE: Duration = Duration::from_secs(10);
 
@@ -56,12 +56,14 @@ impl RoomSearch {
     /// # Errors
     /// [`Error`] of the store. Rooms that were indexed stay indexed.
     pub async fn index_rooms(&self) -> Result<(), Error> {
-        let mut wanted = self.room_index_repository.parses_to_index(AT_ONCE).await?;
+        let mut wanted = self.room_index_repository.parses_to_index(ROOMS_PER_ROUND).await?;
         if wanted.is_empty() {
             return Ok(());
         }
-        let Some(turn) = self.service_locks.indexing().await? else { return Ok(()) };
-        while !wanted.is_empty() && turn.is_ours() {
+        let Some(index_lock) = self.service_locks.try_lock_room_index().await? else {
+            return Ok(());
+        };
+        while !wanted.is_empty() && index_lock.is_ours() {
             for room in &wanted {
                 match self.index_room(room).await {
                     Ok(()) => {}
@@ -92,13 +94,13 @@ impl RoomSearch {
                 }
                 tokio::time::sleep(PAUSE).await;
             }
-            wanted = self.room_index_repository.parses_to_index(AT_ONCE).await?;
+            wanted = self.room_index_repository.parses_to_index(ROOMS_PER_ROUND).await?;
         }
         Ok(())
     }
 
     async fn index_room(&self, room: &ParseToIndex) -> Result<(), Error> {
-        let parse = self.parsed_scenes.passing_parse(&room.parse_id).await?;
+        let parse = self.parsed_scenes.load_parse_uncached(&room.parse_id).await?;
         let keeps_vectors = self.room_index_repository.has_vectors().await?;
         let (known, seen) = spawn_blocking(move || {
             let known = entries(&parse.instances).into_iter();
@@ -119,7 +121,7 @@ impl RoomSearch {
             (known.collect::<Vec<_>>(), seen)
         })
         .await?;
-        self.room_index_repository.keep_vectors(&room.parse_id, seen.as_ref()).await?;
+        self.room_index_repository.insert_vectors(&room.parse_id, seen.as_ref()).await?;
         Ok(self.room_index_repository.index_room(room, &known).await?)
     }
 
@@ -136,7 +138,7 @@ impl RoomSearch {
             Arc::new(self.question_permits.compute(move || Ok(Sought::of(&question))).await?);
         let mut rooms: HashMap<String, Vec<f32>> = HashMap::new();
         for at in 0..sought.len() {
-            for (name, fit) in self.names_for(&sought, at).await? {
+            for (name, fit) in self.best_fitting_names(&sought, at).await? {
                 for RoomMatch { parse_id, colour, weight } in
                     self.rooms_with(&name, sought.colours(at), labels).await?
                 {
@@ -157,9 +159,9 @@ impl RoomSearch {
         likely.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| b.1.cmp(&a.1)));
         let by_name = likely.into_iter().map(|(_, room)| room);
         // Alternates between rooms by names and by looks, because their scores cannot be compared.
-        let by_looks = self.rooms_that_look_so(&sought, labels, most).await?;
+        let by_looks = self.rooms_by_appearance(&sought, labels, most).await?;
         let mut chosen: Vec<String> = Vec::new();
-        for room in in_turns(by_name, by_looks.into_iter()) {
+        for room in interleave(by_name, by_looks.into_iter()) {
             if chosen.len() >= most {
                 break;
             }
@@ -175,8 +177,10 @@ impl RoomSearch {
         let rank: HashMap<&str, usize> =
             chosen.iter().enumerate().map(|(rank, room)| (room.as_str(), rank)).collect();
         // A room that was uploaded many times must not crowd out the others.
-        let scenes =
-            self.room_index_repository.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
+        let scenes = self
+            .room_index_repository
+            .scenes_of_parses(&chosen, labels, MAX_SCENES_PER_PARSE)
+            .await?;
         let rank_of =
             |scene: &SceneRow| scene.parse_id.as_deref().and_then(|parse| rank.get(parse).copied());
         let mut scenes: Vec<_> =
@@ -187,7 +191,7 @@ impl RoomSearch {
     }
 
     /// Returns the names that fit an object of the question best, with their fit.
-    async fn names_for(
+    async fn best_fitting_names(
         &self,
         sought: &Arc<Sought>,
         at: usize,
@@ -229,7 +233,7 @@ impl RoomSearch {
 
     /// Returns rooms with an instance that looks as the words say, the likeliest first. Returns
     /// none if no embeddings are stored.
-    async fn rooms_that_look_so(
+    async fn rooms_by_appearance(
         &self,
         sought: &Arc<Sought>,
         labels: &Labels,
@@ -256,7 +260,7 @@ impl RoomSearch {
             }
         };
         let Some(vector) = vector else { return Ok(Vec::new()) };
-        Ok(self.room_index_repository.rooms_near(&name, &vector, labels, most as u32).await?)
+        Ok(self.room_index_repository.nearest_rooms(&name, &vector, labels, most as u32).await?)
     }
 }
 
@@ -282,14 +286,18 @@ impl RoomNames {
 }
 
 /// Alternates between two iterators until both are exhausted.
-fn in_turns<T>(
+fn interleave<T>(
     mut one: impl Iterator<Item = T>,
     mut other: impl Iterator<Item = T>,
 ) -> impl Iterator<Item = T> {
-    let mut turn = false;
+    let mut take_one = false;
     std::iter::from_fn(move || {
-        turn = !turn;
-        if turn { one.next().or_else(|| other.next()) } else { other.next().or_else(|| one.next()) }
+        take_one = !take_one;
+        if take_one {
+            one.next().or_else(|| other.next())
+        } else {
+            other.next().or_else(|| one.next())
+        }
     })
 }
 
@@ -298,11 +306,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn turns_go_on_when_one_has_no_more() {
+    fn interleaving_continues_when_one_side_is_exhausted() {
         assert_eq!(
-            in_turns([1, 3, 5, 6].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(),
+            interleave([1, 3, 5, 6].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(),
             [1, 2, 3, 4, 5, 6]
         );
-        assert_eq!(in_turns([].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(), [2, 4]);
+        assert_eq!(interleave([].into_iter(), [2, 4].into_iter()).collect::<Vec<_>>(), [2, 4]);
     }
 }

@@ -6,7 +6,7 @@ use tokio::time::timeout;
 use uniground_storage::{LockTable, NamedLock};
 
 /// How long a request waits for the lock of an upload before it fails as busy.
-const MOMENT: Duration = Duration::from_secs(1);
+const LOCK_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The named locks of the use cases.
 #[derive(Clone)]
@@ -17,30 +17,30 @@ pub struct ServiceLocks {
 impl ServiceLocks {
     /// Held while a scene starts or stops referring to its content, so that content is not removed
     /// under a new scene.
-    pub(super) async fn content_references(&self) -> Result<NamedLock, Error> {
+    pub(super) async fn lock_content_references(&self) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock("contents").await?)
     }
 
     /// Held while a scene takes a stored parse, or gets a job for a new one. Meanwhile neither the
     /// parse nor the one that the job continues is removed. Removal holds both locks and acquires
     /// this one last.
-    pub(super) async fn parse_references(&self) -> Result<NamedLock, Error> {
+    pub(super) async fn lock_parse_references(&self) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock("parses").await?)
     }
 
     /// Held while the data of a parse is changed.
-    pub(super) async fn correcting(&self, parse_id: &str) -> Result<NamedLock, Error> {
+    pub(super) async fn lock_parse_data(&self, parse_id: &str) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock(&format!("parse {parse_id}")).await?)
     }
 
     /// Held while a question is answered under its idempotency key.
-    pub(super) async fn answering(&self, key: &str) -> Result<NamedLock, Error> {
+    pub(super) async fn lock_idempotency_key(&self, key: &str) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock(&format!("question {key}")).await?)
     }
 
     /// Held while an upload is started: concurrent starts must not exceed the limit of unfinished
     /// uploads.
-    pub(super) async fn beginning_uploads(&self) -> Result<NamedLock, Error> {
+    pub(super) async fn lock_upload_start(&self) -> Result<NamedLock, Error> {
         Ok(self.named_locks.lock("uploads").await?)
     }
 
@@ -48,24 +48,24 @@ impl ServiceLocks {
     ///
     /// # Errors
     /// [`Error::UploadBusy`] if another request holds the lock.
-    pub(super) async fn at_upload(&self, id: &str) -> Result<NamedLock, Error> {
+    pub(super) async fn lock_upload(&self, id: &str) -> Result<NamedLock, Error> {
         // The previous request may have been answered while it still releases the lock.
-        let turn = timeout(MOMENT, self.named_locks.lock(&format!("upload {id}"))).await;
-        Ok(turn.map_err(|_| Error::UploadBusy { id: id.to_owned() })??)
+        let lock = timeout(LOCK_TIMEOUT, self.named_locks.lock(&format!("upload {id}"))).await;
+        Ok(lock.map_err(|_| Error::UploadBusy { id: id.to_owned() })??)
     }
 
     /// Held during maintenance. Returns `None` while another process holds it.
-    pub(super) async fn keeping_house(&self) -> Result<Option<NamedLock>, Error> {
+    pub(super) async fn try_lock_maintenance(&self) -> Result<Option<NamedLock>, Error> {
         Ok(self.named_locks.try_lock("house").await?)
     }
 
     /// Held while rooms are indexed. Returns `None` while another process holds it.
-    pub(super) async fn indexing(&self) -> Result<Option<NamedLock>, Error> {
+    pub(super) async fn try_lock_room_index(&self) -> Result<Option<NamedLock>, Error> {
         Ok(self.named_locks.try_lock("index").await?)
     }
 
     /// Held while webhooks are delivered. Returns `None` while another process holds it.
-    pub(super) async fn announcing(&self) -> Result<Option<NamedLock>, Error> {
+    pub(super) async fn try_lock_webhook_delivery(&self) -> Result<Option<NamedLock>, Error> {
         Ok(self.named_locks.try_lock("announcements").await?)
     }
 }

@@ -5,7 +5,7 @@ use crate::parses::ParseCache;
 use crate::room_index::RoomNames;
 use crate::single_flight_cache::SingleFlightCache;
 use crate::stats::FigureCache;
-use crate::uploads::{Explain, unexplained};
+use crate::uploads::{Explain, default_problem};
 use crate::{
     AnswerService, ApproachService, BatchRunner, BatchService, Capacity, ChangeService,
     CorrectionService, DoctorService, ExportService, GroundingService, GrowthService,
@@ -55,7 +55,7 @@ impl Dependencies {
     ///
     /// # Errors
     /// [`Error::Store`]; [`Error::Io`] if the system cannot start more threads.
-    pub async fn at_rest(store: Store, limits: Limits) -> Result<Self, Error> {
+    pub async fn offline(store: Store, limits: Limits) -> Result<Self, Error> {
         Ok(Self {
             jobs: Jobs::new(store.jobs.clone(), 0),
             keyring: Keyring::open(&store, None).await?,
@@ -67,7 +67,7 @@ impl Dependencies {
             reader: ScanReader::in_process(),
             import_root: None,
             inference: None,
-            explain: unexplained,
+            explain: default_problem,
         })
     }
 }
@@ -126,7 +126,7 @@ impl Services {
             explain,
         } = dependencies;
         let metrics = jobs.metrics().clone();
-        let keyring = keyring.counted_by(metrics.clone());
+        let keyring = keyring.with_metrics(metrics.clone());
         let (vlm, parse_pool) = (vlm.map(Arc::new), Arc::new(parse_pool));
         let inference = inference.map(Arc::new);
         let permits = Arc::new(Semaphore::new(limits.max_concurrent_questions));

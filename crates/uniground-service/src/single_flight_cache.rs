@@ -26,14 +26,14 @@ impl<T> Default for SingleFlightCache<T> {
 
 impl<T: Clone + Send + 'static> SingleFlightCache<T> {
     /// Returns the cached value if it is younger than `age`, or computes it.
-    pub async fn get(&self, age: Duration, look: impl Future<Output = T>) -> T {
+    pub async fn get(&self, age: Duration, compute: impl Future<Output = T>) -> T {
         let _looking = self.looking.lock().await;
         if let Some((at, value)) = &*self.last.lock().unwrap_or_else(PoisonError::into_inner)
             && at.elapsed() < age
         {
             return value.clone();
         }
-        let value = look.await;
+        let value = compute.await;
         *self.last.lock().unwrap_or_else(PoisonError::into_inner) =
             Some((Instant::now(), value.clone()));
         value
@@ -41,14 +41,14 @@ impl<T: Clone + Send + 'static> SingleFlightCache<T> {
 
     /// Like [`get`](Self::get), but waits no longer than `patience`. After that the computation
     /// goes on in the background. Returns the previous value, or `None` if there is none.
-    pub async fn get_soon(
+    pub async fn get_within(
         &self,
         age: Duration,
         patience: Duration,
-        look: impl Future<Output = T> + Send + 'static,
+        compute: impl Future<Output = T> + Send + 'static,
     ) -> Option<T> {
-        let lately = self.clone();
-        let looking = tokio::spawn(async move { lately.get(age, look).await });
+        let cache = self.clone();
+        let looking = tokio::spawn(async move { cache.get(age, compute).await });
         match timeout(patience, looking).await {
             Ok(Ok(value)) => Some(value),
             _ => self.last(),
@@ -71,15 +71,15 @@ mod tests {
     use tokio::time::sleep;
 
     #[tokio::test]
-    async fn a_look_is_shared_and_nobody_waits_longer_than_he_likes() {
-        let (lately, long) = (SingleFlightCache::default(), Duration::from_hours(1));
-        assert_eq!(lately.get(long, async { 1 }).await, 1);
-        assert_eq!(lately.get(long, async { 2 }).await, 1);
+    async fn a_computation_is_shared_and_waiting_is_bounded() {
+        let (cache, long) = (SingleFlightCache::default(), Duration::from_hours(1));
+        assert_eq!(cache.get(long, async { 1 }).await, 1);
+        assert_eq!(cache.get(long, async { 2 }).await, 1);
         let slow = async {
             sleep(Duration::from_millis(50)).await;
             3
         };
-        assert_eq!(lately.get_soon(Duration::ZERO, Duration::from_millis(5), slow).await, Some(1));
-        assert_eq!(lately.get(long, async { 4 }).await, 3, "the look went on");
+        assert_eq!(cache.get_within(Duration::ZERO, Duration::from_millis(5), slow).await, Some(1));
+        assert_eq!(cache.get(long, async { 4 }).await, 3, "the look went on");
     }
 }

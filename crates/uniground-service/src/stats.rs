@@ -28,8 +28,8 @@ const AGE: Duration = Duration::from_secs(1);
 /// and of the measured file sizes.
 const SIZES_AGE: Duration = Duration::from_mins(1);
 /// How long a scrape waits for fresh figures. The first scrape waits longer.
-const PATIENCE: Duration = Duration::from_millis(8);
-const FIRST_PATIENCE: Duration = Duration::from_secs(5);
+const SCRAPE_TIMEOUT: Duration = Duration::from_millis(8);
+const FIRST_SCRAPE_TIMEOUT: Duration = Duration::from_secs(5);
 
 type Sizes = Arc<BTreeMap<&'static str, u64>>;
 
@@ -69,10 +69,10 @@ impl StatsService {
         let figures = self
             .figures
             .figures
-            .get(AGE, self.look_at_figures())
+            .get(AGE, self.cached_figures())
             .await
-            .map_err(StoreError::Together)?;
-        let sizes = self.sizes_soon().await;
+            .map_err(StoreError::Shared)?;
+        let sizes = self.cached_sizes().await;
         let process = &self.metrics.process;
         let Figures { scenes, parses, instances, answers, database_bytes, free_bytes, .. } =
             *figures;
@@ -87,7 +87,7 @@ impl StatsService {
                 answers,
                 batches: figures.batches.clone(),
             },
-            jobs: self.jobs_in_numbers(&figures),
+            jobs: self.job_statistics(&figures),
             spending: Spending {
                 day: today(),
                 today_usd: self.spent_today().await?,
@@ -108,17 +108,17 @@ impl StatsService {
     /// state of the store.
     pub async fn scrape(&self) -> String {
         let is_first = self.figures.figures.last().is_none();
-        let patience = if is_first { FIRST_PATIENCE } else { PATIENCE };
+        let patience = if is_first { FIRST_SCRAPE_TIMEOUT } else { SCRAPE_TIMEOUT };
         let service = self.clone();
         let figures = self
             .figures
             .figures
-            .get_soon(AGE, patience, async move { service.look_at_figures().await });
+            .get_within(AGE, patience, async move { service.cached_figures().await });
         let spent = async { tokio::time::timeout(patience, self.spent_today()).await.ok()?.ok() };
         let (figures, health, sizes, spent) = tokio::join!(
             figures,
-            self.health_service.health_soon(patience),
-            self.sizes_soon(),
+            self.health_service.health_within(patience),
+            self.cached_sizes(),
             spent
         );
         let (stored, vlm, questions) =
@@ -131,7 +131,7 @@ impl StatsService {
             stored.instances.set(figures.instances.into());
             stored.answers.set(figures.answers.into());
             for state in ["running", "paused", "succeeded", "cancelled"] {
-                stored.batches(state, figures.batches.get(state).copied().unwrap_or(0));
+                stored.set_batches(state, figures.batches.get(state).copied().unwrap_or(0));
             }
             stored.database_bytes.set(figures.database_bytes as i64);
             stored.free_bytes.set(figures.free_bytes as i64);
@@ -140,24 +140,29 @@ impl StatsService {
             for kind in [ParseJob::NAME, NamingJob::NAME, BatchJob::NAME] {
                 let JobStats { queued, running, oldest_queued_s, .. } =
                     job_stats(kind, true, &figures);
-                self.metrics.jobs.waiting(kind, queued, running, oldest_queued_s.unwrap_or(0.0));
+                self.metrics.jobs.set_queue_lengths(
+                    kind,
+                    queued,
+                    running,
+                    oldest_queued_s.unwrap_or(0.0),
+                );
             }
         }
         sizes
             .iter()
             .flat_map(|sizes| sizes.iter())
-            .for_each(|(kind, bytes)| stored.blob_bytes(kind, *bytes));
+            .for_each(|(kind, bytes)| stored.set_blob_bytes(kind, *bytes));
         if let Some(health) = health {
             stored.ready.set(health.is_ready().into());
-            stored.component("database", health.store.database.is_none());
-            stored.component("blob_folder", health.store.blobs.is_none());
-            stored.component("disk", health.store.disk.is_none());
-            stored.component("workers", health.dead_lanes.is_empty());
+            stored.set_component_health("database", health.store.database.is_none());
+            stored.set_component_health("blob_folder", health.store.blobs.is_none());
+            stored.set_component_health("disk", health.store.disk.is_none());
+            stored.set_component_health("workers", health.dead_lanes.is_empty());
             health
                 .inference
                 .iter()
-                .for_each(|server| stored.component("inference_server", server.is_ok()));
-            health.vlm.iter().for_each(|model| stored.component("vlm", model.is_ok()));
+                .for_each(|server| stored.set_component_health("inference_server", server.is_ok()));
+            health.vlm.iter().for_each(|model| stored.set_component_health("vlm", model.is_ok()));
         }
         if let Some(model) = &self.vlm {
             vlm.waiting.set(model.waiting() as i64);
@@ -176,17 +181,19 @@ impl StatsService {
             ("files", self.parse_cache.sound.looks()),
             ("pictures", self.picture_cache.looks()),
         ];
-        looks.into_iter().for_each(|(cache, (hits, misses))| questions.cache(cache, hits, misses));
+        looks
+            .into_iter()
+            .for_each(|(cache, (hits, misses))| questions.set_cache_counts(cache, hits, misses));
         self.metrics.text()
     }
 
-    async fn look_at_figures(&self) -> Result<Arc<Figures>, Arc<StoreError>> {
+    async fn cached_figures(&self) -> Result<Arc<Figures>, Arc<StoreError>> {
         self.statistics_repository.figures().await.map(Arc::new).map_err(Arc::new)
     }
 
     /// Returns the disk space that files use, if it has been measured. Measures it again in the
     /// background.
-    async fn sizes_soon(&self) -> Option<Sizes> {
+    async fn cached_sizes(&self) -> Option<Sizes> {
         let (blobs, measured, before) = (
             self.blobs.clone(),
             self.figures.measured.clone(),
@@ -199,20 +206,20 @@ impl StatsService {
                 .inspect_err(|error| tracing::warn!(%error, "file sizes could not be measured"));
             sizes.ok().map(Arc::new).or(before)
         };
-        self.figures.sizes.get_soon(SIZES_AGE, PATIENCE, look).await.flatten()
+        self.figures.sizes.get_within(SIZES_AGE, SCRAPE_TIMEOUT, look).await.flatten()
     }
 
     /// Returns today's spending in US dollars.
     async fn spent_today(&self) -> Result<f64, Error> {
         match &self.vlm {
             Some(vlm) => vlm.spent_today_usd().await,
-            None => Ok(self.spending_repository.spent_on(&today()).await?),
+            None => Ok(self.spending_repository.spending_on_day(&today()).await?),
         }
     }
 
     /// Returns statistics for the kinds of jobs that this server runs or has records of.
-    fn jobs_in_numbers(&self, figures: &Figures) -> Vec<JobStats> {
-        let lanes = self.jobs.lanes();
+    fn job_statistics(&self, figures: &Figures) -> Vec<JobStats> {
+        let lanes = self.jobs.lane_states();
         let mut kinds: Vec<&str> = lanes
             .keys()
             .copied()

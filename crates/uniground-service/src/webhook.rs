@@ -11,11 +11,11 @@ use sha2::Sha256;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 
 /// The timeout of a delivery.
 const TIMEOUT: Duration = Duration::from_secs(15);
-const SHORTEST_SECRET: usize = 16;
+const MIN_SECRET_BYTES: usize = 16;
 /// The prefix of secrets in base64.
 const PREFIX: &str = "whsec_";
 
@@ -44,7 +44,7 @@ pub enum BadWebhook {
         "{0} is an address of this machine or its own network: say --webhook-allow-private where that is meant"
     )]
     Private(String),
-    #[error("the secret is base64 of at least {SHORTEST_SECRET} bytes, after whsec_")]
+    #[error("the secret is base64 of at least {MIN_SECRET_BYTES} bytes, after whsec_")]
     Secret,
     #[error("a client for webhooks")]
     Client(#[from] reqwest::Error),
@@ -63,10 +63,10 @@ impl Webhook {
         let secret = STANDARD
             .decode(secret.trim().trim_start_matches(PREFIX))
             .map_err(|_| BadWebhook::Secret)?;
-        if secret.len() < SHORTEST_SECRET {
+        if secret.len() < MIN_SECRET_BYTES {
             return Err(BadWebhook::Secret);
         }
-        choose_cryptography();
+        install_crypto_provider();
         // Redirects are not followed: the receiver must not send a delivery elsewhere.
         let mut http =
             reqwest::Client::builder().redirect(redirect::Policy::none()).timeout(TIMEOUT);
@@ -174,7 +174,7 @@ mod tests {
 
     /// The example from the libraries of the standard.
     #[test]
-    fn signatures_are_those_of_standard_webhooks() {
+    fn signatures_follow_standard_webhooks() {
         let webhook = Webhook::new("https://example.com/hook", SECRET, false).unwrap();
         let signature = webhook.signature(
             "msg_p5jXN8AQM9LWM0D4loKWxJek",
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_only_we_can_reach_is_no_address_for_webhooks() {
+    fn private_addresses_are_not_public() {
         for private in [
             "127.0.0.1",
             "10.1.2.3",
@@ -226,10 +226,10 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_name_that_means_this_machine_is_not_connected_to() {
+    async fn names_that_resolve_to_this_machine_are_not_connected_to() {
         let webhook = Webhook::new("http://localhost:9/hook", SECRET, false).unwrap();
         let error = webhook.deliver("msg_1", 1, "{}".into()).await.unwrap_err();
-        let told = uniground_models::with_causes(&error);
-        assert!(told.contains("its own network"), "{told}");
+        let message = uniground_models::with_causes(&error);
+        assert!(message.contains("its own network"), "{message}");
     }
 }

@@ -17,12 +17,12 @@ use uniground_storage::{JobState, LockTable, NamedLock, WebhookRepository};
 use uniground_types::batch::Batch;
 
 /// The interval between checks for jobs that have ended.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Webhooks delivered at once.
-const TOGETHER: u32 = 8;
+const MAX_CONCURRENT_DELIVERIES: u32 = 8;
 /// The wait after the first failed attempt. It doubles up to the longest wait.
-const FIRST_WAIT: Duration = Duration::from_secs(5);
-const LONGEST_WAIT: Duration = Duration::from_hours(2);
+const MIN_BACKOFF: Duration = Duration::from_secs(5);
+const MAX_BACKOFF: Duration = Duration::from_hours(2);
 /// The maximum number of attempts. They take about twelve hours.
 const TRIES: u32 = 17;
 
@@ -58,11 +58,15 @@ pub struct WebhookService {
 impl WebhookService {
     /// Sends webhooks for all jobs that end, until `shutdown`. The next server sends what could not
     /// be delivered.
-    pub async fn announce(self: Arc<Self>, webhook: Arc<Webhook>, shutdown: CancellationToken) {
-        let mut turn = None;
+    pub async fn deliver_webhooks(
+        self: Arc<Self>,
+        webhook: Arc<Webhook>,
+        shutdown: CancellationToken,
+    ) {
+        let mut lock = None;
         while !shutdown.is_cancelled() {
-            let told = self.announce_due(&webhook, &mut turn);
-            match shutdown.run_until_cancelled(told).await {
+            let delivering = self.deliver_due(&webhook, &mut lock);
+            match shutdown.run_until_cancelled(delivering).await {
                 // More webhooks may be due.
                 Some(Ok(true)) => continue,
                 Some(Ok(false)) | None => {}
@@ -71,32 +75,33 @@ impl WebhookService {
                     "webhook event could not be read"
                 ),
             }
-            let _ = shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await;
+            let _ = shutdown.run_until_cancelled(sleep(POLL_INTERVAL)).await;
         }
     }
 
     /// Sends some webhooks that are due, if this process holds the lock. Returns whether there were
     /// any.
-    async fn announce_due(
+    async fn deliver_due(
         &self,
         webhook: &Arc<Webhook>,
-        turn: &mut Option<NamedLock>,
+        lock: &mut Option<NamedLock>,
     ) -> Result<bool, Error> {
         // One process sends all webhooks. Another one takes over when it is gone.
-        if let Some(ours) = turn.take() {
-            *turn = Some(ours).filter(NamedLock::is_ours);
+        if let Some(ours) = lock.take() {
+            *lock = Some(ours).filter(NamedLock::is_ours);
         }
-        if turn.is_none() {
-            *turn = self.service_locks.announcing().await?;
+        if lock.is_none() {
+            *lock = self.service_locks.try_lock_webhook_delivery().await?;
         }
-        if turn.is_none() {
+        if lock.is_none() {
             return Ok(false);
         }
-        let due = self.webhook_repository.due_announcements(TOGETHER).await?;
+        let due = self.webhook_repository.due_deliveries(MAX_CONCURRENT_DELIVERIES).await?;
         let any = !due.is_empty();
         join_all(
-            due.into_iter()
-                .map(|(job_id, tried)| self.clone().tell(webhook.clone(), job_id, tried)),
+            due.into_iter().map(|(job_id, tried)| {
+                self.clone().deliver_and_log(webhook.clone(), job_id, tried)
+            }),
         )
         .await;
         Ok(any)
@@ -107,41 +112,46 @@ impl WebhookService {
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
+    pub async fn set_deliveries_enabled(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
         match webhook {
-            Some(_) => self.webhook_repository.note_announcements().await?,
+            Some(_) => self.webhook_repository.enable_deliveries().await?,
             // Other processes may have a webhook.
             None if !self.named_locks.was_alone_at_start() => {}
-            None => self.webhook_repository.note_no_announcements().await?,
+            None => self.webhook_repository.disable_deliveries().await?,
         }
         Ok(())
     }
 
-    async fn tell(self, webhook: Arc<Webhook>, job_id: String, tried: u32) {
-        if let Err(error) = self.announce_job(&webhook, &job_id, tried).await {
+    async fn deliver_and_log(self, webhook: Arc<Webhook>, job_id: String, tried: u32) {
+        if let Err(error) = self.deliver_job_event(&webhook, &job_id, tried).await {
             tracing::warn!(
                 job_id,
                 error = &error as &dyn std::error::Error,
                 "webhook delivery failed; retrying later"
             );
-            sleep(LOOK_EVERY).await;
+            sleep(POLL_INTERVAL).await;
         }
     }
 
-    async fn announce_job(&self, webhook: &Webhook, job_id: &str, tried: u32) -> Result<(), Error> {
+    async fn deliver_job_event(
+        &self,
+        webhook: &Webhook,
+        job_id: &str,
+        tried: u32,
+    ) -> Result<(), Error> {
         let job = match self.jobs.get(job_id).await {
             Err(JobsError::NotFound { .. }) => {
-                return Ok(self.webhook_repository.forget_announcement(job_id).await?);
+                return Ok(self.webhook_repository.delete_delivery(job_id).await?);
             }
             job => job?,
         };
         // The id is the same for every retry, so that the receiver can detect duplicates.
         let id = format!("msg_{job_id}");
-        let body = serde_json::to_string(&self.event_of(job).await?)?;
+        let body = serde_json::to_string(&self.to_event(job).await?)?;
         match webhook.deliver(&id, Timestamp::now().as_second(), body).await {
             // Delivered. Status 410 means that the receiver is gone for good.
             Ok(()) | Err(WebhookError::Refused(410)) => {
-                self.webhook_repository.forget_announcement(job_id).await?;
+                self.webhook_repository.delete_delivery(job_id).await?;
             }
             Err(error) if tried + 1 >= TRIES => {
                 tracing::error!(
@@ -150,10 +160,10 @@ impl WebhookService {
                     error = &error as &dyn std::error::Error,
                     "webhook delivery abandoned after the last attempt"
                 );
-                self.webhook_repository.forget_announcement(job_id).await?;
+                self.webhook_repository.delete_delivery(job_id).await?;
             }
             Err(error) => {
-                let wait = FIRST_WAIT.saturating_mul(1 << tried.min(16)).min(LONGEST_WAIT);
+                let wait = MIN_BACKOFF.saturating_mul(1 << tried.min(16)).min(MAX_BACKOFF);
                 let again_in_s = wait.as_secs();
                 tracing::warn!(
                     job_id,
@@ -161,13 +171,13 @@ impl WebhookService {
                     error = &error as &dyn std::error::Error,
                     "webhook delivery failed; retrying"
                 );
-                self.webhook_repository.put_off_announcement(job_id, wait).await?;
+                self.webhook_repository.postpone_delivery(job_id, wait).await?;
             }
         }
         Ok(())
     }
 
-    async fn event_of(&self, job: Job) -> Result<WebhookEvent, Error> {
+    async fn to_event(&self, job: Job) -> Result<WebhookEvent, Error> {
         let kind = match job.state {
             JobState::Succeeded => "job.succeeded",
             JobState::Cancelled => "job.cancelled",

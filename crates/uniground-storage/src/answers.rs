@@ -53,7 +53,7 @@ pub struct NewAnswer {
 
 struct QueuedAnswer {
     answer: NewAnswer,
-    kept: oneshot::Sender<Result<bool, StoreError>>,
+    reply: oneshot::Sender<Result<bool, StoreError>>,
 }
 
 /// Queue of answers to be written. Each answer is on disk before its caller gets it. Answers that
@@ -62,28 +62,28 @@ struct QueuedAnswer {
 pub(super) struct AnswerQueue(mpsc::Sender<QueuedAnswer>);
 
 /// Capacity of the queue. Further callers wait for a free place.
-const MOST_WAITING: usize = 1024;
+const QUEUE_CAPACITY: usize = 1024;
 /// Answers written in one transaction.
-const MOST_TOGETHER: usize = 128;
+const ANSWERS_PER_TRANSACTION: usize = 128;
 
 impl AnswerQueue {
     pub fn start(writer: Writer) -> Self {
-        let (sender, mut queue) = mpsc::channel::<QueuedAnswer>(MOST_WAITING);
+        let (sender, mut queue) = mpsc::channel::<QueuedAnswer>(QUEUE_CAPACITY);
         tokio::spawn(async move {
             let mut together = Vec::new();
-            while queue.recv_many(&mut together, MOST_TOGETHER).await > 0 {
+            while queue.recv_many(&mut together, ANSWERS_PER_TRANSACTION).await > 0 {
                 let (answers, callers): (Vec<_>, Vec<_>) =
-                    together.drain(..).map(|waiting| (waiting.answer, waiting.kept)).unzip();
+                    together.drain(..).map(|waiting| (waiting.answer, waiting.reply)).unzip();
                 // A caller that left needs no result.
                 match write(&writer, &answers).await {
-                    Ok(kept) => callers
+                    Ok(reply) => callers
                         .into_iter()
-                        .zip(kept)
-                        .for_each(|(caller, kept)| drop(caller.send(Ok(kept)))),
+                        .zip(reply)
+                        .for_each(|(caller, reply)| drop(caller.send(Ok(reply)))),
                     Err(error) => {
                         let error = Arc::new(error);
                         callers.into_iter().for_each(|caller| {
-                            drop(caller.send(Err(StoreError::Together(error.clone()))));
+                            drop(caller.send(Err(StoreError::Shared(error.clone()))));
                         });
                     }
                 }
@@ -100,7 +100,7 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
                ON CONFLICT (id) DO UPDATE SET id = answers.id";
     let time = now();
     let mut tx = writer.begin().await?;
-    let mut kept = Vec::with_capacity(answers.len());
+    let mut reply = Vec::with_capacity(answers.len());
     for NewAnswer { id, scene_id, parse_id, body } in answers {
         let inserted = sqlx::query(sql)
             .bind(id)
@@ -111,10 +111,10 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
             .bind(i64::from(RECORD_VERSION))
             .execute(&mut *tx)
             .await?;
-        kept.push(inserted.rows_affected() > 0);
+        reply.push(inserted.rows_affected() > 0);
     }
     tx.commit().await?;
-    Ok(kept)
+    Ok(reply)
 }
 
 /// Repository of answers.
@@ -130,7 +130,7 @@ impl AnswerRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn question_of_key(
+    pub async fn claim_idempotency_key(
         &self,
         key: &str,
         request: &str,
@@ -150,10 +150,10 @@ impl AnswerRepository {
     /// # Errors
     /// [`StoreError`].
     pub async fn insert_answer(&self, answer: NewAnswer) -> Result<bool, StoreError> {
-        let (kept, told) = oneshot::channel();
+        let (reply, receiver) = oneshot::channel();
         let closed = || StoreError::Database(sqlx::Error::PoolClosed);
-        self.queue.0.send(QueuedAnswer { answer, kept }).await.map_err(|_| closed())?;
-        told.await.map_err(|_| closed())?
+        self.queue.0.send(QueuedAnswer { answer, reply }).await.map_err(|_| closed())?;
+        receiver.await.map_err(|_| closed())?
     }
 
     /// # Errors
@@ -181,24 +181,24 @@ impl AnswerRepository {
         let mut which = match batch_id {
             // Join through the batch, one page at a time.
             Some(_) => {
-                let join = self.database.engine.in_this_order();
-                SqlFilter::behind(format!(
+                let join = self.database.engine.ordered_join();
+                SqlFilter::new(format!(
                     "{columns} batch_items {join} answers ON answers.id = answer_id WHERE true"
                 ))
             }
-            None => SqlFilter::behind(format!("{columns} answers WHERE true")),
+            None => SqlFilter::new(format!("{columns} answers WHERE true")),
         };
-        which.and("batch_id =", batch_id.as_ref());
-        which.and("answer_id <", cursor.filter(|_| batch_id.is_some()));
-        which.and("answers.id <", cursor);
+        which.and_if_some("batch_id =", batch_id.as_ref());
+        which.and_if_some("answer_id <", cursor.filter(|_| batch_id.is_some()));
+        which.and_if_some("answers.id <", cursor);
         // An item of a batch gets its answer's id long before it is answered, so the order of ids
         // does not tell when an answer was created.
-        which.and("answers.created_at >=", since.map(|time| time.to_string()));
-        which.and("answers.created_at <", until.map(|time| time.to_string()));
-        which.and("answers.scene_id =", scene_id.as_ref());
-        which.and("answers.status =", status.as_ref());
+        which.and_if_some("answers.created_at >=", since.map(|time| time.to_string()));
+        which.and_if_some("answers.created_at <", until.map(|time| time.to_string()));
+        which.and_if_some("answers.scene_id =", scene_id.as_ref());
+        which.and_if_some("answers.status =", status.as_ref());
         which
-            .first(
+            .fetch(
                 if batch_id.is_some() { "answer_id DESC" } else { "answers.id DESC" },
                 limit,
                 &self.database.reader,

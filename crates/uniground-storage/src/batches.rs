@@ -1,6 +1,6 @@
 //! Batches and their items.
 
-use super::database::{Database, number, without_nul};
+use super::database::{Database, replace_nul, to_unsigned};
 use super::{InsertedJob, JobLease, JobRow, NewJob, Reserve, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
@@ -32,8 +32,11 @@ impl FromRow<'_, AnyRow> for BatchRow {
             label: row.try_get("label")?,
             state: row.try_get("state")?,
             reason: row.try_get("reason")?,
-            items: number(row.try_get("items")?)?,
-            concurrency: row.try_get::<Option<i64>, _>("concurrency")?.map(number).transpose()?,
+            items: to_unsigned(row.try_get("items")?)?,
+            concurrency: row
+                .try_get::<Option<i64>, _>("concurrency")?
+                .map(to_unsigned)
+                .transpose()?,
             max_cost_usd: row.try_get("max_cost_usd")?,
             job_id: row.try_get("job_id")?,
             request: row.try_get("request")?,
@@ -108,18 +111,18 @@ pub struct ItemRow {
 /// The result of resuming a batch.
 pub enum ResumeOutcome {
     /// A new job.
-    By(Box<JobRow>),
+    Resumed(Box<JobRow>),
     /// Its job was still queued or running.
-    GoesOn,
+    AlreadyRunning,
     /// It has finished or was cancelled.
-    Over,
+    Finished,
 }
 
 impl InsertedJob for ResumeOutcome {
     fn inserted_job(&self) -> Option<&JobRow> {
         match self {
-            Self::By(job) => Some(job),
-            Self::GoesOn | Self::Over => None,
+            Self::Resumed(job) => Some(job),
+            Self::AlreadyRunning | Self::Finished => None,
         }
     }
 }
@@ -128,7 +131,7 @@ impl InsertedJob for ResumeOutcome {
 pub enum SubmitOutcome {
     New(JobRow),
     /// The batch that was submitted earlier under the same idempotency key.
-    MadeBefore(BatchRow),
+    AlreadyExists(BatchRow),
     KeyReused,
 }
 
@@ -136,7 +139,7 @@ impl InsertedJob for SubmitOutcome {
     fn inserted_job(&self) -> Option<&JobRow> {
         match self {
             Self::New(job) => Some(job),
-            Self::MadeBefore(_) | Self::KeyReused => None,
+            Self::AlreadyExists(_) | Self::KeyReused => None,
         }
     }
 }
@@ -201,7 +204,7 @@ impl BatchRepository {
             sqlx::query(sql)
                 .bind(batch_id)
                 .bind(i64::from(item))
-                .bind(&*without_nul(scene_id))
+                .bind(&*replace_nul(scene_id))
                 .bind(request)
                 .bind(self.database.new_id())
                 .execute(&mut *tx)
@@ -226,10 +229,10 @@ impl BatchRepository {
             let before: Option<BatchRow> =
                 sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&mut *tx).await?;
             if let Some(before) = before {
-                tx.forget().await?;
+                tx.rollback().await?;
                 let same = before.request.as_deref() == Some(request);
                 return Ok(if same {
-                    SubmitOutcome::MadeBefore(before)
+                    SubmitOutcome::AlreadyExists(before)
                 } else {
                     SubmitOutcome::KeyReused
                 });
@@ -324,7 +327,7 @@ impl BatchRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub(super) async fn forget_half_received_batches(&self) -> Result<(), StoreError> {
+    pub(super) async fn delete_unsubmitted_batches(&self) -> Result<(), StoreError> {
         let sql = "SELECT id FROM batches WHERE state = 'receiving' AND (receiver IS NULL OR receiver NOT IN (SELECT id FROM members))";
         let left: Vec<String> =
             sqlx::query_scalar(sql).fetch_all(self.database.writer.pool()).await?;
@@ -363,7 +366,7 @@ impl BatchRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn batch_figures(
+    pub async fn summarize_batch_items(
         &self,
         id: &str,
     ) -> Result<(BTreeMap<String, u32>, f64), StoreError> {
@@ -371,7 +374,7 @@ impl BatchRepository {
                    WHERE batch_id = $1 AND status IS NOT NULL GROUP BY status";
         let (mut numbers, mut usd) = (BTreeMap::new(), 0.0);
         for row in sqlx::query(sql).bind(id).fetch_all(&self.database.reader).await? {
-            numbers.insert(row.try_get("status")?, number(row.try_get("number")?)?);
+            numbers.insert(row.try_get("status")?, to_unsigned(row.try_get("number")?)?);
             usd += row.try_get::<f64, _>("usd")?;
         }
         Ok((numbers, usd))
@@ -394,7 +397,7 @@ impl BatchRepository {
             .await?;
         let open = |row: &AnyRow| {
             Ok(OpenItem {
-                item: number(row.try_get("item")?)?,
+                item: to_unsigned(row.try_get("item")?)?,
                 scene_id: row.try_get("scene_id")?,
                 request: row.try_get("request")?,
                 answer_id: row.try_get("answer_id")?,
@@ -406,16 +409,16 @@ impl BatchRepository {
     /// Stores the results of items in one transaction, under the lease of the batch's job.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn close_batch_items(
         &self,
-        hold: &JobLease,
+        lease: &JobLease,
         id: &str,
         closed: &[ClosedItem],
     ) -> Result<(), StoreError> {
         let sql = "UPDATE batch_items SET status = $1, cost_usd = $2, error_code = $3, error = $4 WHERE batch_id = $5 AND item = $6";
         let mut tx = self.database.writer.begin().await?;
-        hold.check(&mut tx).await?;
+        lease.check(&mut tx).await?;
         for ClosedItem { item, status, cost_usd, error } in closed {
             let (code, detail) =
                 error.as_ref().map_or((None, None), |(code, detail)| (Some(code), Some(detail)));
@@ -436,7 +439,7 @@ impl BatchRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn move_batch(
+    pub async fn change_batch_state(
         &self,
         id: &str,
         from: &[&str],
@@ -470,15 +473,15 @@ impl BatchRepository {
         let mut tx = self.database.writer.begin().await?;
         let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = $1 AND state IN ('running', 'paused')";
         if sqlx::query(resume).bind(id).execute(&mut *tx).await?.rows_affected() == 0 {
-            tx.forget().await?;
-            return Ok(ResumeOutcome::Over);
+            tx.rollback().await?;
+            return Ok(ResumeOutcome::Finished);
         }
         let works = "SELECT count(*) FROM jobs JOIN batches ON jobs.id = job_id
                      WHERE batches.id = $1 AND jobs.state IN ('queued', 'running')";
         let works: i64 = sqlx::query_scalar(works).bind(id).fetch_one(&mut *tx).await?;
         if works > 0 {
             tx.commit().await?;
-            return Ok(ResumeOutcome::GoesOn);
+            return Ok(ResumeOutcome::AlreadyRunning);
         }
         let job = super::jobs::insert(&mut tx, &self.database.new_id(), id, job).await?;
         sqlx::query("UPDATE batches SET job_id = $1 WHERE id = $2")
@@ -487,7 +490,7 @@ impl BatchRepository {
             .execute(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(ResumeOutcome::By(Box::new(job)))
+        Ok(ResumeOutcome::Resumed(Box::new(job)))
     }
 
     /// Returns items in order from a position on, each with its answer.
@@ -513,7 +516,7 @@ impl BatchRepository {
             let (code, detail): (Option<String>, Option<String>) =
                 (row.try_get("error_code")?, row.try_get("error")?);
             Ok(ItemRow {
-                item: number(row.try_get("item")?)?,
+                item: to_unsigned(row.try_get("item")?)?,
                 scene_id: row.try_get("scene_id")?,
                 request: row.try_get("request")?,
                 answer_id: row.try_get("answer_id")?,

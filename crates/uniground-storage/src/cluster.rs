@@ -26,21 +26,21 @@ use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
 /// How long a process that wants exclusive access waits for previous processes to end.
-const HANDOVER: Duration = Duration::from_secs(5);
+const HANDOVER_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a process waits for another one that has exclusive access, while that one cleans up or
 /// updates the schema before it lets others join.
-const CLEARING: Duration = Duration::from_mins(1);
+const CLEANUP_TIMEOUT: Duration = Duration::from_mins(1);
 /// Interval of heartbeats. A member whose session is gone and that has missed three heartbeats is
 /// removed.
-const BEAT: Duration = Duration::from_secs(2);
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
 /// How long members get to reconnect after the database was away: one heartbeat, and one failed
 /// attempt before it.
-const COMING_BACK: Duration = Duration::from_secs(8);
+const RECONNECT_TIMEOUT: Duration = Duration::from_secs(8);
 /// Longest interval between attempts to take a lock. Processes that take locks one after the other
 /// pause longer in between (`RunMode::pause`).
-const LONGEST_LOOK: Duration = Duration::from_millis(25);
+const MAX_LOCK_POLL_INTERVAL: Duration = Duration::from_millis(25);
 /// Timeout of calls on the session's connection.
-const PATIENCE: Duration = Duration::from_secs(2);
+const CALL_TIMEOUT: Duration = Duration::from_secs(2);
 /// Duration of a lease: a member without a heartbeat for so long loses its work to others.
 pub const LEASE: Duration = Duration::from_secs(30);
 
@@ -48,16 +48,16 @@ pub const LEASE: Duration = Duration::from_secs(30);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StoreAccess {
     /// As the database allows: PostgreSQL allows it, SQLite does not.
-    Welcome,
+    Shared,
     /// Exclusive access.
-    None,
+    Exclusive,
 }
 
 /// This process as a member of the cluster that uses the store. Cheap to clone.
 #[derive(Clone)]
 pub(super) struct ClusterMembership {
     member: ProcessLease,
-    turns: LocalLocks,
+    local_locks: LocalLocks,
     /// Present where the database may have other members.
     session: Option<Session>,
     /// No other member was present when this one joined.
@@ -76,7 +76,7 @@ struct ProcessLease {
 struct Session {
     options: AnyConnectOptions,
     /// `None` while the server is away.
-    held: Arc<Mutex<Option<AnyConnection>>>,
+    held_connection: Arc<Mutex<Option<AnyConnection>>>,
     /// Counts connections. A lock is lost with the connection on which it was taken.
     number: Arc<AtomicU64>,
 }
@@ -94,7 +94,7 @@ impl NamedLock {
     /// this.
     #[must_use]
     pub fn is_ours(&self) -> bool {
-        self.shared.as_ref().is_none_or(|turn| turn.session.number.load(Relaxed) == turn.number)
+        self.shared.as_ref().is_none_or(|lock| lock.session.number.load(Relaxed) == lock.number)
     }
 }
 
@@ -124,13 +124,13 @@ impl ClusterMembership {
     /// [`StoreError::DatabaseInUse`], or the database's error.
     pub async fn join(
         location: &Location,
-        company: StoreAccess,
+        access: StoreAccess,
         lease: Duration,
     ) -> Result<Self, StoreError> {
-        let (member, turns) =
+        let (member, local_locks) =
             (ProcessLease { id: Arc::new(RwLock::new(new_id())), lease }, LocalLocks::default());
         let Location::Postgres(url) = location else {
-            return Ok(Self { member, turns, session: None, was_alone: true });
+            return Ok(Self { member, local_locks, session: None, was_alone: true });
         };
         install_default_drivers();
         let options = AnyConnectOptions::from_str(url.with_password())?;
@@ -138,33 +138,35 @@ impl ClusterMembership {
         let begun = Instant::now();
         let mut waited = false;
         let was_alone = loop {
-            if locked(&mut connection, "pg_try_advisory_lock", MEMBERS).await? {
-                if waited || !is_anybody_expected(&mut connection).await? {
+            if call_lock_function(&mut connection, "pg_try_advisory_lock", MEMBERS).await? {
+                if waited || !has_members(&mut connection).await? {
                     break true;
                 }
                 // They were killed, or are reconnecting to a database that was away itself.
-                locked(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
-                sleep(COMING_BACK).await;
+                call_lock_function(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
+                sleep(RECONNECT_TIMEOUT).await;
                 waited = true;
                 continue;
             }
-            if company == StoreAccess::Welcome
-                && locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await?
+            if access == StoreAccess::Shared
+                && call_lock_function(&mut connection, "pg_try_advisory_lock_shared", MEMBERS)
+                    .await?
             {
                 break false;
             }
-            let patience = if company == StoreAccess::Welcome { CLEARING } else { HANDOVER };
+            let patience =
+                if access == StoreAccess::Shared { CLEANUP_TIMEOUT } else { HANDOVER_TIMEOUT };
             if begun.elapsed() >= patience {
                 return Err(StoreError::DatabaseInUse);
             }
-            sleep(HANDOVER / 50).await;
+            sleep(HANDOVER_TIMEOUT / 50).await;
         };
         let session = Session {
             options,
-            held: Arc::new(Mutex::new(Some(connection))),
+            held_connection: Arc::new(Mutex::new(Some(connection))),
             number: Arc::default(),
         };
-        Ok(Self { member, turns, session: Some(session), was_alone })
+        Ok(Self { member, local_locks, session: Some(session), was_alone })
     }
 
     /// Writes this member's row. A member that was alone deletes all other rows: their processes
@@ -181,17 +183,17 @@ impl ClusterMembership {
     }
 
     /// Releases exclusive access, where this process had it, and starts the heartbeats.
-    pub async fn let_others_in(&self) -> Result<(), StoreError> {
+    pub async fn release_exclusive_access(&self) -> Result<(), StoreError> {
         let Some(session) = &self.session else { return Ok(()) };
         if self.was_alone {
-            let mut held = session.held.lock().await;
-            let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
-            locked(connection, "pg_try_advisory_lock_shared", MEMBERS).await?;
-            locked(connection, "pg_advisory_unlock", MEMBERS).await?;
+            let mut held_connection = session.held_connection.lock().await;
+            let connection = held_connection.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
+            call_lock_function(connection, "pg_try_advisory_lock_shared", MEMBERS).await?;
+            call_lock_function(connection, "pg_advisory_unlock", MEMBERS).await?;
         }
-        tokio::spawn(self.member.clone().stay(
+        tokio::spawn(self.member.clone().run_heartbeat(
             session.options.clone(),
-            Arc::downgrade(&session.held),
+            Arc::downgrade(&session.held_connection),
             session.number.clone(),
         ));
         Ok(())
@@ -212,35 +214,36 @@ impl ClusterMembership {
     ///
     /// # Errors
     /// The database's error.
-    pub async fn turn(&self, name: &str) -> Result<NamedLock, StoreError> {
-        let local = self.turns.at(name).await;
+    pub async fn lock(&self, name: &str) -> Result<NamedLock, StoreError> {
+        let local = self.local_locks.lock(name).await;
         let Some(session) = &self.session else {
             return Ok(NamedLock { _local: Some(local), shared: None });
         };
-        let shared = session.clone().take(key_of(name), LockWait::AsLongAsItTakes).await?;
-        Ok(NamedLock { _local: None, shared: shared.map(|shared| shared.with(local)) })
+        let shared = session.clone().acquire(lock_key(name), LockWait::Wait).await?;
+        Ok(NamedLock { _local: None, shared: shared.map(|shared| shared.with_local_lock(local)) })
     }
 
     /// Takes the lock of this name, if it is free.
     ///
     /// # Errors
     /// The database's error.
-    pub async fn try_turn(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
-        let Some(local) = self.turns.try_at(name) else { return Ok(None) };
+    pub async fn try_lock(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
+        let Some(local) = self.local_locks.try_lock(name) else { return Ok(None) };
         let Some(session) = &self.session else {
             return Ok(Some(NamedLock { _local: Some(local), shared: None }));
         };
-        let shared = session.clone().take(key_of(name), LockWait::NotAtAll).await?;
-        Ok(shared.map(|shared| NamedLock { _local: None, shared: Some(shared.with(local)) }))
+        let shared = session.clone().acquire(lock_key(name), LockWait::NoWait).await?;
+        Ok(shared
+            .map(|shared| NamedLock { _local: None, shared: Some(shared.with_local_lock(local)) }))
     }
 
     /// Leaves the cluster. Other members can take over this one's work at once.
     pub async fn leave(&self) {
         let Some(session) = &self.session else { return };
         let leaving = async {
-            let mut held = session.held.lock().await;
+            let mut held_connection = session.held_connection.lock().await;
             session.number.store(LEFT, Relaxed);
-            if let Some(mut connection) = held.take() {
+            if let Some(mut connection) = held_connection.take() {
                 let _ = sqlx::query("DELETE FROM members WHERE id = $1")
                     .bind(&*self.id())
                     .execute(&mut connection)
@@ -249,7 +252,7 @@ impl ClusterMembership {
             }
         };
         // A server that does not answer notices by itself that the session is gone.
-        let _ = timeout(PATIENCE, leaving).await;
+        let _ = timeout(CALL_TIMEOUT, leaving).await;
     }
 }
 
@@ -260,40 +263,41 @@ impl ProcessLease {
 
     /// Sends heartbeats as long as the session has an owner. Removes members that are gone, and
     /// reconnects whenever the database was away.
-    async fn stay(
+    async fn run_heartbeat(
         self,
         options: AnyConnectOptions,
-        held: Weak<Mutex<Option<AnyConnection>>>,
+        held_connection: Weak<Mutex<Option<AnyConnection>>>,
         number: Arc<AtomicU64>,
     ) {
-        let (mut steady_since, mut beaten, mut wait) = (Instant::now(), Instant::now(), BEAT);
+        let (mut steady_since, mut beaten, mut wait) =
+            (Instant::now(), Instant::now(), HEARTBEAT_INTERVAL);
         loop {
             sleep(wait).await;
-            wait = BEAT;
-            let Some(held) = held.upgrade() else { return };
-            let mut held = held.lock().await;
+            wait = HEARTBEAT_INTERVAL;
+            let Some(held_connection) = held_connection.upgrade() else { return };
+            let mut held_connection = held_connection.lock().await;
             if number.load(Relaxed) == LEFT {
                 return;
             }
             // A process that was suspended or disconnected cannot tell which other members are
             // gone.
-            let stood_still = beaten.elapsed() > BEAT * 3;
+            let stood_still = beaten.elapsed() > HEARTBEAT_INTERVAL * 3;
             if stood_still {
                 steady_since = Instant::now();
             }
             beaten = Instant::now();
             let id_before = self.id();
-            let seen = timeout(PATIENCE * 2, async {
-                let connection = match &mut *held {
+            let seen = timeout(CALL_TIMEOUT * 2, async {
+                let connection = match &mut *held_connection {
                     Some(connection) => connection,
-                    gone => gone.insert(connect_again(&options).await?),
+                    gone => gone.insert(reconnect(&options).await?),
                 };
-                self.beat(connection).await?;
+                self.send_heartbeat(connection).await?;
                 if *self.id() != *id_before {
                     steady_since = Instant::now();
                 }
                 if steady_since.elapsed() >= self.lease {
-                    self.forget_the_gone(connection).await?;
+                    self.remove_gone_members(connection).await?;
                 }
                 Ok::<_, StoreError>(())
             });
@@ -304,7 +308,7 @@ impl ProcessLease {
                 Err(_) => "it does not answer",
             };
             tracing::warn!(trouble, "database connection lost; reconnecting");
-            *held = None;
+            *held_connection = None;
             number.fetch_add(1, Relaxed);
             steady_since = Instant::now();
             // Other members have terminated its session: check at once whether its row was removed.
@@ -315,7 +319,7 @@ impl ProcessLease {
     }
 
     /// Sends one heartbeat. Takes a new id where this member was removed.
-    async fn beat(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
+    async fn send_heartbeat(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
         let (clock, id) = (Engine::Postgres.clock(), self.id());
         let sql = format!(
             "UPDATE members SET seen_at = {clock}, session = pg_backend_pid() WHERE id = $1"
@@ -338,7 +342,7 @@ impl ProcessLease {
 
     /// Removes members that are gone, and members without a heartbeat for a lease, whose sessions
     /// it terminates.
-    async fn forget_the_gone(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
+    async fn remove_gone_members(&self, connection: &mut AnyConnection) -> Result<(), StoreError> {
         let clock = Engine::Postgres.clock();
         let sql = format!(
             "DELETE FROM members WHERE id <> $1 AND (seen_at < {clock} - $2
@@ -348,7 +352,7 @@ impl ProcessLease {
         let gone: Vec<(String, i64)> = sqlx::query_as(sqlx::AssertSqlSafe(sql))
             .bind(&*self.id())
             .bind(self.lease.as_secs_f64())
-            .bind((BEAT * 3).as_secs_f64())
+            .bind((HEARTBEAT_INTERVAL * 3).as_secs_f64())
             .fetch_all(&mut *connection)
             .await?;
         for (id, session) in gone {
@@ -368,14 +372,18 @@ impl ProcessLease {
 }
 
 enum LockWait {
-    NotAtAll,
-    AsLongAsItTakes,
+    NoWait,
+    Wait,
 }
 
 impl Session {
     /// Takes an advisory lock, in a task of its own: a cancelled caller must not leave the
     /// connection in the middle of a statement.
-    async fn take(self, key: i64, waiting: LockWait) -> Result<Option<AdvisoryLock>, StoreError> {
+    async fn acquire(
+        self,
+        key: i64,
+        waiting: LockWait,
+    ) -> Result<Option<AdvisoryLock>, StoreError> {
         let wanted = CancellationToken::new();
         let _wants = wanted.clone().drop_guard();
         let taking = tokio::spawn(async move {
@@ -385,20 +393,20 @@ impl Session {
                 if taken {
                     return Ok(Some(AdvisoryLock { session: self, key, number, local: None }));
                 }
-                if matches!(waiting, LockWait::NotAtAll) || wanted.is_cancelled() {
+                if matches!(waiting, LockWait::NoWait) || wanted.is_cancelled() {
                     return Ok(None);
                 }
                 sleep(wait).await;
-                wait = (wait * 2).min(LONGEST_LOOK);
+                wait = (wait * 2).min(MAX_LOCK_POLL_INTERVAL);
             }
         });
         taking.await.map_err(|error| StoreError::Blobs(std::io::Error::other(error)))?
     }
 
     async fn lock(&self, key: i64) -> Result<(bool, u64), StoreError> {
-        let mut held = self.held.lock().await;
+        let mut held_connection = self.held_connection.lock().await;
         let number = self.number.load(Relaxed);
-        let taken = self.call(&mut held, "pg_try_advisory_lock", key).await?;
+        let taken = self.call(&mut held_connection, "pg_try_advisory_lock", key).await?;
         Ok((taken, number))
     }
 
@@ -406,15 +414,15 @@ impl Session {
     /// statement, is dropped; the next heartbeat opens a new one.
     async fn call(
         &self,
-        held: &mut Option<AnyConnection>,
+        held_connection: &mut Option<AnyConnection>,
         function: &'static str,
         key: i64,
     ) -> Result<bool, StoreError> {
-        let connection = held.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
-        let called = timeout(PATIENCE, locked(connection, function, key)).await;
+        let connection = held_connection.as_mut().ok_or(sqlx::Error::PoolTimedOut)?;
+        let called = timeout(CALL_TIMEOUT, call_lock_function(connection, function, key)).await;
         let called = called.unwrap_or_else(|_| Err(sqlx::Error::PoolTimedOut.into()));
         if called.is_err() {
-            *held = None;
+            *held_connection = None;
             self.number.fetch_add(1, Relaxed);
         }
         called
@@ -422,7 +430,7 @@ impl Session {
 }
 
 impl AdvisoryLock {
-    fn with(mut self, local: LocalLock) -> Self {
+    fn with_local_lock(mut self, local: LocalLock) -> Self {
         self.local = Some(local);
         self
     }
@@ -435,11 +443,11 @@ impl Drop for AdvisoryLock {
         // Where the process ends, the session ends too, and its locks with it.
         let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
         runtime.spawn(async move {
-            let mut held = session.held.lock().await;
+            let mut held_connection = session.held_connection.lock().await;
             if session.number.load(Relaxed) == number {
-                let _ = session.call(&mut held, "pg_advisory_unlock", key).await;
+                let _ = session.call(&mut held_connection, "pg_advisory_unlock", key).await;
             }
-            drop(held);
+            drop(held_connection);
             drop(local);
         });
     }
@@ -452,7 +460,7 @@ async fn connect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreErro
 }
 
 /// Returns whether any member has not left. Before the first member the table does not exist.
-async fn is_anybody_expected(connection: &mut AnyConnection) -> Result<bool, StoreError> {
+async fn has_members(connection: &mut AnyConnection) -> Result<bool, StoreError> {
     let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL")
         .fetch_one(&mut *connection)
         .await?;
@@ -464,16 +472,16 @@ async fn is_anybody_expected(connection: &mut AnyConnection) -> Result<bool, Sto
     Ok(here > 0)
 }
 
-async fn connect_again(options: &AnyConnectOptions) -> Result<AnyConnection, StoreError> {
+async fn reconnect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreError> {
     let mut connection = connect(options).await?;
-    match locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await? {
+    match call_lock_function(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await? {
         true => Ok(connection),
         false => Err(StoreError::DatabaseInUse),
     }
 }
 
 /// Calls one of PostgreSQL's advisory lock functions.
-async fn locked(
+async fn call_lock_function(
     connection: &mut AnyConnection,
     function: &'static str,
     key: i64,
@@ -487,7 +495,7 @@ fn new_id() -> Arc<str> {
 }
 
 /// Returns the number of a named lock. PostgreSQL's advisory locks are numbered.
-fn key_of(name: &str) -> i64 {
+fn lock_key(name: &str) -> i64 {
     let digest = Sha256::digest(name);
     i64::from_be_bytes(std::array::from_fn(|i| digest[i]))
 }

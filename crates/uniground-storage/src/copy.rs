@@ -25,7 +25,7 @@ impl Store {
     pub async fn open_copy(data_dir: &Utf8Path) -> Result<Self, StoreError> {
         let path = data_dir.to_owned();
         let copied = spawn_blocking(move || {
-            let folder = DataFolder::look(&path)?;
+            let folder = DataFolder::open_read_only(&path)?;
             let elsewhere = tempfile::tempdir()?;
             let database = Utf8PathBuf::try_from(elsewhere.path().join("copy.sqlite"))
                 .map_err(io::Error::other)?;
@@ -41,12 +41,13 @@ impl Store {
             Ok::<_, StoreError>((folder, elsewhere, database))
         });
         let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
-        let members = ClusterMembership::join(&Location::Folder, StoreAccess::None, LEASE).await?;
+        let members =
+            ClusterMembership::join(&Location::Folder, StoreAccess::Exclusive, LEASE).await?;
         let store = Self::connect(
-            Connections::to_file(&database).await?,
+            Connections::open_file(&database).await?,
             None,
             folder,
-            Blobs::look_only(data_dir)?,
+            Blobs::open_read_only(data_dir)?,
             members,
         )
         .await?;

@@ -1,6 +1,6 @@
 //! Corrections of parses by people.
 
-use super::database::{Database, number};
+use super::database::{Database, to_unsigned};
 use super::parses::{insert_instance, note_change};
 use super::{StoreError, now};
 use sqlx::any::AnyRow;
@@ -23,7 +23,7 @@ impl FromRow<'_, AnyRow> for CorrectionRow {
         Ok(Self {
             id: row.try_get("id")?,
             change: row.try_get("change")?,
-            made: row.try_get::<Option<i64>, _>("made")?.map(number).transpose()?,
+            made: row.try_get::<Option<i64>, _>("made")?.map(to_unsigned).transpose()?,
             author: row.try_get("author")?,
             created_at: row.try_get("created_at")?,
             undone_at: row.try_get("undone_at")?,
@@ -76,9 +76,10 @@ impl CorrectionRepository {
         let sql = "SELECT (SELECT count(*) FROM corrections WHERE parse_id = $1), (SELECT max(id) FROM instances WHERE parse_id = $1)";
         let (count, last): (i64, Option<i64>) =
             sqlx::query_as(sql).bind(parse_id).fetch_one(&mut *tx).await?;
-        let last: Option<u32> = last.filter(|_| count < i64::from(most)).map(number).transpose()?;
+        let last: Option<u32> =
+            last.filter(|_| count < i64::from(most)).map(to_unsigned).transpose()?;
         let Some(last) = last else {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(None);
         };
         let made = made.map(|made| Instance { id: InstanceId(last + 1), ..made });

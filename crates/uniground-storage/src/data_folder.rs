@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 pub const MARKER: &str = "uniground-data.json";
 /// Marks the target folder of a data migration.
-pub const MOVING: &str = "uniground-moving.json";
+pub const MIGRATION_MARKER: &str = "uniground-moving.json";
 /// Left behind when the process is killed while it writes the marker.
 const UNFINISHED_MARKER: &str = "uniground-data.json.new";
 pub const DATABASE: &str = "uniground.sqlite";
@@ -53,9 +53,9 @@ impl DataFolder {
     /// Checks that a folder, if it is a data folder already, belongs to this database engine.
     ///
     /// # Errors
-    /// [`StoreError::OtherDatabase`], [`StoreError::HalfMoved`], or an error of the file system.
-    pub fn goes_with(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
-        Self::is_whole(path)?;
+    /// [`StoreError::OtherDatabase`], [`StoreError::UnfinishedMigration`], or an error of the file system.
+    pub fn check_engine(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
+        Self::check_complete(path)?;
         let kept_in = match fs::read(path.join(MARKER)) {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.database,
             Err(error)
@@ -74,9 +74,9 @@ impl DataFolder {
     }
 
     /// Checks that no unfinished data migration has this folder as its target.
-    fn is_whole(path: &Utf8Path) -> Result<(), StoreError> {
-        match path.join(MOVING).exists() && !path.join(MARKER).exists() {
-            true => Err(StoreError::HalfMoved),
+    fn check_complete(path: &Utf8Path) -> Result<(), StoreError> {
+        match path.join(MIGRATION_MARKER).exists() && !path.join(MARKER).exists() {
+            true => Err(StoreError::UnfinishedMigration),
             false => Ok(()),
         }
     }
@@ -84,7 +84,7 @@ impl DataFolder {
     /// Opens a data folder. Creates it in a folder that is empty or missing.
     ///
     /// # Errors
-    /// [`StoreError::NotOurs`] for a folder with other content, [`StoreError::InUse`], or an error
+    /// [`StoreError::HoldsOtherFiles`] for a folder with other content, [`StoreError::InUse`], or an error
     /// of the file system.
     pub fn open(path: &Utf8Path, engine: Engine) -> Result<Self, StoreError> {
         fs::create_dir_all(path)?;
@@ -97,7 +97,7 @@ impl DataFolder {
             .find(|entry| !is_harmless(entry.file_name()))
             && !is_ours
         {
-            return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
+            return Err(StoreError::HoldsOtherFiles { found: stranger.file_name().to_owned() });
         }
         let lock = File::create(path.join(LOCK))?;
         let taken = |taken| match taken {
@@ -113,7 +113,7 @@ impl DataFolder {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 let id = Uuid::new_v4().to_string();
-                mark(path, &id, engine)?;
+                write_marker(path, &id, engine)?;
                 id
             }
             Err(error) => return Err(error.into()),
@@ -138,12 +138,12 @@ impl DataFolder {
     /// Locks a data folder that no server uses and whose database is SQLite. Writes nothing.
     ///
     /// # Errors
-    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or an
+    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::RequiresSqlite`], or an
     /// error of the file system.
-    pub fn look(path: &Utf8Path) -> Result<Self, StoreError> {
-        let (id, engine) = Self::identity(path)?;
+    pub fn open_read_only(path: &Utf8Path) -> Result<Self, StoreError> {
+        let (id, engine) = Self::read_identity(path)?;
         if engine != Engine::Sqlite {
-            return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() });
+            return Err(StoreError::RequiresSqlite { kept_in: engine.name() });
         }
         let lock = match File::open(path.join(LOCK)) {
             Ok(lock) => Some(lock),
@@ -159,8 +159,8 @@ impl DataFolder {
 
     /// Returns id and database engine of a data folder, without locking it. Returns a new id for a
     /// folder from before folders had ids.
-    pub fn identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
-        Self::is_whole(path)?;
+    pub fn read_identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
+        Self::check_complete(path)?;
         match fs::read(path.join(MARKER)) {
             Ok(bytes) => {
                 let Marker { id, database, .. } = serde_json::from_slice(&bytes)?;
@@ -203,7 +203,7 @@ impl DataFolder {
 }
 
 /// Marks a folder as a data folder with this id.
-pub(super) fn mark(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<()> {
+pub(super) fn write_marker(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<()> {
     let text = serde_json::to_vec_pretty(&Marker {
         format: 1,
         id: id.to_owned(),
@@ -273,7 +273,7 @@ mod tests {
 
     /// A half-written marker does not make a folder foreign; other files do.
     #[test]
-    fn half_a_mark_is_no_stranger() {
+    fn a_half_written_marker_does_not_block_opening() {
         let place = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(place.path()).unwrap();
         fs::write(path.join(UNFINISHED_MARKER), "{").unwrap();
@@ -281,6 +281,9 @@ mod tests {
         let other = tempfile::tempdir().unwrap();
         let other = Utf8Path::from_path(other.path()).unwrap();
         fs::write(other.join("thesis.txt"), "words").unwrap();
-        assert!(matches!(DataFolder::open(other, Engine::Sqlite), Err(StoreError::NotOurs { .. })));
+        assert!(matches!(
+            DataFolder::open(other, Engine::Sqlite),
+            Err(StoreError::HoldsOtherFiles { .. })
+        ));
     }
 }

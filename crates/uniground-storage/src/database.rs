@@ -102,9 +102,9 @@ pub(super) enum Engine {
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
 /// Timeout for the write connection, and for any connection to PostgreSQL. SQLite's own timeout for
 /// a lock is shorter.
-const TURN: Duration = Duration::from_secs(2);
+const WRITER_TIMEOUT: Duration = Duration::from_secs(2);
 /// Timeout for a read connection to a SQLite file.
-const READERS_TURN: Duration = Duration::from_secs(30);
+const READER_TIMEOUT: Duration = Duration::from_secs(30);
 /// Timeout of a PostgreSQL statement.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(30);
 /// A transaction that is idle for longer is rolled back: its process hangs, and all other writers
@@ -129,7 +129,7 @@ pub(super) struct Connections {
 
 impl Connections {
     /// Opens a SQLite file, and creates it if it does not exist.
-    pub async fn to_file(file: &Utf8Path) -> Result<Self, StoreError> {
+    pub async fn open_file(file: &Utf8Path) -> Result<Self, StoreError> {
         install_default_drivers();
         // A URL would remove ".." without resolving links.
         let folder = file.parent().unwrap_or(file).canonicalize_utf8()?;
@@ -141,14 +141,14 @@ impl Connections {
             "PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL",
             BUSY_TIMEOUT.as_millis()
         );
-        let writer = pool(1, TURN, settings).connect_with(options("rwc")?).await?;
+        let writer = pool(1, WRITER_TIMEOUT, settings).connect_with(options("rwc")?).await?;
         let settings = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
-        let reader = pool(READERS, READERS_TURN, settings).connect_lazy_with(options("ro")?);
+        let reader = pool(READERS, READER_TIMEOUT, settings).connect_lazy_with(options("ro")?);
         Ok(Self { engine: Engine::Sqlite, reader, writer })
     }
 
     /// Connects to an existing PostgreSQL database.
-    pub async fn to_server(url: &PostgresUrl) -> Result<Self, StoreError> {
+    pub async fn connect_to_server(url: &PostgresUrl) -> Result<Self, StoreError> {
         install_default_drivers();
         let options = AnyConnectOptions::from_str(url.with_password())?;
         let settings = format!(
@@ -156,14 +156,15 @@ impl Connections {
             STATEMENT_TIMEOUT.as_millis(),
             IDLE_IN_TRANSACTION.as_millis()
         );
-        let writer = pool(WRITERS, TURN, settings.clone()).connect_with(options.clone()).await?;
-        let reader = pool(READERS, TURN, settings).connect_lazy_with(options);
+        let writer =
+            pool(WRITERS, WRITER_TIMEOUT, settings.clone()).connect_with(options.clone()).await?;
+        let reader = pool(READERS, WRITER_TIMEOUT, settings).connect_lazy_with(options);
         Ok(Self { engine: Engine::Postgres, reader, writer })
     }
 }
 
-fn pool(most: u32, turn: Duration, settings: String) -> AnyPoolOptions {
-    AnyPoolOptions::new().max_connections(most).acquire_timeout(turn).after_connect(
+fn pool(most: u32, acquire_timeout: Duration, settings: String) -> AnyPoolOptions {
+    AnyPoolOptions::new().max_connections(most).acquire_timeout(acquire_timeout).after_connect(
         move |connection, _| {
             let settings = settings.clone();
             Box::pin(
@@ -200,7 +201,7 @@ impl Engine {
     }
 
     /// A join that starts with its left side, whatever the query planner prefers.
-    pub const fn in_this_order(self) -> &'static str {
+    pub const fn ordered_join(self) -> &'static str {
         match self {
             Self::Sqlite => "CROSS JOIN",
             Self::Postgres => "JOIN",
@@ -208,7 +209,7 @@ impl Engine {
     }
 
     /// A condition: the JSON in a column has a field.
-    pub fn has_field(self, column: &str, field: &str) -> String {
+    pub fn json_has_field(self, column: &str, field: &str) -> String {
         match self {
             Self::Sqlite => format!("json_extract({column}, '$.{field}') IS NOT NULL"),
             Self::Postgres => format!("{column}::json ->> '{field}' IS NOT NULL"),
@@ -216,7 +217,7 @@ impl Engine {
     }
 
     /// A number in a column's JSON, or 0 if it is missing.
-    pub fn number_in(self, column: &str, field: &str) -> String {
+    pub fn json_number(self, column: &str, field: &str) -> String {
         match self {
             Self::Sqlite => format!("coalesce(json_extract({column}, '$.{field}'), 0)"),
             Self::Postgres => format!("coalesce(({column}::json ->> '{field}')::bigint, 0)"),
@@ -224,7 +225,7 @@ impl Engine {
     }
 
     /// A table expression with one column, `value`, from a JSON list of texts.
-    pub fn values_of(self, list: &str) -> String {
+    pub fn json_texts(self, list: &str) -> String {
         match self {
             Self::Sqlite => format!("(SELECT value FROM json_each({list}))"),
             Self::Postgres => format!(
@@ -234,7 +235,7 @@ impl Engine {
     }
 
     /// A condition: a column's JSON object of texts contains all entries of another one.
-    pub fn contains(self, column: &str, other: &str) -> String {
+    pub fn json_contains(self, column: &str, other: &str) -> String {
         match self {
             Self::Sqlite => format!(
                 "NOT EXISTS (SELECT 1 FROM json_each({other}) AS wanted WHERE NOT EXISTS (
@@ -246,7 +247,7 @@ impl Engine {
 
     /// Statements that create the trigger for webhook deliveries: every finished job gets a row in
     /// `announcements`, in the same transaction.
-    pub const fn note_ends(self) -> &'static [&'static str] {
+    pub const fn create_job_end_trigger(self) -> &'static [&'static str] {
         match self {
             Self::Sqlite => &["CREATE TRIGGER IF NOT EXISTS jobs_that_end AFTER UPDATE OF state ON jobs
                  WHEN NEW.state IN ('succeeded', 'failed', 'cancelled') AND OLD.state NOT IN ('succeeded', 'failed', 'cancelled')
@@ -261,8 +262,8 @@ impl Engine {
         }
     }
 
-    /// The statement that removes the trigger of [`note_ends`](Self::note_ends).
-    pub const fn note_no_ends(self) -> &'static str {
+    /// The statement that removes the trigger of [`create_job_end_trigger`](Self::create_job_end_trigger).
+    pub const fn drop_job_end_trigger(self) -> &'static str {
         match self {
             Self::Sqlite => "DROP TRIGGER IF EXISTS jobs_that_end",
             Self::Postgres => "DROP TRIGGER IF EXISTS jobs_that_end ON jobs",
@@ -270,7 +271,7 @@ impl Engine {
     }
 
     /// The query for the names of all tables.
-    pub const fn tables(self) -> &'static str {
+    pub const fn tables_query(self) -> &'static str {
         match self {
             Self::Sqlite => "SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name",
             Self::Postgres => {
@@ -280,7 +281,7 @@ impl Engine {
     }
 
     /// The query for names and types of a table's columns, without generated columns.
-    pub const fn columns(self) -> &'static str {
+    pub const fn columns_query(self) -> &'static str {
         match self {
             Self::Sqlite => "SELECT name, lower(type) FROM pragma_table_xinfo($1) WHERE hidden = 0 ORDER BY cid",
             Self::Postgres => {
@@ -336,12 +337,12 @@ pub(super) struct SqlFilter {
 
 impl SqlFilter {
     /// Appends conditions to `sql`, which must end in a condition.
-    pub fn behind(sql: impl Into<String>) -> Self {
+    pub fn new(sql: impl Into<String>) -> Self {
         Self { sql: sql.into(), values: Vec::new() }
     }
 
     /// Adds a condition like `id <`, if there is a value.
-    pub fn and(&mut self, condition: &str, value: Option<impl Into<String>>) {
+    pub fn and_if_some(&mut self, condition: &str, value: Option<impl Into<String>>) {
         if let Some(value) = value {
             self.values.push(value.into());
             let _ = write!(self.sql, " AND {condition} ${}", self.values.len());
@@ -349,7 +350,7 @@ impl SqlFilter {
     }
 
     /// Returns the first rows in an order.
-    pub async fn first<R>(
+    pub async fn fetch<R>(
         self,
         order: &str,
         limit: u32,
@@ -368,12 +369,12 @@ impl SqlFilter {
 }
 
 /// Replaces NUL characters, which PostgreSQL cannot store.
-pub(super) fn without_nul(text: &str) -> std::borrow::Cow<'_, str> {
+pub(super) fn replace_nul(text: &str) -> std::borrow::Cow<'_, str> {
     if text.contains('\0') { text.replace('\0', "\u{fffd}").into() } else { text.into() }
 }
 
 /// Converts a stored number that is never negative.
-pub(super) fn number<T: TryFrom<i64>>(kept: i64) -> sqlx::Result<T>
+pub(super) fn to_unsigned<T: TryFrom<i64>>(kept: i64) -> sqlx::Result<T>
 where
     T::Error: std::error::Error + Send + Sync + 'static,
 {
@@ -416,17 +417,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_location_is_told_without_its_password() {
-        let told = |text: &str| {
+    fn a_location_is_displayed_without_its_password() {
+        let display = |text: &str| {
             text.parse::<Location>().map(|location| format!("{location} {location:?}")).unwrap()
         };
         let place = "postgres://db.example/rooms postgres://db.example/rooms";
         assert_eq!(
-            told("postgres://robot:s3cret@db.example/rooms?sslmode=require&password=s3cret"),
+            display("postgres://robot:s3cret@db.example/rooms?sslmode=require&password=s3cret"),
             place
         );
-        assert_eq!(told("postgres://robot:s3?cret@db.example/rooms"), place);
-        assert_eq!(told("postgress://robot:s3cret@db.example/rooms"), "postgress:// postgress://");
+        assert_eq!(display("postgres://robot:s3?cret@db.example/rooms"), place);
+        assert_eq!(
+            display("postgress://robot:s3cret@db.example/rooms"),
+            "postgress:// postgress://"
+        );
         assert_eq!("sqlite".parse(), Ok(Location::Folder));
     }
 }

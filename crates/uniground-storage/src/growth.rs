@@ -1,7 +1,7 @@
 //! Scenes that grow: new content for an existing scene, and what changed in it.
 
-use super::database::number;
-use super::scenes::{add_job, made_by_key};
+use super::database::to_unsigned;
+use super::scenes::{insert_queued_job, scene_of_key};
 use super::writer::Transaction;
 use super::{
     ContentRepository, InsertedJob, JobRow, NewJob, ParseRepository, SceneRepository, SceneRow,
@@ -25,11 +25,11 @@ pub struct SceneGrowth<'a> {
 
 /// The result of growing a scene.
 pub enum GrowthOutcome {
-    Now(SceneRow, Box<JobRow>),
+    Grown(SceneRow, Box<JobRow>),
     /// The scene was deleted, or has another content.
     Overtaken,
     /// The same request was made earlier under this key.
-    Before(SceneRow),
+    AlreadyGrown(SceneRow),
     /// The key was used for another request.
     KeyReused,
 }
@@ -37,8 +37,8 @@ pub enum GrowthOutcome {
 impl InsertedJob for GrowthOutcome {
     fn inserted_job(&self) -> Option<&JobRow> {
         match self {
-            Self::Now(_, job) => Some(job),
-            Self::Overtaken | Self::Before(_) | Self::KeyReused => None,
+            Self::Grown(_, job) => Some(job),
+            Self::Overtaken | Self::AlreadyGrown(_) | Self::KeyReused => None,
         }
     }
 }
@@ -62,11 +62,11 @@ impl SceneRepository {
         let time = now();
         let mut tx = self.database.writer.begin().await?;
         if let Some((key, request)) = key
-            && let Some((scene, before)) = made_by_key(&mut tx, key).await?
+            && let Some((scene, before)) = scene_of_key(&mut tx, key).await?
         {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(if before.is_some_and(|before| before == request) {
-                GrowthOutcome::Before(scene)
+                GrowthOutcome::AlreadyGrown(scene)
             } else {
                 GrowthOutcome::KeyReused
             });
@@ -86,7 +86,7 @@ impl SceneRepository {
             .execute(&mut *tx)
             .await?;
         if grown.rows_affected() == 0 {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(GrowthOutcome::Overtaken);
         }
         if let Some((key, request)) = key {
@@ -99,13 +99,13 @@ impl SceneRepository {
                 .execute(&mut *tx)
                 .await?;
         }
-        let job = add_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
+        let job = insert_queued_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
         let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
             .bind(scene_id)
             .fetch_one(&mut *tx)
             .await?;
         tx.commit().await?;
-        Ok(GrowthOutcome::Now(scene, Box::new(job)))
+        Ok(GrowthOutcome::Grown(scene, Box::new(job)))
     }
 
     /// Returns the changes from each version of a scene to the next, for versions after `since`, in
@@ -125,7 +125,7 @@ impl SceneRepository {
             .fetch_all(&self.database.reader)
             .await?;
         rows.into_iter()
-            .map(|(version, body)| Ok((number(version)?, serde_json::from_str(&body)?)))
+            .map(|(version, body)| Ok((to_unsigned(version)?, serde_json::from_str(&body)?)))
             .collect()
     }
 }
@@ -243,7 +243,7 @@ impl ParseRepository {
                 .await?;
         }
         // Copy the model's names of instances that still exist.
-        let gone = self.database.engine.has_field("body", "gone");
+        let gone = self.database.engine.json_has_field("body", "gone");
         let sql = format!(
             "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
                    SELECT $1, model, prompt_version, instance_id, name, created_at FROM instance_names AS known

@@ -24,7 +24,7 @@ pub struct StoreHealth {
 }
 
 /// Timeout after which the database counts as not ready.
-const PATIENCE: Duration = Duration::from_secs(1);
+const DATABASE_TIMEOUT: Duration = Duration::from_secs(1);
 /// With less free space, uploads are bound to fail.
 const LEAST_FREE_BYTES: u64 = 64 << 20;
 /// Tables to read, with the column that orders their rows.
@@ -50,9 +50,9 @@ pub struct HealthProbe {
 impl HealthProbe {
     /// Tries everything a request may need: a write, a read, free disk space.
     pub async fn health(&self) -> StoreHealth {
-        let written = timeout(PATIENCE, self.write_something()).await;
+        let written = timeout(DATABASE_TIMEOUT, self.probe_write()).await;
         // If all readers are busy, that is no failure.
-        let read = timeout(PATIENCE, self.read_something()).await.unwrap_or(Ok(()));
+        let read = timeout(DATABASE_TIMEOUT, self.probe_read()).await.unwrap_or(Ok(()));
         let is_damaged =
             [read.as_ref().err(), written.as_ref().ok().and_then(|written| written.as_ref().err())]
                 .into_iter()
@@ -60,16 +60,20 @@ impl HealthProbe {
                 .any(StoreError::is_damaged);
         let database = match (read, written) {
             (Err(error), _) | (Ok(()), Ok(Err(error))) => Some(with_causes(&error)),
-            (Ok(()), Err(_)) => Some(format!("a write took longer than {} s", PATIENCE.as_secs())),
+            (Ok(()), Err(_)) => {
+                Some(format!("a write took longer than {} s", DATABASE_TIMEOUT.as_secs()))
+            }
             (Ok(()), Ok(Ok(()))) => None,
         };
         let database = database.map(|trouble| match is_damaged {
             true => format!("its file is damaged, restore a backup: {trouble}"),
             false => trouble,
         });
-        let reached = match timeout(PATIENCE, self.blobs.reach()).await {
+        let reached = match timeout(DATABASE_TIMEOUT, self.blobs.check_reachable()).await {
             Ok(reached) => reached.err().map(|error| with_causes(&error)),
-            Err(_) => Some(format!("the object store took longer than {} s", PATIENCE.as_secs())),
+            Err(_) => {
+                Some(format!("the object store took longer than {} s", DATABASE_TIMEOUT.as_secs()))
+            }
         };
         let (folder, blobs) = (self.folder.clone(), self.blobs.clone());
         let looked = spawn_blocking(move || {
@@ -101,7 +105,7 @@ impl HealthProbe {
         Ok(self.folder.free_bytes()?)
     }
 
-    async fn write_something(&self) -> Result<(), StoreError> {
+    async fn probe_write(&self) -> Result<(), StoreError> {
         let mut tx = self.database.writer.begin().await?;
         sqlx::query("UPDATE data_folder SET since = since").execute(&mut *tx).await?;
         tx.commit().await
@@ -109,7 +113,7 @@ impl HealthProbe {
 
     /// Reads the oldest and the newest row of every large table, and what a question about the
     /// newest parse needs: from the file, not from memory.
-    async fn read_something(&self) -> Result<(), StoreError> {
+    async fn probe_read(&self) -> Result<(), StoreError> {
         let mut connection = self.database.reader.acquire().await?;
         let columns = match self.database.engine {
             Engine::Sqlite => {

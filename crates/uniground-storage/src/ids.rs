@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_that_is_set_back_does_not_reorder() {
+    fn ids_stay_ordered_when_the_clock_is_set_back() {
         let (day, hour) =
             ("2026-11-20T12:00:00Z".parse().unwrap(), "2026-11-20T11:00:00Z".parse().unwrap());
         let ids = IdGenerator::after(None);

@@ -43,7 +43,7 @@ impl IntegrityRepository {
         }
         let mut tx = self.database.writer.begin().await?;
         let broken = broken_in(&mut tx).await?;
-        tx.forget().await?;
+        tx.rollback().await?;
         Ok(broken)
     }
 

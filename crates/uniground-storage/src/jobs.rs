@@ -1,6 +1,6 @@
 //! Rows of the job queue.
 
-use super::database::{Database, SqlFilter, number, without_nul};
+use super::database::{Database, SqlFilter, replace_nul, to_unsigned};
 use super::{StoreError, first_id_at, now};
 use jiff::Timestamp;
 use sqlx::any::AnyRow;
@@ -41,11 +41,11 @@ impl FromRow<'_, AnyRow> for JobRow {
             kind: row.try_get("kind")?,
             subject: row.try_get("subject")?,
             payload: row.try_get("payload")?,
-            state: state(row.try_get("state")?)?,
+            state: parse_state(row.try_get("state")?)?,
             stage: row.try_get("stage")?,
             progress: row.try_get("progress")?,
             attempts: row.try_get("attempts")?,
-            failures: number(row.try_get("failures")?)?,
+            failures: to_unsigned(row.try_get("failures")?)?,
             furthest: row.try_get("furthest")?,
             holder: row.try_get("holder")?,
             message: row.try_get("message")?,
@@ -58,7 +58,7 @@ impl FromRow<'_, AnyRow> for JobRow {
     }
 }
 
-fn state(word: String) -> sqlx::Result<JobState> {
+fn parse_state(word: String) -> sqlx::Result<JobState> {
     JobState::try_from(word).map_err(|error| sqlx::Error::Decode(error.into()))
 }
 
@@ -74,7 +74,7 @@ pub struct JobLease {
 impl JobLease {
     /// Returns the lease of a job that was just claimed.
     #[must_use]
-    pub fn of(job: &JobRow) -> Self {
+    pub fn from_claimed_row(job: &JobRow) -> Self {
         Self { job_id: job.id.clone(), holder: job.holder.clone().unwrap_or_default() }
     }
 
@@ -83,7 +83,7 @@ impl JobLease {
         let sql = "SELECT count(*) FROM jobs WHERE id = $1 AND holder = $2 AND state = 'running'";
         let held: i64 =
             sqlx::query_scalar(sql).bind(&self.job_id).bind(&self.holder).fetch_one(tx).await?;
-        if held > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
+        if held > 0 { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 }
 
@@ -185,7 +185,7 @@ pub struct JobRecovery {
 /// How often a worker that lost the race for a job tries another one before it waits.
 const TRIES_TO_CLAIM: u32 = 8;
 /// A longer delay is ignored: the clock was set back since it was stored.
-const LONGEST_WAIT: Duration = Duration::from_hours(2);
+const MAX_DELAY: Duration = Duration::from_hours(2);
 
 /// Repository of background jobs.
 #[derive(Clone)]
@@ -223,12 +223,12 @@ impl JobRepository {
         cursor: Option<&str>,
     ) -> Result<Vec<JobRow>, StoreError> {
         let JobFilter { kind, state, subject } = filter;
-        let mut which = SqlFilter::behind("SELECT * FROM jobs WHERE true");
-        which.and("id <", cursor);
-        which.and("kind =", kind.as_ref());
-        which.and("state =", state.map(JobState::word));
-        which.and("subject =", subject.as_ref());
-        which.first("id DESC", limit, &self.database.reader).await
+        let mut which = SqlFilter::new("SELECT * FROM jobs WHERE true");
+        which.and_if_some("id <", cursor);
+        which.and_if_some("kind =", kind.as_ref());
+        which.and_if_some("state =", state.map(JobState::word));
+        which.and_if_some("subject =", subject.as_ref());
+        which.fetch("id DESC", limit, &self.database.reader).await
     }
 
     /// Counts the queued jobs of a kind.
@@ -244,7 +244,7 @@ impl JobRepository {
                    WHERE kind = $1 AND state = 'queued'";
         let (all, of_key): (i64, i64) =
             sqlx::query_as(sql).bind(kind).bind(key_id).fetch_one(&self.database.reader).await?;
-        Ok(QueueLengths { all: number(all)?, of_key: number(of_key)? })
+        Ok(QueueLengths { all: to_unsigned(all)?, of_key: to_unsigned(of_key)? })
     }
 
     /// Counts the jobs of a kind that were queued before this one and still wait.
@@ -253,23 +253,27 @@ impl JobRepository {
     /// [`StoreError::Database`].
     pub async fn jobs_ahead(&self, kind: &str, id: &str) -> Result<u32, StoreError> {
         let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state = 'queued' AND id < $2";
-        Ok(number(
+        Ok(to_unsigned(
             sqlx::query_scalar(sql).bind(kind).bind(id).fetch_one(&self.database.reader).await?,
         )?)
     }
 
-    /// Counts the jobs of a kind that were created within the last `lately` and have finished.
+    /// Counts the jobs of a kind that were created within the last `period` and have finished.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn done_lately(&self, kind: &str, lately: Duration) -> Result<u32, StoreError> {
-        let since = Timestamp::now().checked_sub(lately).unwrap_or(Timestamp::MIN);
+    pub async fn count_recently_finished(
+        &self,
+        kind: &str,
+        period: Duration,
+    ) -> Result<u32, StoreError> {
+        let since = Timestamp::now().checked_sub(period).unwrap_or(Timestamp::MIN);
         let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state IN ('succeeded', 'failed') AND id >= $2 AND attempts > 0";
         let done = sqlx::query_scalar(sql)
             .bind(kind)
             .bind(first_id_at(since))
             .fetch_one(&self.database.reader);
-        Ok(number(done.await?)?)
+        Ok(to_unsigned(done.await?)?)
     }
 
     /// Claims a queued job of a kind that is due. Takes the oldest job of the API key that was
@@ -283,21 +287,21 @@ impl JobRepository {
         let due = "SELECT id FROM jobs AS due WHERE kind = $1 AND state = 'queued' AND (not_before IS NULL OR not_before <= $2 OR not_before > $3)
                    ORDER BY CASE WHEN key_id IS NULL THEN (SELECT max(started_at) FROM jobs WHERE kind = $1 AND key_id IS NULL)
                    ELSE (SELECT max(started_at) FROM jobs WHERE kind = $1 AND key_id = due.key_id) END NULLS FIRST, id LIMIT 1";
-        let (time, too_late) = (now(), after(LONGEST_WAIT));
+        let (time, too_late) = (now(), time_after(MAX_DELAY));
         for _ in 0..TRIES_TO_CLAIM {
             // Search with a reader first: polling an empty queue then writes nothing.
             let id = sqlx::query_scalar(due).bind(kind).bind(&time).bind(&too_late);
             let id: Option<String> = id.fetch_optional(&self.database.reader).await?;
             let Some(id) = id else { return Ok(None) };
             // Another worker was faster. There may be a further job.
-            if let Some(job) = self.take_job(&id, &time).await? {
+            if let Some(job) = self.claim_job_by_id(&id, &time).await? {
                 return Ok(Some(job));
             }
         }
         Ok(None)
     }
 
-    async fn take_job(&self, id: &str, time: &str) -> Result<Option<JobRow>, StoreError> {
+    async fn claim_job_by_id(&self, id: &str, time: &str) -> Result<Option<JobRow>, StoreError> {
         // A process that was removed from the cluster claims nothing: it would lose the job at
         // once.
         let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = $1, stage = NULL, progress = 0, holder = $3
@@ -310,10 +314,10 @@ impl JobRepository {
     /// Stores the progress of a job. Returns whether cancellation was requested.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn save_job_progress(
         &self,
-        hold: &JobLease,
+        lease: &JobLease,
         stage: &str,
         progress: f32,
     ) -> Result<bool, StoreError> {
@@ -321,26 +325,27 @@ impl JobRepository {
         let save = sqlx::query_scalar(sql)
             .bind(stage)
             .bind(progress)
-            .bind(&hold.job_id)
-            .bind(&hold.holder);
+            .bind(&lease.job_id)
+            .bind(&lease.holder);
         let wished: i64 =
-            save.fetch_optional(self.database.writer.pool()).await?.ok_or(StoreError::NotHeld)?;
+            save.fetch_optional(self.database.writer.pool()).await?.ok_or(StoreError::LeaseLost)?;
         Ok(wished != 0)
     }
 
     /// Finishes a job under its lease. Fails if the job is already finished.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn finish_job(
         &self,
-        hold: &JobLease,
+        lease: &JobLease,
         state: JobState,
         message: Option<&str>,
         error: Option<(&str, &str)>,
     ) -> Result<(), StoreError> {
-        let ended = self.end_job(&hold.job_id, Some(&hold.holder), state, message, error).await?;
-        if ended { Ok(()) } else { Err(StoreError::NotHeld) }
+        let ended =
+            self.finish_job_as(&lease.job_id, Some(&lease.holder), state, message, error).await?;
+        if ended { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 
     /// Finishes a job that is queued or running, whoever holds its lease.
@@ -353,13 +358,13 @@ impl JobRepository {
         state: JobState,
         error: Option<(&str, &str)>,
     ) -> Result<(), StoreError> {
-        self.end_job(id, None, state, None, error).await?;
+        self.finish_job_as(id, None, state, None, error).await?;
         Ok(())
     }
 
     /// Finishes a job: under this holder's lease, or without a lease in any open state. Returns
     /// whether the job was open.
-    async fn end_job(
+    async fn finish_job_as(
         &self,
         id: &str,
         holder: Option<&str>,
@@ -372,7 +377,7 @@ impl JobRepository {
                    stage = CASE WHEN $1 = 'succeeded' THEN NULL ELSE stage END
                    WHERE id = $6 AND (state = 'running' AND holder = $7 OR $7 IS NULL AND state IN ('queued', 'running'))";
         let (code, detail) = error.unzip();
-        let (message, detail) = (message.map(without_nul), detail.map(without_nul));
+        let (message, detail) = (message.map(replace_nul), detail.map(replace_nul));
         let ended = sqlx::query(sql)
             .bind(state.word())
             .bind(message.as_deref())
@@ -414,41 +419,41 @@ impl JobRepository {
     /// over. A planned shutdown does not count as an attempt.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
-    pub async fn requeue_job(&self, hold: &JobLease) -> Result<(), StoreError> {
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
+    pub async fn requeue_job(&self, lease: &JobLease) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
                    WHERE id = $1 AND holder = $2 AND state = 'running'";
-        let put_back = sqlx::query(sql)
-            .bind(&hold.job_id)
-            .bind(&hold.holder)
+        let requeued = sqlx::query(sql)
+            .bind(&lease.job_id)
+            .bind(&lease.holder)
             .execute(self.database.writer.pool())
             .await?;
-        if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
+        if requeued.rows_affected() > 0 { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 
     /// Returns a running job to the queue, to be retried after a delay. Stores its failures in a
     /// row and its progress.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`], [`StoreError::Database`].
     pub async fn requeue_job_after(
         &self,
-        hold: &JobLease,
+        lease: &JobLease,
         wait: Duration,
         failures: u32,
         progress: f32,
     ) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', not_before = $1, failures = $2, furthest = CASE WHEN furthest < $3 THEN $3 ELSE furthest END,
                    started_at = NULL, stage = NULL, progress = 0 WHERE id = $4 AND holder = $5 AND state = 'running'";
-        let put_back = sqlx::query(sql)
-            .bind(after(wait))
+        let requeued = sqlx::query(sql)
+            .bind(time_after(wait))
             .bind(i64::from(failures))
             .bind(progress)
-            .bind(&hold.job_id)
-            .bind(&hold.holder)
+            .bind(&lease.job_id)
+            .bind(&lease.holder)
             .execute(self.database.writer.pool())
             .await?;
-        if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
+        if requeued.rows_affected() > 0 { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 
     /// Requests the cancellation of a job.
@@ -497,7 +502,7 @@ impl JobRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn end_orphan(&self, id: &str) -> Result<(), StoreError> {
+    pub async fn cancel_orphan_job(&self, id: &str) -> Result<(), StoreError> {
         self.finish_open_job(id, JobState::Cancelled, None).await
     }
 
@@ -542,8 +547,8 @@ impl JobRepository {
             .execute(&mut *tx)
             .await?;
         for interruptions in at_once..give_up_after {
-            let due = after(
-                wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(LONGEST_WAIT / 2),
+            let due = time_after(
+                wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(MAX_DELAY / 2),
             );
             let sql =
                 format!("UPDATE jobs SET not_before = $2 WHERE {LEFT} AND interruptions = $3");
@@ -562,7 +567,7 @@ impl JobRepository {
 }
 
 /// Returns the time after a delay, in the format of the database.
-pub(super) fn after(wait: Duration) -> String {
+pub(super) fn time_after(wait: Duration) -> String {
     let wait = jiff::SignedDuration::try_from(wait).unwrap_or_default();
     Timestamp::now().checked_add(wait).unwrap_or(Timestamp::MAX).to_string()
 }
@@ -597,7 +602,7 @@ mod tests {
     }
 
     /// Changes a job behind the repository's back.
-    async fn set(store: &Store, id: &str, what: &str) {
+    async fn update_job_row(store: &Store, id: &str, what: &str) {
         let sql = format!("UPDATE jobs SET {what} WHERE id = $1");
         let changed = sqlx::query(sqlx::AssertSqlSafe(sql))
             .bind(id)
@@ -608,7 +613,7 @@ mod tests {
     }
 
     /// When a job is due, and how often it was interrupted in a row.
-    async fn due(store: &Store, id: &str) -> (Option<Timestamp>, i64) {
+    async fn read_due(store: &Store, id: &str) -> (Option<Timestamp>, i64) {
         let sql = "SELECT not_before, interruptions FROM jobs WHERE id = $1";
         let (due, interruptions): (Option<String>, i64) =
             sqlx::query_as(sql).bind(id).fetch_one(&store.database.reader).await.unwrap();
@@ -617,14 +622,14 @@ mod tests {
 
     #[track_caller]
     fn assert_not_held<T: std::fmt::Debug>(written: Result<T, StoreError>) {
-        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
+        assert!(matches!(written, Err(StoreError::LeaseLost)), "{written:?}");
     }
 
     const RECOVERY: JobRecovery =
         JobRecovery { give_up_after: 5, at_once: 2, wait: Duration::from_secs(100) };
 
     #[tokio::test]
-    async fn a_job_is_stored_as_it_was_asked_for_and_waits() {
+    async fn a_new_job_is_stored_and_queued() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let new = NewJob { kind: "parse", payload: "{\"a\":1}", key_id: Some("k"), done: None };
@@ -657,7 +662,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_whose_result_was_there_is_done_from_the_start() {
+    async fn a_job_with_a_known_result_is_inserted_as_finished() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let mut tx = store.database.writer.begin().await.unwrap();
@@ -677,7 +682,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_are_listed_newest_first_as_far_as_they_are_wanted() {
+    async fn jobs_are_listed_newest_first_and_filtered() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let mut ids = Vec::new();
@@ -705,7 +710,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn waiting_jobs_are_counted_by_kind_and_by_key() {
+    async fn queued_jobs_are_counted_by_kind_and_by_key() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let mut ids = Vec::new();
@@ -731,15 +736,17 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_done_lately_are_those_that_ran_to_an_end_of_their_own() {
+    async fn recently_finished_jobs_are_those_that_succeeded_or_failed() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
         let (minutes, hours) = (Duration::from_mins(10), Duration::from_hours(2));
-        assert_eq!(jobs.done_lately(KIND, minutes).await.unwrap(), 0);
+        assert_eq!(jobs.count_recently_finished(KIND, minutes).await.unwrap(), 0);
         for state in [JobState::Succeeded, JobState::Failed, JobState::Cancelled] {
             insert_one(jobs).await;
-            jobs.finish_job(&JobLease::of(&claim(jobs).await), state, None, None).await.unwrap();
+            jobs.finish_job(&JobLease::from_claimed_row(&claim(jobs).await), state, None, None)
+                .await
+                .unwrap();
         }
         // Running, waiting, and failed without ever having run.
         insert_one(jobs).await;
@@ -747,25 +754,25 @@ mod tests {
         insert_one(jobs).await;
         let never = insert_one(jobs).await;
         jobs.finish_open_job(&never, JobState::Failed, None).await.unwrap();
-        assert_eq!(jobs.done_lately(KIND, minutes).await.unwrap(), 2);
-        assert_eq!(jobs.done_lately("naming", minutes).await.unwrap(), 0);
+        assert_eq!(jobs.count_recently_finished(KIND, minutes).await.unwrap(), 2);
+        assert_eq!(jobs.count_recently_finished("naming", minutes).await.unwrap(), 0);
         // One that was asked for an hour ago.
         let hour_ago = first_id_at(Timestamp::now().checked_sub(Duration::from_hours(1)).unwrap());
         let old = insert_one(jobs).await;
         let done = format!("id = '{hour_ago}', state = 'succeeded', attempts = 1");
-        set(&store, &old, &done).await;
-        assert_eq!(jobs.done_lately(KIND, minutes).await.unwrap(), 2);
-        assert_eq!(jobs.done_lately(KIND, hours).await.unwrap(), 3);
+        update_job_row(&store, &old, &done).await;
+        assert_eq!(jobs.count_recently_finished(KIND, minutes).await.unwrap(), 2);
+        assert_eq!(jobs.count_recently_finished(KIND, hours).await.unwrap(), 3);
     }
 
     #[tokio::test]
-    async fn a_claimed_job_runs_in_one_pair_of_hands() {
+    async fn a_job_is_claimed_by_one_worker() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
         assert_eq!(jobs.claim_job(KIND).await.unwrap(), None);
         let (first, second) = (insert_one(jobs).await, insert_one(jobs).await);
-        set(&store, &first, "stage = 'masks', progress = 0.5, attempts = 2").await;
+        update_job_row(&store, &first, "stage = 'masks', progress = 0.5, attempts = 2").await;
         assert_eq!(jobs.claim_job("naming").await.unwrap(), None, "another kind");
         let before = Timestamp::now();
         let claimed = claim(jobs).await;
@@ -777,8 +784,8 @@ mod tests {
         assert_eq!(row(jobs, &first).await, claimed);
         assert_eq!(claim(jobs).await.id, second);
         assert_eq!(jobs.claim_job(KIND).await.unwrap(), None, "both are taken");
-        let hold = JobLease::of(&claimed);
-        assert_eq!((&hold.job_id, &hold.holder), (&first, &claimed.holder.unwrap()));
+        let lease = JobLease::from_claimed_row(&claimed);
+        assert_eq!((&lease.job_id, &lease.holder), (&first, &claimed.holder.unwrap()));
     }
 
     #[tokio::test]
@@ -787,19 +794,19 @@ mod tests {
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
         let due_after = async |wait: &str| {
-            set(&store, &id, &format!("state = 'queued', not_before = '{wait}'")).await;
+            update_job_row(&store, &id, &format!("state = 'queued', not_before = '{wait}'")).await;
             store.jobs.claim_job(KIND).await.unwrap().is_some()
         };
-        assert!(!due_after(&after(Duration::from_mins(1))).await);
-        assert!(!due_after(&after(Duration::from_mins(119))).await);
+        assert!(!due_after(&time_after(Duration::from_mins(1))).await);
+        assert!(!due_after(&time_after(Duration::from_mins(119))).await);
         let ago = Timestamp::now().checked_sub(Duration::from_mins(1)).unwrap();
         assert!(due_after(&ago.to_string()).await);
         // Nobody waits for longer than two hours: the clock was set back.
-        assert!(due_after(&after(Duration::from_mins(121))).await);
+        assert!(due_after(&time_after(Duration::from_mins(121))).await);
     }
 
     #[tokio::test]
-    async fn keys_take_turns_and_those_without_one_are_one_of_them() {
+    async fn claims_alternate_between_keys_and_keyless_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         for (subject, key_id) in [
@@ -811,15 +818,15 @@ mod tests {
         ] {
             jobs.insert_job(subject, &new(KIND, key_id)).await.unwrap();
         }
-        let mut turns = Vec::new();
+        let mut claimed_subjects = Vec::new();
         while let Some(job) = jobs.claim_job(KIND).await.unwrap() {
-            turns.push(job.subject);
+            claimed_subjects.push(job.subject);
         }
-        assert_eq!(turns, ["a1", "none1", "b1", "a2", "none2"]);
+        assert_eq!(claimed_subjects, ["a1", "none1", "b1", "a2", "none2"]);
     }
 
     #[tokio::test]
-    async fn who_is_no_member_any_more_takes_nothing() {
+    async fn a_removed_member_claims_no_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
@@ -831,26 +838,26 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn progress_is_noted_and_tells_whether_somebody_wants_a_stop() {
+    async fn saving_progress_returns_cancel_requests() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
-        let hold = JobLease::of(&claim(&jobs).await);
-        assert!(!jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap());
+        let lease = JobLease::from_claimed_row(&claim(&jobs).await);
+        assert!(!jobs.save_job_progress(&lease, "masks", 0.25).await.unwrap());
         let noted = row(&jobs, &id).await;
         assert_eq!((noted.stage.as_deref(), noted.progress), (Some("masks"), 0.25));
         jobs.request_cancel(&id).await.unwrap();
-        assert!(jobs.save_job_progress(&hold, "merge", 0.5).await.unwrap());
+        assert!(jobs.save_job_progress(&lease, "merge", 0.5).await.unwrap());
         let noted = row(&jobs, &id).await;
         assert_eq!((noted.stage.as_deref(), noted.progress), (Some("merge"), 0.5));
     }
 
     #[tokio::test]
-    async fn a_wish_to_stop_is_noted_of_jobs_that_are_not_over() {
+    async fn cancel_requests_are_stored_for_unfinished_jobs_only() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
-        let hold = JobLease::of(&claim(&jobs).await);
+        let lease = JobLease::from_claimed_row(&claim(&jobs).await);
         let wished = async |id: &str| jobs.is_cancel_requested(id).await.unwrap();
         assert_eq!((wished(&running).await, wished(&waiting).await), (false, false));
         jobs.request_cancel(&running).await.unwrap();
@@ -858,7 +865,7 @@ mod tests {
         jobs.request_cancel(&waiting).await.unwrap();
         assert!(wished(&waiting).await);
         assert!(!wished("nobody's").await);
-        jobs.finish_job(&hold, JobState::Cancelled, None, None).await.unwrap();
+        jobs.finish_job(&lease, JobState::Cancelled, None, None).await.unwrap();
         let over = insert_one(&jobs).await;
         jobs.finish_open_job(&over, JobState::Failed, None).await.unwrap();
         jobs.request_cancel(&over).await.unwrap();
@@ -866,17 +873,17 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_job_ends_once_and_by_its_holder() {
+    async fn a_job_is_finished_once_by_its_lease_holder() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
-        let hold = JobLease::of(&claim(&jobs).await);
-        let stranger = JobLease { holder: "somebody else".into(), ..hold.clone() };
-        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        let lease = JobLease::from_claimed_row(&claim(&jobs).await);
+        let stranger = JobLease { holder: "somebody else".into(), ..lease.clone() };
+        jobs.save_job_progress(&lease, "masks", 0.25).await.unwrap();
         let before = Timestamp::now();
         assert_not_held(jobs.finish_job(&stranger, JobState::Failed, None, None).await);
         assert_eq!(row(&jobs, &id).await.state, JobState::Running);
-        jobs.finish_job(&hold, JobState::Succeeded, Some("4 things\0"), None).await.unwrap();
+        jobs.finish_job(&lease, JobState::Succeeded, Some("4 things\0"), None).await.unwrap();
         let done = row(&jobs, &id).await;
         assert_eq!((done.state, done.progress, &done.stage), (JobState::Succeeded, 1.0, &None));
         assert_eq!(done.message.as_deref(), Some("4 things\u{fffd}"), "no database takes NUL");
@@ -884,19 +891,19 @@ mod tests {
         let finished: Timestamp = done.finished_at.clone().unwrap().parse().unwrap();
         assert!((before..=Timestamp::now()).contains(&finished), "{finished}");
         let failed = Some(("internal", "too late"));
-        assert_not_held(jobs.finish_job(&hold, JobState::Failed, None, failed).await);
+        assert_not_held(jobs.finish_job(&lease, JobState::Failed, None, failed).await);
         assert_eq!(row(&jobs, &id).await, done, "what ended it first stays");
     }
 
     #[tokio::test]
-    async fn a_job_that_fails_tells_why_and_how_far_it_was() {
+    async fn a_failed_job_stores_its_error_and_progress() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
-        let hold = JobLease::of(&claim(&jobs).await);
-        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        let lease = JobLease::from_claimed_row(&claim(&jobs).await);
+        jobs.save_job_progress(&lease, "masks", 0.25).await.unwrap();
         let error = Some(("broken", "a\0b"));
-        jobs.finish_job(&hold, JobState::Failed, None, error).await.unwrap();
+        jobs.finish_job(&lease, JobState::Failed, None, error).await.unwrap();
         let failed = row(&jobs, &id).await;
         assert_eq!((failed.state, failed.progress), (JobState::Failed, 0.25));
         assert_eq!(failed.stage.as_deref(), Some("masks"));
@@ -906,11 +913,11 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_open_job_may_be_ended_whoever_has_it() {
+    async fn an_open_job_can_be_finished_without_its_lease() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
-        let hold = JobLease::of(&claim(&jobs).await);
+        let lease = JobLease::from_claimed_row(&claim(&jobs).await);
         let why = Some(("unknown", "nobody knows it"));
         for id in [&running, &waiting] {
             jobs.finish_open_job(id, JobState::Failed, why).await.unwrap();
@@ -919,12 +926,12 @@ mod tests {
                 (ended.state, ended.error_code.as_deref()),
                 (JobState::Failed, Some("unknown"))
             );
-            jobs.end_orphan(id).await.unwrap();
+            jobs.cancel_orphan_job(id).await.unwrap();
             assert_eq!(row(&jobs, id).await, ended, "it was over");
         }
-        assert_not_held(jobs.finish_job(&hold, JobState::Succeeded, None, None).await);
+        assert_not_held(jobs.finish_job(&lease, JobState::Succeeded, None, None).await);
         let orphan = insert_one(&jobs).await;
-        jobs.end_orphan(&orphan).await.unwrap();
+        jobs.cancel_orphan_job(&orphan).await.unwrap();
         let ended = row(&jobs, &orphan).await;
         assert_eq!((ended.state, &ended.error), (JobState::Cancelled, &None));
         // Of a job that is not there nothing comes.
@@ -932,7 +939,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn only_a_job_that_waits_is_cancelled_at_once() {
+    async fn only_queued_jobs_are_cancelled_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
@@ -948,7 +955,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn open_jobs_are_those_that_wait_or_run() {
+    async fn open_jobs_are_queued_or_running() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -981,37 +988,37 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_planned_stop_puts_a_job_back_and_is_no_attempt() {
+    async fn a_shutdown_requeues_a_job_without_counting_an_attempt() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = store(&folder).await.jobs;
         let id = insert_one(&jobs).await;
-        let hold = JobLease::of(&claim(&jobs).await);
-        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
-        let stranger = JobLease { holder: "somebody else".into(), ..hold.clone() };
+        let lease = JobLease::from_claimed_row(&claim(&jobs).await);
+        jobs.save_job_progress(&lease, "masks", 0.25).await.unwrap();
+        let stranger = JobLease { holder: "somebody else".into(), ..lease.clone() };
         assert_not_held(jobs.requeue_job(&stranger).await);
-        jobs.requeue_job(&hold).await.unwrap();
+        jobs.requeue_job(&lease).await.unwrap();
         let waiting = row(&jobs, &id).await;
         assert_eq!((waiting.state, waiting.attempts), (JobState::Queued, 0));
         assert_eq!((&waiting.started_at, &waiting.stage, waiting.progress), (&None, &None, 0.0));
-        assert_not_held(jobs.requeue_job(&hold).await);
+        assert_not_held(jobs.requeue_job(&lease).await);
         assert_eq!(row(&jobs, &id).await.attempts, 0, "put back once");
         assert_eq!(claim(&jobs).await.attempts, 1, "due at once");
     }
 
     #[tokio::test]
-    async fn a_failure_that_may_pass_puts_a_job_back_for_a_while() {
+    async fn a_transient_failure_requeues_a_job_with_a_delay() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
         let id = insert_one(jobs).await;
-        let hold = JobLease::of(&claim(jobs).await);
-        jobs.save_job_progress(&hold, "masks", 0.5).await.unwrap();
+        let lease = JobLease::from_claimed_row(&claim(jobs).await);
+        jobs.save_job_progress(&lease, "masks", 0.5).await.unwrap();
         let hour = Duration::from_hours(1);
-        let stranger = JobLease { holder: "somebody else".into(), ..hold.clone() };
+        let stranger = JobLease { holder: "somebody else".into(), ..lease.clone() };
         assert_not_held(jobs.requeue_job_after(&stranger, hour, 2, 0.5).await);
         let before = Timestamp::now();
-        jobs.requeue_job_after(&hold, hour, 2, 0.5).await.unwrap();
-        let (due_at, _) = due(&store, &id).await;
+        jobs.requeue_job_after(&lease, hour, 2, 0.5).await.unwrap();
+        let (due_at, _) = read_due(&store, &id).await;
         let latest = Timestamp::now().checked_add(hour).unwrap();
         assert!((before.checked_add(hour).unwrap()..=latest).contains(&due_at.unwrap()));
         let waiting = row(jobs, &id).await;
@@ -1019,54 +1026,54 @@ mod tests {
         assert_eq!((waiting.failures, waiting.furthest), (2, 0.5));
         assert_eq!((&waiting.started_at, &waiting.stage, waiting.progress), (&None, &None, 0.0));
         assert_eq!(jobs.claim_job(KIND).await.unwrap(), None, "not due yet");
-        assert_not_held(jobs.requeue_job_after(&hold, Duration::ZERO, 3, 0.5).await);
+        assert_not_held(jobs.requeue_job_after(&lease, Duration::ZERO, 3, 0.5).await);
         // Another attempt that got less far: the furthest stays.
-        set(&store, &id, "not_before = NULL").await;
-        let hold = JobLease::of(&claim(jobs).await);
-        jobs.requeue_job_after(&hold, Duration::ZERO, 3, 0.25).await.unwrap();
+        update_job_row(&store, &id, "not_before = NULL").await;
+        let lease = JobLease::from_claimed_row(&claim(jobs).await);
+        jobs.requeue_job_after(&lease, Duration::ZERO, 3, 0.25).await.unwrap();
         let waiting = row(jobs, &id).await;
         assert_eq!((waiting.failures, waiting.furthest), (3, 0.5));
         assert_eq!(claim(jobs).await.attempts, 3, "due at once");
     }
 
     #[tokio::test]
-    async fn a_hold_ends_when_the_job_is_given_to_somebody_else() {
+    async fn a_lease_is_lost_when_another_worker_claims_the_job() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
         insert_one(jobs).await;
-        let hold = JobLease::of(&claim(jobs).await);
-        let checked = async |hold: &JobLease| {
+        let lease = JobLease::from_claimed_row(&claim(jobs).await);
+        let checked = async |lease: &JobLease| {
             let mut tx = store.database.writer.begin().await.unwrap();
-            let checked = hold.check(&mut tx).await;
-            tx.forget().await.unwrap();
+            let checked = lease.check(&mut tx).await;
+            tx.rollback().await.unwrap();
             checked
         };
-        checked(&hold).await.unwrap();
-        assert_not_held(checked(&JobLease { job_id: "nobody's".into(), ..hold.clone() }).await);
+        checked(&lease).await.unwrap();
+        assert_not_held(checked(&JobLease { job_id: "nobody's".into(), ..lease.clone() }).await);
         assert_not_held(
-            checked(&JobLease { holder: "somebody else".into(), ..hold.clone() }).await,
+            checked(&JobLease { holder: "somebody else".into(), ..lease.clone() }).await,
         );
         jobs.enter_as_new_process().await.unwrap();
         jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
-        assert_not_held(checked(&hold).await);
-        let again = JobLease::of(&claim(jobs).await);
-        assert_not_held(checked(&hold).await);
+        assert_not_held(checked(&lease).await);
+        let again = JobLease::from_claimed_row(&claim(jobs).await);
+        assert_not_held(checked(&lease).await);
         checked(&again).await.unwrap();
         jobs.finish_job(&again, JobState::Succeeded, None, None).await.unwrap();
         assert_not_held(checked(&again).await);
     }
 
     #[tokio::test]
-    async fn jobs_of_members_that_are_gone_go_back_to_their_queue() {
+    async fn jobs_of_gone_members_are_requeued() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
         let left = insert_one(jobs).await;
         let other_kind = jobs.insert_job("s", &new("naming", None)).await.unwrap().id;
-        let hold = JobLease::of(&claim(jobs).await);
+        let lease = JobLease::from_claimed_row(&claim(jobs).await);
         jobs.claim_job("naming").await.unwrap().unwrap();
-        jobs.save_job_progress(&hold, "masks", 0.25).await.unwrap();
+        jobs.save_job_progress(&lease, "masks", 0.25).await.unwrap();
         jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
         assert_eq!(row(jobs, &left).await.state, JobState::Running, "its holder is there");
         jobs.enter_as_new_process().await.unwrap();
@@ -1076,18 +1083,18 @@ mod tests {
         assert_eq!((found.state, found.attempts), (JobState::Queued, 1));
         assert_eq!((&found.started_at, &found.stage, found.progress), (&None, &None, 0.0));
         assert_eq!(found.furthest, 0.25);
-        assert_eq!(due(&store, &left).await, (None, 1), "the first time at once");
-        assert_eq!(due(&store, &waiting).await, (None, 0), "it never ran");
+        assert_eq!(read_due(&store, &left).await, (None, 1), "the first time at once");
+        assert_eq!(read_due(&store, &waiting).await, (None, 0), "it never ran");
         assert_eq!(row(jobs, &other_kind).await.state, JobState::Running);
         // A job of before there were members has no holder.
-        let hold = JobLease::of(&claim(jobs).await);
-        set(&store, &hold.job_id, "holder = NULL").await;
+        let lease = JobLease::from_claimed_row(&claim(jobs).await);
+        update_job_row(&store, &lease.job_id, "holder = NULL").await;
         jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
-        assert_eq!(row(jobs, &hold.job_id).await.state, JobState::Queued);
+        assert_eq!(row(jobs, &lease.job_id).await.state, JobState::Queued);
     }
 
     #[tokio::test]
-    async fn a_job_that_was_to_stop_does_when_its_member_is_gone() {
+    async fn a_cancel_request_is_applied_when_the_member_is_gone() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let jobs = &store.jobs;
@@ -1104,26 +1111,26 @@ mod tests {
     }
 
     /// Claims the only job, lets it get so far, and lets its process end.
-    async fn interrupted(store: &Store, id: &str, progress: f32, recovery: JobRecovery) {
+    async fn interrupt_job(store: &Store, id: &str, progress: f32, recovery: JobRecovery) {
         let jobs = &store.jobs;
-        set(store, id, "not_before = NULL").await;
-        let hold = JobLease::of(&claim(jobs).await);
-        jobs.save_job_progress(&hold, "stage", progress).await.unwrap();
+        update_job_row(store, id, "not_before = NULL").await;
+        let lease = JobLease::from_claimed_row(&claim(jobs).await);
+        jobs.save_job_progress(&lease, "stage", progress).await.unwrap();
         jobs.enter_as_new_process().await.unwrap();
         jobs.recover_jobs(KIND, recovery).await.unwrap();
     }
 
     #[tokio::test]
-    async fn a_job_waits_twice_as_long_after_each_interruption_and_fails_in_the_end() {
+    async fn the_delay_doubles_with_each_interruption_until_the_job_fails() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
         // At once after the first; then 100 s, 200 s and 400 s; the fifth is one too many.
         for (times, waits_s) in [(1, None), (2, Some(100)), (3, Some(200)), (4, Some(400))] {
             let earliest = Timestamp::now();
-            interrupted(&store, &id, 0.0, RECOVERY).await;
+            interrupt_job(&store, &id, 0.0, RECOVERY).await;
             let latest = Timestamp::now();
-            let (due_at, interruptions) = due(&store, &id).await;
+            let (due_at, interruptions) = read_due(&store, &id).await;
             assert_eq!(interruptions, times);
             assert_eq!(due_at.is_some(), waits_s.is_some(), "{times} times");
             if let (Some(due_at), Some(wait_s)) = (due_at, waits_s) {
@@ -1132,7 +1139,7 @@ mod tests {
             }
             assert_eq!(row(&store.jobs, &id).await.state, JobState::Queued);
         }
-        interrupted(&store, &id, 0.0, RECOVERY).await;
+        interrupt_job(&store, &id, 0.0, RECOVERY).await;
         let failed = row(&store.jobs, &id).await;
         assert_eq!(
             (failed.state, failed.error_code.as_deref()),
@@ -1144,7 +1151,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn no_wait_after_an_interruption_is_longer_than_an_hour() {
+    async fn the_delay_after_an_interruption_is_at_most_an_hour() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
@@ -1152,15 +1159,15 @@ mod tests {
         // 50 minutes, then 100, which is too long.
         for minutes in [50, 60, 60] {
             let earliest = Timestamp::now();
-            interrupted(&store, &id, 0.0, recovery).await;
-            let due_at = due(&store, &id).await.0.unwrap();
+            interrupt_job(&store, &id, 0.0, recovery).await;
+            let due_at = read_due(&store, &id).await.0.unwrap();
             let begun = due_at.checked_sub(Duration::from_mins(minutes)).unwrap();
             assert!((earliest..=Timestamp::now()).contains(&begun), "{minutes} min: {due_at}");
         }
     }
 
     #[tokio::test]
-    async fn a_job_that_got_further_counts_its_interruptions_anew() {
+    async fn progress_resets_the_interruption_count() {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
@@ -1174,19 +1181,20 @@ mod tests {
             (0.5, 1, 0.5),
             (0.25, 2, 0.5),
         ] {
-            interrupted(&store, &id, progress, RECOVERY).await;
-            let found = (due(&store, &id).await.1, row(&store.jobs, &id).await.furthest as f32);
+            interrupt_job(&store, &id, progress, RECOVERY).await;
+            let found =
+                (read_due(&store, &id).await.1, row(&store.jobs, &id).await.furthest as f32);
             assert_eq!(found, (times, furthest), "at {progress}");
         }
     }
 
     #[test]
-    fn the_time_after_a_wait_is_that_much_later() {
+    fn time_after_adds_the_delay() {
         let before = Timestamp::now();
-        let later: Timestamp = after(Duration::from_secs(90)).parse().unwrap();
+        let later: Timestamp = time_after(Duration::from_secs(90)).parse().unwrap();
         let begun = later.checked_sub(Duration::from_secs(90)).unwrap();
         assert!((before..=Timestamp::now()).contains(&begun), "{later}");
-        let never: Timestamp = after(Duration::from_secs(1 << 60)).parse().unwrap();
+        let never: Timestamp = time_after(Duration::from_secs(1 << 60)).parse().unwrap();
         assert_eq!(never, Timestamp::MAX);
     }
 }

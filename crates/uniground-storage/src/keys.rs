@@ -1,6 +1,6 @@
 //! API keys, their spending, and the audit log.
 
-use super::database::{Database, number};
+use super::database::{Database, to_unsigned};
 use super::writer::Writer;
 use super::{StoreError, now};
 use sqlx::any::AnyRow;
@@ -39,9 +39,12 @@ impl FromRow<'_, AnyRow> for KeyRow {
             expires_at: row.try_get("expires_at")?,
             requests_per_minute: row
                 .try_get::<Option<i64>, _>("requests_per_minute")?
-                .map(number)
+                .map(to_unsigned)
                 .transpose()?,
-            max_scenes: row.try_get::<Option<i64>, _>("max_scenes")?.map(number).transpose()?,
+            max_scenes: row
+                .try_get::<Option<i64>, _>("max_scenes")?
+                .map(to_unsigned)
+                .transpose()?,
             daily_usd: row.try_get("daily_usd")?,
             created_at: row.try_get("created_at")?,
             last_used_at: row.try_get("last_used_at")?,
@@ -203,7 +206,7 @@ impl KeyRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn spent_by_key(&self, key_id: &str, day: &str) -> Result<f64, StoreError> {
+    pub async fn spending_of_key(&self, key_id: &str, day: &str) -> Result<f64, StoreError> {
         let usd: Option<f64> =
             sqlx::query_scalar("SELECT usd FROM key_spending WHERE key_id = $1 AND day = $2")
                 .bind(key_id)
@@ -217,10 +220,10 @@ impl KeyRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn scenes_of_key(&self, key_id: &str) -> Result<u32, StoreError> {
+    pub async fn count_scenes_of_key(&self, key_id: &str) -> Result<u32, StoreError> {
         let scenes =
             sqlx::query_scalar("SELECT count(*) FROM scenes WHERE key_id = $1").bind(key_id);
-        Ok(number(scenes.fetch_one(&self.database.reader).await?)?)
+        Ok(to_unsigned(scenes.fetch_one(&self.database.reader).await?)?)
     }
 
     /// Returns a writer of audit entries.
@@ -251,7 +254,7 @@ impl KeyRepository {
                 key_id: row.try_get("key_id")?,
                 method: row.try_get("method")?,
                 path: row.try_get("path")?,
-                status: number(row.try_get("status")?)?,
+                status: to_unsigned(row.try_get("status")?)?,
                 request_id: row.try_get("request_id")?,
             })
         };

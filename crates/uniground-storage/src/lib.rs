@@ -125,31 +125,31 @@ pub enum StoreError {
     #[error(
         "its rows are kept in {kept_in}, and this is for SQLite's file only: use {kept_in}'s own tools (a copy of the rows first, then of blobs/)"
     )]
-    OnlyOfSqlite { kept_in: &'static str },
+    RequiresSqlite { kept_in: &'static str },
     #[error("its scans and parses are kept in {kept_in}: say so with --blobs (or UNIGROUND_BLOBS)")]
     BlobsElsewhere { kept_in: String },
     #[error(
         "its scans and parses are kept in {kept_in}, and this is for those in a data folder only: use the object store's own versions or replication, and \
          the database's own backups (a copy of the rows first)"
     )]
-    OnlyOfFolder { kept_in: String },
+    RequiresLocalFiles { kept_in: String },
     #[error(
         "this data folder holds scans and parses of its own: with an object store (--blobs) use an empty folder, which caches copies"
     )]
-    BlobsHere,
+    FolderHasOwnBlobs,
     #[error(
         "this data folder, database and object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
     )]
-    NotTogether,
+    StoresDoNotMatch,
     #[error(
         "a migration to this folder is unfinished: run the same `uniground migrate` again, or choose another folder"
     )]
-    HalfMoved,
+    UnfinishedMigration,
     #[error("this database is in use by another server and cannot be opened exclusively")]
     DatabaseInUse,
     /// The lease of this job has passed to another worker.
     #[error("the lease of this job was lost, and another worker has it")]
-    NotHeld,
+    LeaseLost,
     #[error("vectors cannot be stored (--vectors pgvector): {why}")]
     NoVectors { why: String },
     #[error("another server uses this data folder")]
@@ -157,14 +157,14 @@ pub enum StoreError {
     #[error(
         "it holds other files ({found}) and is not a data folder of uniground: choose an empty folder"
     )]
-    NotOurs { found: String },
+    HoldsOtherFiles { found: String },
     #[error("{folder} is not a data folder of uniground")]
     NoDataFolder { folder: Utf8PathBuf },
     #[error("a stored record could not be read")]
     Record(#[from] serde_json::Error),
     /// The one error of several writes that were made in one transaction.
     #[error(transparent)]
-    Together(Arc<StoreError>),
+    Shared(Arc<StoreError>),
 }
 
 impl StoreError {
@@ -178,10 +178,10 @@ impl StoreError {
             | Self::Migration(
                 MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _),
             ) => {
-                matches!(code(error).as_deref(), Some("13" | "4874" | "53100"))
+                matches!(database_error_code(error).as_deref(), Some("13" | "4874" | "53100"))
             }
             Self::Blobs(error) => is_disk_full(error),
-            Self::Together(error) => error.is_full(),
+            Self::Shared(error) => error.is_full(),
             _ => false,
         }
     }
@@ -197,14 +197,16 @@ impl StoreError {
                 | sqlx::Error::Io(_)
                 | sqlx::Error::WorkerCrashed,
             ) => true,
-            Self::Database(error) => code(error).is_some_and(|code| match code.parse::<i32>() {
-                // SQLITE_BUSY and SQLITE_LOCKED, with any extended code.
-                Ok(number) if code.len() < 5 => matches!(number & 0xff, 5 | 6),
-                // PostgreSQL's classes: connection exception, transaction rollback, insufficient
-                // resources, operator intervention.
-                _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
-            }),
-            Self::Together(error) => error.is_busy(),
+            Self::Database(error) => {
+                database_error_code(error).is_some_and(|code| match code.parse::<i32>() {
+                    // SQLITE_BUSY and SQLITE_LOCKED, with any extended code.
+                    Ok(number) if code.len() < 5 => matches!(number & 0xff, 5 | 6),
+                    // PostgreSQL's classes: connection exception, transaction rollback, insufficient
+                    // resources, operator intervention.
+                    _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
+                })
+            }
+            Self::Shared(error) => error.is_busy(),
             _ => false,
         }
     }
@@ -215,11 +217,11 @@ impl StoreError {
         match self {
             // SQLITE_CORRUPT and SQLITE_NOTADB, with any extended code; SQLITE_IOERR_SHORT_READ.
             // PostgreSQL's codes have five characters.
-            Self::Database(error) => code(error).is_some_and(|code| {
+            Self::Database(error) => database_error_code(error).is_some_and(|code| {
                 let number = code.parse::<i32>().ok().filter(|_| code.len() < 5);
                 number.is_some_and(|number| matches!(number & 0xff, 11 | 26) || number == 522)
             }),
-            Self::Together(error) => error.is_damaged(),
+            Self::Shared(error) => error.is_damaged(),
             _ => false,
         }
     }
@@ -229,14 +231,14 @@ impl StoreError {
     pub fn is_object_store_unavailable(&self) -> bool {
         match self {
             Self::Blobs(error) => ObjectStoreUnavailable::is_behind(error),
-            Self::Together(error) => error.is_object_store_unavailable(),
+            Self::Shared(error) => error.is_object_store_unavailable(),
             _ => false,
         }
     }
 }
 
 /// Returns the error code of SQLite or PostgreSQL.
-fn code(error: &sqlx::Error) -> Option<String> {
+fn database_error_code(error: &sqlx::Error) -> Option<String> {
     Some(error.as_database_error()?.code()?.into_owned())
 }
 
@@ -322,8 +324,8 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, FileAccess::Used),
-            StoreAccess::Welcome,
+            (home, FileAccess::ReadWrite),
+            StoreAccess::Shared,
             LeftoverPolicy::Clear { lease },
         )
         .await
@@ -334,7 +336,7 @@ impl Store {
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_beside(
+    pub async fn open_alongside_server(
         data_dir: &Utf8Path,
         location: &Location,
         home: &BlobHome,
@@ -342,8 +344,8 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, FileAccess::Untouched),
-            StoreAccess::Welcome,
+            (home, FileAccess::RowsOnly),
+            StoreAccess::Shared,
             LeftoverPolicy::Keep,
         )
         .await
@@ -353,7 +355,7 @@ impl Store {
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_as_it_is(
+    pub async fn open_without_recovery(
         data_dir: &Utf8Path,
         location: &Location,
         home: &BlobHome,
@@ -361,8 +363,8 @@ impl Store {
         Self::open_for(
             data_dir,
             location,
-            (home, FileAccess::Used),
-            StoreAccess::None,
+            (home, FileAccess::ReadWrite),
+            StoreAccess::Exclusive,
             LeftoverPolicy::Keep,
         )
         .await
@@ -373,12 +375,12 @@ impl Store {
         data_dir: &Utf8Path,
         location: &Location,
         used: (&BlobHome, FileAccess),
-        company: StoreAccess,
+        access: StoreAccess,
         leftovers: LeftoverPolicy,
     ) -> Result<Self, StoreError> {
-        match Self::try_to_open(data_dir, location, used, company, leftovers).await {
+        match Self::try_to_open(data_dir, location, used, access, leftovers).await {
             Err(error) if reserve::make_room_to_open(data_dir, &error) => {
-                Self::try_to_open(data_dir, location, used, company, leftovers).await
+                Self::try_to_open(data_dir, location, used, access, leftovers).await
             }
             opened => opened,
         }
@@ -388,20 +390,20 @@ impl Store {
         data_dir: &Utf8Path,
         location: &Location,
         (home, files): (&BlobHome, FileAccess),
-        company: StoreAccess,
+        access: StoreAccess,
         leftovers: LeftoverPolicy,
     ) -> Result<Self, StoreError> {
         let lease = if let LeftoverPolicy::Clear { lease } = leftovers { lease } else { LEASE };
         let engine = location.engine()?;
-        DataFolder::goes_with(data_dir, engine)?;
+        DataFolder::check_engine(data_dir, engine)?;
         // Mark the folder as belonging to a server's database only once that database was reached.
-        let members = ClusterMembership::join(location, company, lease).await?;
+        let members = ClusterMembership::join(location, access, lease).await?;
         let server = match location {
             Location::Postgres(url) => Some(url.clone()),
             _ => None,
         };
         let connected = match &server {
-            Some(url) => Some(Connections::to_server(url).await?),
+            Some(url) => Some(Connections::connect_to_server(url).await?),
             None => None,
         };
         let (path, home) = (data_dir.to_owned(), home.clone());
@@ -413,7 +415,7 @@ impl Store {
         let (folder, blobs) = opened.await.map_err(io::Error::other)??;
         let connections = match connected {
             Some(connections) => connections,
-            None => Connections::to_file(&folder.database()).await?,
+            None => Connections::open_file(&folder.database()).await?,
         };
         let (reader, writer) = (connections.reader.clone(), connections.writer.clone());
         let opened = async {
@@ -441,10 +443,10 @@ impl Store {
         {
             self.recovery.recover().await;
         }
-        self.database.members.let_others_in().await
+        self.database.members.release_exclusive_access().await
     }
 
-    /// As [`open_as_it_is`](Self::open_as_it_is), but requires an existing store.
+    /// As [`open_without_recovery`](Self::open_without_recovery), but requires an existing store.
     ///
     /// # Errors
     /// As [`open`](Self::open); [`StoreError::NoDataFolder`].
@@ -453,8 +455,8 @@ impl Store {
         location: &Location,
         home: &BlobHome,
     ) -> Result<Self, StoreError> {
-        DataFolder::identity(data_dir)?;
-        Self::open_as_it_is(data_dir, location, home).await
+        DataFolder::read_identity(data_dir)?;
+        Self::open_without_recovery(data_dir, location, home).await
     }
 
     /// Creates a store over a database and updates its schema.
@@ -476,14 +478,14 @@ impl Store {
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let ids = IdGenerator::after(newest.as_deref());
         let database = Arc::new(Database { reader, writer, engine, ids, members, server });
-        let store = Self::over(database, folder, blobs);
-        store.introduce().await?;
+        let store = Self::from_database(database, folder, blobs);
+        store.store_identity().await?;
         store.database.members.enter(&store.database.writer).await?;
         Ok(store)
     }
 
     /// Creates the repositories over one database.
-    fn over(database: Arc<Database>, folder: DataFolder, blobs: Blobs) -> Self {
+    fn from_database(database: Arc<Database>, folder: DataFolder, blobs: Blobs) -> Self {
         let answers = AnswerRepository {
             database: database.clone(),
             queue: AnswerQueue::start(database.writer.clone()),
@@ -565,7 +567,7 @@ impl Store {
     /// Ties the database to its file storage (the data folder, or an object store), by id. Files
     /// older than that tie are exempt from cleanup by a database that is new here or came from
     /// another folder.
-    async fn introduce(&self) -> Result<(), StoreError> {
+    async fn store_identity(&self) -> Result<(), StoreError> {
         let known: Option<String> = sqlx::query_scalar("SELECT id FROM data_folder")
             .fetch_optional(&self.database.reader)
             .await?;
@@ -576,9 +578,9 @@ impl Store {
         // A SQLite file lies in its own folder. A server's database can be combined with any folder
         // by mistake: if the two do not know each other, one of them is wrong.
         if self.database.engine == Engine::Postgres
-            && (known.is_some() || self.blobs.hold_scans().await?)
+            && (known.is_some() || self.blobs.has_scans().await?)
         {
-            return Err(StoreError::NotTogether);
+            return Err(StoreError::StoresDoNotMatch);
         }
         let mut tx = self.database.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
@@ -604,7 +606,11 @@ impl Store {
 /// Truncates rows to one page, given up to `limit + 1` rows. Returns the page and, if there are
 /// more rows, the id to continue after.
 #[must_use]
-pub fn page<T>(mut rows: Vec<T>, limit: u32, id: impl Fn(&T) -> &str) -> (Vec<T>, Option<String>) {
+pub fn split_page<T>(
+    mut rows: Vec<T>,
+    limit: u32,
+    id: impl Fn(&T) -> &str,
+) -> (Vec<T>, Option<String>) {
     let more = rows.len() > limit as usize;
     rows.truncate(limit as usize);
     let next_cursor = rows.last().filter(|_| more).map(|row| id(row).to_owned());

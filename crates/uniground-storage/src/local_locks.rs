@@ -14,16 +14,16 @@ pub(super) struct LocalLocks(Arc<std::sync::Mutex<HashMap<String, Weak<Mutex<()>
 
 impl LocalLocks {
     /// Waits for the lock of this name.
-    pub async fn at(&self, name: &str) -> LocalLock {
-        self.lock_of(name).lock_owned().await
+    pub async fn lock(&self, name: &str) -> LocalLock {
+        self.mutex_of(name).lock_owned().await
     }
 
     /// Takes the lock of this name, if it is free.
-    pub fn try_at(&self, name: &str) -> Option<LocalLock> {
-        self.lock_of(name).try_lock_owned().ok()
+    pub fn try_lock(&self, name: &str) -> Option<LocalLock> {
+        self.mutex_of(name).try_lock_owned().ok()
     }
 
-    fn lock_of(&self, name: &str) -> Arc<Mutex<()>> {
+    fn mutex_of(&self, name: &str) -> Arc<Mutex<()>> {
         let mut locks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         locks.retain(|_, lock| lock.strong_count() > 0);
         let lock = locks.get(name).and_then(Weak::upgrade).unwrap_or_default();

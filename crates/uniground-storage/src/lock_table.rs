@@ -15,7 +15,7 @@ impl LockTable {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn lock(&self, name: &str) -> Result<NamedLock, StoreError> {
-        self.members.turn(name).await
+        self.members.lock(name).await
     }
 
     /// Takes a lock, if it is free.
@@ -23,7 +23,7 @@ impl LockTable {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn try_lock(&self, name: &str) -> Result<Option<NamedLock>, StoreError> {
-        self.members.try_turn(name).await
+        self.members.try_lock(name).await
     }
 
     /// Returns whether other processes may use the same database.

@@ -10,11 +10,11 @@ use std::sync::Arc;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum DbNotification {
     /// A job of this kind was queued.
-    JobWaits { kind: String },
+    JobQueued { kind: String },
     /// A key was created or revoked.
     KeysChanged,
     /// The connection was interrupted: notifications may have been lost.
-    Missed,
+    ConnectionLost,
 }
 
 const JOBS: &str = "uniground_job";
@@ -49,9 +49,11 @@ impl NotificationListener {
     /// [`StoreError::Database`]: the database stays unavailable.
     pub async fn next(&mut self) -> Result<DbNotification, StoreError> {
         // `None` means that the connection was lost. The next call reconnects.
-        let Some(told) = self.0.try_recv().await? else { return Ok(DbNotification::Missed) };
-        Ok(match told.channel() {
-            JOBS => DbNotification::JobWaits { kind: told.payload().to_owned() },
+        let Some(notification) = self.0.try_recv().await? else {
+            return Ok(DbNotification::ConnectionLost);
+        };
+        Ok(match notification.channel() {
+            JOBS => DbNotification::JobQueued { kind: notification.payload().to_owned() },
             _ => DbNotification::KeysChanged,
         })
     }

@@ -57,11 +57,13 @@ impl OrphanRepository {
         let mut unknown: Vec<(&'static str, String)> = Vec::new();
         for kind in KINDS {
             let names = self.blobs.names(kind)?;
-            unknown.extend(self.unknown(kind, names).await?.into_iter().map(|name| (kind, name)));
+            unknown.extend(
+                self.find_unreferenced(kind, names).await?.into_iter().map(|name| (kind, name)),
+            );
         }
         let mut orphan_folders = OrphanFolders::default();
         for (kind, name) in unknown {
-            let made = match fs::metadata(self.blobs.place(kind, &name)) {
+            let made = match fs::metadata(self.blobs.folder_path(kind, &name)) {
                 // Another process removed it meanwhile.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
                 made => made?.modified()?,
@@ -91,7 +93,7 @@ impl OrphanRepository {
     }
 
     /// Returns the names of those folders of a kind that no row refers to.
-    pub(super) async fn unknown(
+    pub(super) async fn find_unreferenced(
         &self,
         kind: &str,
         names: Vec<String>,
@@ -100,7 +102,7 @@ impl OrphanRepository {
             "contents" | "checkpoints" => ("contents", "hash"),
             kind => (kind, "id"),
         };
-        let here = self.database.engine.values_of("$1");
+        let here = self.database.engine.json_texts("$1");
         let sql = format!(
             "SELECT value FROM {here} AS here WHERE NOT EXISTS (SELECT 1 FROM {table} WHERE {key} = value)"
         );
@@ -122,15 +124,15 @@ impl OrphanRepository {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn sweep(&self, settled: Duration) -> Result<(u64, u64), StoreError> {
+    pub async fn collect_orphans(&self, settled: Duration) -> Result<(u64, u64), StoreError> {
         let OrphanFolders { unclaimed, unjudged } = self.orphan_folders(settled).await?;
-        if self.blobs.are_copies() {
+        if self.blobs.is_cache() {
             let places = unclaimed
                 .iter()
                 .chain(&unjudged)
-                .map(|(kind, name)| self.blobs.place(kind, name))
+                .map(|(kind, name)| self.blobs.folder_path(kind, name))
                 .collect();
-            self.blobs.remove_later(self.blobs.forget_copies(places).await?);
+            self.blobs.remove_later(self.blobs.evict_copies(places).await?);
             return self.empty_quarantine().await;
         }
         if !unjudged.is_empty() {
@@ -166,7 +168,7 @@ impl OrphanRepository {
         for content in contents {
             let hash = content.file_name().unwrap_or_default().to_owned();
             for taken in self.blobs.set_aside(vec![content.clone()]).await? {
-                match self.unknown("contents", vec![hash.clone()]).await {
+                match self.find_unreferenced("contents", vec![hash.clone()]).await {
                     Ok(unknown) if !unknown.is_empty() => aside.push(taken),
                     // If the rows cannot be read, the folder is left to orphan collection.
                     claimed => {
@@ -195,13 +197,13 @@ impl OrphanRepository {
         let today = self.folder.path().join("quarantine").join(&now()[..10]);
         for (kind, name) in folders {
             fs::create_dir_all(today.join(kind))?;
-            let (from, to) = (self.blobs.place(kind, &name), today.join(kind).join(&name));
+            let (from, to) = (self.blobs.folder_path(kind, &name), today.join(kind).join(&name));
             if to.exists() {
                 // The same folder twice in a day: the first one stays.
                 remove_tree(&from, self.blobs.tmp())?;
             } else {
                 fs::rename(&from, &to)?;
-                if self.unknown(kind, vec![name.clone()]).await?.is_empty() {
+                if self.find_unreferenced(kind, vec![name.clone()]).await?.is_empty() {
                     tracing::warn!(kind, name, "folder is referenced again; keeping it");
                     fs::rename(&to, &from)
                         .or_else(|error| if from.exists() { Ok(()) } else { Err(error) })?;
@@ -246,7 +248,7 @@ mod tests {
 
     /// A process that hung between rows and folders finds that others have used the folder again.
     #[tokio::test]
-    async fn what_has_a_row_again_is_put_back() {
+    async fn quarantined_folders_with_a_row_are_put_back() {
         let folder = tempfile::tempdir().unwrap();
         let data = Utf8Path::from_path(folder.path()).unwrap();
         let store = Store::open(data, &Location::Folder, &BlobHome::Folder).await.unwrap();

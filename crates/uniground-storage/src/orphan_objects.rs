@@ -4,7 +4,7 @@
 //! finish within half of that period, and fails after it.
 
 use super::blobs::KINDS;
-use super::blobs::objects::{FolderName, FoundFolder, Seal, edition_of};
+use super::blobs::objects::{FolderName, FoundFolder, Seal, parse_edition};
 use super::orphan_folders::OrphanRule;
 use super::{OrphanRepository, StoreError};
 use std::time::SystemTime;
@@ -44,7 +44,7 @@ impl OrphanRepository {
         };
         for kind in KINDS {
             let mut found = objects.folders(kind).await?;
-            for name in self.unknown(kind, found.keys().cloned().collect()).await? {
+            for name in self.find_unreferenced(kind, found.keys().cloned().collect()).await? {
                 if let Some(found) = found.remove(&name).filter(|found| is_judged(found.newest())) {
                     orphan_objects.push(OrphanObject {
                         folder: FolderName { kind, name },
@@ -61,7 +61,7 @@ impl OrphanRepository {
                 let folder = FolderName { kind, name };
                 let Some(seal) = objects.seal(&folder).await? else { continue };
                 let others = found.editions.iter().filter(|(edition, put)| {
-                    edition_of(&seal.text) != Some(edition) && is_judged(**put)
+                    parse_edition(&seal.text) != Some(edition) && is_judged(**put)
                 });
                 let others: Vec<String> = others.map(|(edition, _)| edition.clone()).collect();
                 orphan_objects.extend(others.into_iter().map(|edition| OrphanObject {
@@ -85,14 +85,14 @@ impl OrphanRepository {
     ) -> Result<bool, StoreError> {
         let Some(objects) = self.blobs.objects() else { return Ok(false) };
         if let Some(edition) = edition {
-            objects.nobodys(folder, edition).remove().await?;
+            objects.unsealed_edition(folder, edition).remove().await?;
             return Ok(true);
         }
-        if self.unknown(folder.kind, vec![folder.name.clone()]).await?.is_empty() {
+        if self.find_unreferenced(folder.kind, vec![folder.name.clone()]).await?.is_empty() {
             return Ok(false);
         }
         if folder.kind == "checkpoints" {
-            objects.loose_stages(&folder.name).remove().await?;
+            objects.unsealed_checkpoints(&folder.name).remove().await?;
             return Ok(true);
         }
         // Another process may have published it again since it was found.
@@ -102,7 +102,7 @@ impl OrphanRepository {
         }
         drop(objects.unseal(folder).await?);
         for edition in found.editions.keys() {
-            objects.nobodys(folder, edition).remove().await?;
+            objects.unsealed_edition(folder, edition).remove().await?;
         }
         Ok(true)
     }

@@ -1,6 +1,6 @@
 //! Finished parses and their instances.
 
-use super::database::{Database, number};
+use super::database::{Database, to_unsigned};
 use super::growth::ContinuedParse;
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
 use super::{JobLease, SceneRow, StoreError, now};
@@ -76,7 +76,7 @@ pub struct NewParse<'a> {
     /// For a scene that has grown: what it takes over from the previous parse.
     pub continued: Option<ContinuedParse<'a>>,
     /// The lease of the job that made it.
-    pub hold: &'a JobLease,
+    pub lease: &'a JobLease,
 }
 
 /// Repository of parses and their instances.
@@ -91,7 +91,7 @@ impl ParseRepository {
     /// last scene was deleted meanwhile.
     ///
     /// # Errors
-    /// [`StoreError`]; [`StoreError::NotHeld`] if the lease of its job has passed to another
+    /// [`StoreError`]; [`StoreError::LeaseLost`] if the lease of its job has passed to another
     /// worker.
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
         let NewParse {
@@ -105,10 +105,10 @@ impl ParseRepository {
             extent,
             instances,
             continued,
-            hold,
+            lease,
         } = &parse;
         let mut tx = self.database.writer.begin().await?;
-        hold.check(&mut tx).await?;
+        lease.check(&mut tx).await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
                                  record_version)
@@ -127,7 +127,7 @@ impl ParseRepository {
         .execute(&mut *tx)
         .await?;
         if inserted.rows_affected() == 0 {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(false);
         }
         for instance in *instances {
@@ -166,7 +166,7 @@ impl ParseRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn parse_of(
+    pub async fn find_parse(
         &self,
         content_hash: &str,
         settings_hash: &str,
@@ -227,14 +227,14 @@ impl ParseRepository {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn insert_found(
+    pub async fn insert_pointed_instance(
         &self,
         parse_id: &str,
         found: &Instance,
         most: usize,
     ) -> Result<Option<InstanceId>, StoreError> {
         let mut tx = self.database.writer.begin().await?;
-        let is_found = self.database.engine.has_field("body", "found_for");
+        let is_found = self.database.engine.json_has_field("body", "found_for");
         let before =
             format!("SELECT body FROM instances WHERE parse_id = $1 AND {is_found} ORDER BY id");
         let before: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(before))
@@ -247,11 +247,11 @@ impl ParseRepository {
             .collect::<Result<_, StoreError>>()?;
         let last = "SELECT max(id) FROM instances WHERE parse_id = $1 AND EXISTS (SELECT 1 FROM scenes WHERE parse_id = $1)";
         let last: Option<i64> = sqlx::query_scalar(last).bind(parse_id).fetch_one(&mut *tx).await?;
-        let last: Option<u32> = last.map(number).transpose()?;
+        let last: Option<u32> = last.map(to_unsigned).transpose()?;
         let (known, full) = (known_as(&before, found).map(|known| known.id), before.len() >= most);
         let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full)
         else {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(known);
         };
         insert_instance(&mut tx, parse_id, &Instance { id, ..found.clone() }).await?;

@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_parse_of_a_stranger_version_is_read_as_far_as_it_goes() {
+    fn a_parse_of_another_version_is_read_as_far_as_possible() {
         let record = ParseRecord::read(
             r#"{"parsing": {"superpoints": {"voxel_m": 0.07, "colour_of_the_sky": 3}, "wholes": {"enabled": false}, "depth_tolerance": "loose"}}"#,
             r#"{"masks": "rgbd-9", "vlm": "x"}"#,

@@ -33,44 +33,52 @@ impl Recovery {
     /// unused rows, orphan folders and unfinished uploads. Returns the error of a step that failed
     /// because the disk is full.
     pub(super) async fn recover(&self) -> Option<StoreError> {
-        let interrupted = self.end_interrupted_work().await;
+        let interrupted = self.finish_interrupted_work().await;
         if !self.database.members.was_alone {
             return interrupted;
         }
         let steps = [
             interrupted,
-            logged("remove unused parses and scans", self.remove_unused_rows().await),
-            logged(
+            log_failure("remove unused parses and scans", self.remove_unused_rows().await),
+            log_failure(
                 "move unreferenced folders to the quarantine",
-                self.orphans.sweep(Duration::ZERO).await,
+                self.orphans.collect_orphans(Duration::ZERO).await,
             ),
-            logged("remove files of unfinished uploads", self.uploads.remove_stray_uploads().await),
-            logged("remove temporary files", self.remove_temporary(Duration::ZERO)),
+            log_failure(
+                "remove files of unfinished uploads",
+                self.uploads.remove_stray_uploads().await,
+            ),
+            log_failure("remove temporary files", self.remove_temporary(Duration::ZERO)),
         ];
         steps.into_iter().flatten().next()
     }
 
     /// Clears what crashed processes left, while this process and others use the store.
-    pub async fn recover_beside_others(&self) {
-        self.end_interrupted_work().await;
-        logged("remove files of unfinished uploads", self.uploads.remove_stray_uploads().await);
-        logged("remove temporary files", self.remove_temporary(IN_USE));
+    pub async fn recover_while_shared(&self) {
+        self.finish_interrupted_work().await;
+        log_failure(
+            "remove files of unfinished uploads",
+            self.uploads.remove_stray_uploads().await,
+        );
+        log_failure("remove temporary files", self.remove_temporary(IN_USE));
     }
 
     /// Ends interrupted work of crashed processes: batches being received, and money reserved for
     /// model calls.
-    async fn end_interrupted_work(&self) -> Option<StoreError> {
-        let received = logged(
+    async fn finish_interrupted_work(&self) -> Option<StoreError> {
+        let received = log_failure(
             "remove batches that were not received completely",
-            self.batches.forget_half_received_batches().await,
+            self.batches.delete_unsubmitted_batches().await,
         );
-        let settled =
-            logged("settle reserved spending", self.spending.settle_what_was_left().await);
+        let settled = log_failure(
+            "settle reserved spending",
+            self.spending.settle_abandoned_reservations().await,
+        );
         received.or(settled)
     }
 
     fn remove_temporary(&self, age: Duration) -> Result<(), StoreError> {
-        let left_behind = self.blobs.left_behind(age)?;
+        let left_behind = self.blobs.list_leftovers(age)?;
         self.blobs.remove_later(left_behind);
         Ok(())
     }
@@ -98,7 +106,7 @@ impl Recovery {
 
 /// Logs the error of a step. Returns it if the disk is full: the step may succeed once there is
 /// space.
-fn logged<T>(step: &'static str, outcome: Result<T, StoreError>) -> Option<StoreError> {
+fn log_failure<T>(step: &'static str, outcome: Result<T, StoreError>) -> Option<StoreError> {
     let error = outcome.err()?;
     tracing::error!(
         step,

@@ -170,7 +170,7 @@ mod tests {
 
     /// A running server leaves a part to the next start, which may need it as well.
     #[test]
-    fn a_running_server_leaves_a_part_of_the_reserve_to_the_next_start() {
+    fn a_running_server_releases_only_a_part_of_the_reserve() {
         let place = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(place.path()).unwrap();
         assert!(!release_half(folder));
@@ -188,13 +188,13 @@ mod tests {
 
     /// Errors other than a full disk release nothing.
     #[test]
-    fn other_troubles_release_nothing() {
+    fn only_a_full_disk_releases_the_reserve() {
         let place = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(place.path()).unwrap();
         write(folder).unwrap();
         for error in [
             StoreError::InUse,
-            StoreError::HalfMoved,
+            StoreError::UnfinishedMigration,
             StoreError::Blobs(io::ErrorKind::PermissionDenied.into()),
         ] {
             assert!(!make_room_to_open(folder, &error), "{error}");

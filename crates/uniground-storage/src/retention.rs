@@ -143,7 +143,7 @@ impl RetentionRepository {
         if aged == RetentionKind::Batches {
             return self.remove_batches(before, &ids, condition).await;
         }
-        let among = self.database.engine.values_of("$3");
+        let among = self.database.engine.json_texts("$3");
         let sql =
             format!("DELETE FROM {table} WHERE {condition} AND {key} IN {among} RETURNING {key}");
         let removed =
@@ -159,7 +159,7 @@ impl RetentionRepository {
         ids: &str,
         condition: &str,
     ) -> Result<Vec<String>, StoreError> {
-        let among = self.database.engine.values_of("$3");
+        let among = self.database.engine.json_texts("$3");
         let hide = format!(
             "UPDATE batches SET state = 'receiving', key = NULL
              WHERE {condition} AND id IN {among} RETURNING id"

@@ -34,7 +34,7 @@ pub struct RoomMatch {
 }
 
 /// Rows per INSERT statement.
-const TOGETHER: usize = 50;
+const ROWS_PER_STATEMENT: usize = 50;
 
 /// Repository of the room index: words and vectors.
 #[derive(Clone)]
@@ -68,14 +68,14 @@ impl RoomIndexRepository {
         let is_there =
             sqlx::query(sql).bind(&room.parse_id).bind(room.changes).execute(&mut *tx).await?;
         if is_there.rows_affected() == 0 {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(());
         }
         sqlx::query("DELETE FROM room_entries WHERE parse_id = $1")
             .bind(&room.parse_id)
             .execute(&mut *tx)
             .await?;
-        for entries in entries.chunks(TOGETHER) {
+        for entries in entries.chunks(ROWS_PER_STATEMENT) {
             let row =
                 |at: usize| format!("($1, ${}, ${}, ${})", 3 * at + 2, 3 * at + 3, 3 * at + 4);
             let rows: Vec<String> = (0..entries.len()).map(row).collect();
@@ -92,7 +92,7 @@ impl RoomIndexRepository {
             query.execute(&mut *tx).await?;
         }
         let names: BTreeSet<&str> = entries.iter().map(|entry| entry.name.as_str()).collect();
-        let values = self.database.engine.values_of("$1");
+        let values = self.database.engine.json_texts("$1");
         let sql = format!(
             "INSERT INTO room_names (name) SELECT value FROM {values} AS names WHERE true ON CONFLICT DO NOTHING"
         );
@@ -125,9 +125,9 @@ impl RoomIndexRepository {
         labels: &Labels,
         most: u32,
     ) -> Result<Vec<RoomMatch>, StoreError> {
-        let is_meant = self.is_meant("$3");
+        let has_labels = self.labels_condition("$3");
         let sql = format!(
-            "SELECT parse_id, colour, weight FROM room_entries AS entry WHERE name = $1 AND ($2 IS NULL OR colour = $2) AND {is_meant}
+            "SELECT parse_id, colour, weight FROM room_entries AS entry WHERE name = $1 AND ($2 IS NULL OR colour = $2) AND {has_labels}
              ORDER BY weight DESC, parse_id DESC LIMIT $4"
         );
         let query = sqlx::query_as(AssertSqlSafe(sql))
@@ -143,8 +143,8 @@ impl RoomIndexRepository {
     }
 
     /// A condition: the parse of `entry` belongs to a scene with these labels.
-    pub(super) fn is_meant(&self, labels: &str) -> String {
-        let is_filed_so = self.database.engine.contains("scenes.labels", labels);
+    pub(super) fn labels_condition(&self, labels: &str) -> String {
+        let is_filed_so = self.database.engine.json_contains("scenes.labels", labels);
         format!(
             "EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = entry.parse_id AND {is_filed_so})"
         )
@@ -162,8 +162,8 @@ impl RoomIndexRepository {
         most_of_one: u32,
     ) -> Result<Vec<(i64, SceneRow)>, StoreError> {
         let (among, is_filed_so) = (
-            self.database.engine.values_of("$1"),
-            self.database.engine.contains("scenes.labels", "$2"),
+            self.database.engine.json_texts("$1"),
+            self.database.engine.json_contains("scenes.labels", "$2"),
         );
         let sql = format!(
             "SELECT * FROM (SELECT scenes.*, row_number() OVER (PARTITION BY parse_id ORDER BY id DESC) AS place FROM scenes
@@ -180,7 +180,7 @@ impl RoomIndexRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn forget_unused_names(&self) -> Result<(), StoreError> {
+    pub async fn delete_unused_names(&self) -> Result<(), StoreError> {
         let mut tx = self.database.writer.begin().await?;
         sqlx::query("DELETE FROM room_names WHERE NOT EXISTS (SELECT 1 FROM room_entries WHERE room_entries.name = room_names.name)")
             .execute(&mut *tx)

@@ -84,7 +84,7 @@ pub struct NewSceneRow<'a> {
 pub enum InsertOutcome {
     New(SceneRow, Option<Box<JobRow>>),
     /// The scene that was created earlier under the same key.
-    MadeBefore(SceneRow),
+    AlreadyExists(SceneRow),
     /// The key was used for another request.
     KeyReused,
 }
@@ -93,12 +93,12 @@ impl InsertedJob for InsertOutcome {
     fn inserted_job(&self) -> Option<&JobRow> {
         match self {
             Self::New(_, job) => job.as_deref(),
-            Self::MadeBefore(_) | Self::KeyReused => None,
+            Self::AlreadyExists(_) | Self::KeyReused => None,
         }
     }
 }
 
-pub(super) async fn made_by_key(
+pub(super) async fn scene_of_key(
     connection: &mut AnyConnection,
     key: &str,
 ) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
@@ -125,13 +125,13 @@ impl SceneRepository {
         let time = now();
         let mut tx = self.database.writer.begin().await?;
         if let Some((key, request)) = key
-            && let Some((scene, before)) = made_by_key(&mut tx, key).await?
+            && let Some((scene, before)) = scene_of_key(&mut tx, key).await?
         {
-            tx.forget().await?;
+            tx.rollback().await?;
             // Old servers did not store the request: accept the key.
             let same = before.is_none_or(|before| before == request);
             return Ok(if same {
-                InsertOutcome::MadeBefore(scene)
+                InsertOutcome::AlreadyExists(scene)
             } else {
                 InsertOutcome::KeyReused
             });
@@ -156,7 +156,7 @@ impl SceneRepository {
             sqlx::query(sql).bind(key).bind(id).bind(&time).bind(request).execute(&mut *tx).await?;
         }
         let job = match job {
-            Some(job) => Some(add_job(&mut tx, id, &self.database.new_id(), job).await?),
+            Some(job) => Some(insert_queued_job(&mut tx, id, &self.database.new_id(), job).await?),
             None => None,
         };
         let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1")
@@ -183,10 +183,10 @@ impl SceneRepository {
             .fetch_optional(&mut *tx)
             .await?;
         if found.is_none() {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(None);
         }
-        let job = add_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
+        let job = insert_queued_job(&mut tx, scene_id, &self.database.new_id(), job).await?;
         tx.commit().await?;
         Ok(Some(job))
     }
@@ -220,7 +220,7 @@ impl SceneRepository {
         &self,
         key: &str,
     ) -> Result<Option<(SceneRow, Option<String>)>, StoreError> {
-        Ok(made_by_key(&mut *self.database.reader.acquire().await?, key).await?)
+        Ok(scene_of_key(&mut *self.database.reader.acquire().await?, key).await?)
     }
 
     /// Returns scenes, newest first; with a `cursor` (an id) only those before it.
@@ -234,8 +234,8 @@ impl SceneRepository {
         filter: &SceneFilter,
     ) -> Result<Vec<SceneRow>, StoreError> {
         let (among, is_filed_so) = (
-            self.database.engine.values_of("$3"),
-            self.database.engine.contains("scenes.labels", "$4"),
+            self.database.engine.json_texts("$3"),
+            self.database.engine.json_contains("scenes.labels", "$4"),
         );
         let sql = format!(
             "SELECT * FROM scenes WHERE ($1 IS NULL OR id < $1) AND ($3 IS NULL OR id IN {among}) AND {is_filed_so}
@@ -322,7 +322,7 @@ impl SceneRepository {
                 .fetch_optional(&mut *tx)
                 .await?;
         let Some(content) = content else {
-            tx.forget().await?;
+            tx.rollback().await?;
             return Ok(None);
         };
         let mut folders: Vec<Utf8PathBuf> =
@@ -334,7 +334,7 @@ impl SceneRepository {
 }
 
 /// Inserts a job on a scene, in the caller's transaction.
-pub(super) async fn add_job(
+pub(super) async fn insert_queued_job(
     tx: &mut Transaction,
     scene_id: &str,
     id: &str,

@@ -2,7 +2,7 @@
 
 use super::StoreError;
 use super::data_folder::DataFolder;
-use super::database::{Database, Engine, number};
+use super::database::{Database, Engine, to_unsigned};
 use sqlx::any::AnyRow;
 use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
@@ -42,7 +42,7 @@ impl FromRow<'_, AnyRow> for JobFigures {
         Ok(Self {
             kind: row.try_get("kind")?,
             state: row.try_get("state")?,
-            jobs: number(row.try_get("jobs")?)?,
+            jobs: to_unsigned(row.try_get("jobs")?)?,
             oldest: row.try_get("oldest")?,
         })
     }
@@ -63,8 +63,8 @@ impl StatisticsRepository {
     pub async fn figures(&self) -> Result<Figures, StoreError> {
         // Take the number of instances from reports: counting the rows would read all of them.
         let (things, others) = (
-            self.database.engine.number_in("parse_report", "instances"),
-            self.database.engine.number_in("parse_report", "parts_and_wholes"),
+            self.database.engine.json_number("parse_report", "instances"),
+            self.database.engine.json_number("parse_report", "parts_and_wholes"),
         );
         let counts = format!(
             "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM parses),
@@ -78,7 +78,7 @@ impl StatisticsRepository {
                 .await?;
         let batches = batches
             .into_iter()
-            .map(|(state, batches)| Ok((state, number(batches)?)))
+            .map(|(state, batches)| Ok((state, to_unsigned(batches)?)))
             .collect::<sqlx::Result<_>>()?;
         let jobs = "SELECT kind, state, count(*) AS jobs, min(created_at) AS oldest FROM jobs GROUP BY kind, state ORDER BY kind, state";
         let jobs = sqlx::query_as(jobs).fetch_all(&self.database.reader).await?;
@@ -93,10 +93,10 @@ impl StatisticsRepository {
         });
         let (database_bytes, free_bytes) = sizes.await.map_err(io::Error::other)??;
         Ok(Figures {
-            scenes: number(counts.0)?,
-            parses: number(counts.1)?,
-            instances: number(counts.2)?,
-            answers: number(counts.3)?,
+            scenes: to_unsigned(counts.0)?,
+            parses: to_unsigned(counts.1)?,
+            instances: to_unsigned(counts.2)?,
+            answers: to_unsigned(counts.3)?,
             batches,
             jobs,
             database_bytes,
@@ -109,7 +109,7 @@ impl StatisticsRepository {
         let Engine::Postgres = self.database.engine else { return Ok(None) };
         let bytes = sqlx::query_scalar("SELECT pg_database_size(current_database())")
             .fetch_one(&self.database.reader);
-        Ok(Some(number(bytes.await?)?))
+        Ok(Some(to_unsigned(bytes.await?)?))
     }
 }
 
@@ -140,9 +140,9 @@ mod tests {
         store.jobs.insert_job("s", &written("naming")).await.unwrap();
         store.jobs.claim_job("naming").await.unwrap();
         let jobs = store.statistics.figures().await.unwrap().jobs;
-        let told: Vec<_> =
+        let counted: Vec<_> =
             jobs.iter().map(|j| (j.kind.as_str(), j.state.as_str(), j.jobs)).collect();
-        assert_eq!(told, [("naming", "running", 1), ("parse", "queued", 2)]);
+        assert_eq!(counted, [("naming", "running", 1), ("parse", "queued", 2)]);
         assert_eq!(jobs[1].oldest, first.created_at);
     }
 }

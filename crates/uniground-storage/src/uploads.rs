@@ -1,6 +1,6 @@
 //! Resumable uploads: the request, the received bytes, and the result.
 
-use super::database::{Database, number};
+use super::database::{Database, to_unsigned};
 use super::records::read_or_none;
 use super::{Blobs, StoreError, now};
 use serde::{Deserialize, Serialize};
@@ -68,7 +68,7 @@ const OPEN: &str = "scene_id IS NULL AND problem IS NULL";
 
 impl FromRow<'_, AnyRow> for UploadRow {
     fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
-        let bytes = |column| number(row.try_get(column)?);
+        let bytes = |column| to_unsigned(row.try_get(column)?);
         let job_id = row.try_get("job_id")?;
         let scene = row
             .try_get::<Option<String>, _>("scene_id")?
@@ -195,9 +195,9 @@ impl UploadRepository {
                 .fetch_one(&self.database.reader)
                 .await?;
         Ok(UnfinishedUploads {
-            uploads: number(uploads)?,
-            of_key: number(of_key)?,
-            announced_bytes: number(announced)?,
+            uploads: to_unsigned(uploads)?,
+            of_key: to_unsigned(of_key)?,
+            announced_bytes: to_unsigned(announced)?,
         })
     }
 
@@ -205,7 +205,7 @@ impl UploadRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn unmade_uploads(&self) -> Result<Vec<String>, StoreError> {
+    pub async fn complete_uploads_without_scene(&self) -> Result<Vec<String>, StoreError> {
         let sql = format!("SELECT id FROM uploads WHERE {OPEN} AND received = length ORDER BY id");
         Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.database.reader).await?)
     }

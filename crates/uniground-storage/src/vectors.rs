@@ -23,16 +23,16 @@ const NEAREST: u32 = 1000;
 /// has better recall and is slower.
 const IN_HAND: u32 = 1000;
 /// Rows per INSERT statement.
-const TOGETHER: usize = 50;
+const ROWS_PER_STATEMENT: usize = 50;
 /// The longest vectors that the extension can index.
-const LONGEST: usize = 2000;
+const MAX_DIMENSIONS: usize = 2000;
 
 impl RoomIndexRepository {
     /// Enables vectors: creates the tables and, if they are new, has every room indexed again.
     ///
     /// # Errors
     /// [`StoreError::NoVectors`] if the database does not support it; [`StoreError::Database`].
-    pub async fn want_vectors(&self) -> Result<(), StoreError> {
+    pub async fn enable_vectors(&self) -> Result<(), StoreError> {
         if self.database.engine == Engine::Sqlite {
             return Err(StoreError::NoVectors {
                 why: "rows are kept in SQLite's file, which can not".into(),
@@ -78,7 +78,7 @@ impl RoomIndexRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`], also when the parse is deleted.
-    pub async fn keep_vectors(
+    pub async fn insert_vectors(
         &self,
         parse_id: &str,
         seen: Option<&RoomVectors>,
@@ -92,7 +92,8 @@ impl RoomIndexRepository {
             .execute(&mut *tx)
             .await?;
         let dim = seen.and_then(|seen| seen.vectors.first()).map_or(0, Vec::len);
-        let Some(RoomVectors { encoder, vectors }) = seen.filter(|_| (1..=LONGEST).contains(&dim))
+        let Some(RoomVectors { encoder, vectors }) =
+            seen.filter(|_| (1..=MAX_DIMENSIONS).contains(&dim))
         else {
             return Ok(tx.commit().await?);
         };
@@ -102,10 +103,10 @@ impl RoomIndexRepository {
         let sql = format!(
             "CREATE INDEX IF NOT EXISTS instance_vectors_{name} ON instance_vectors
              USING hnsw ((embedding::vector({dim})) vector_ip_ops) WHERE encoder = {}",
-            quoted(encoder)
+            quote_literal(encoder)
         );
         tx.execute(AssertSqlSafe(sql)).await?;
-        for vectors in vectors.chunks(TOGETHER) {
+        for vectors in vectors.chunks(ROWS_PER_STATEMENT) {
             let rows: Vec<String> =
                 (0..vectors.len()).map(|at| format!("($1, $2, ${}::vector)", at + 3)).collect();
             let sql = format!(
@@ -115,7 +116,7 @@ impl RoomIndexRepository {
             let query = sqlx::query(AssertSqlSafe(sql)).bind(parse_id).bind(encoder);
             vectors
                 .iter()
-                .fold(query, |query, vector| query.bind(literal(vector)))
+                .fold(query, |query, vector| query.bind(vector_literal(vector)))
                 .execute(&mut *tx)
                 .await?;
         }
@@ -127,7 +128,7 @@ impl RoomIndexRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn rooms_near(
+    pub async fn nearest_rooms(
         &self,
         encoder: &str,
         vector: &[f32],
@@ -137,20 +138,20 @@ impl RoomIndexRepository {
         if !self.has_vectors().await? {
             return Ok(Vec::new());
         }
-        let (dim, is_meant) = (vector.len(), self.is_meant("$2"));
+        let (dim, has_labels) = (vector.len(), self.labels_condition("$2"));
         // The encoder must be a literal: PostgreSQL uses a partial index only if the query repeats
         // its condition.
         let sql = format!(
             "SELECT parse_id, max(cosine) AS cosine FROM (
                  SELECT parse_id, -(embedding::vector({dim}) <#> $1::vector({dim})) AS cosine FROM instance_vectors
                  WHERE encoder = {} ORDER BY embedding::vector({dim}) <#> $1::vector({dim}) LIMIT {NEAREST}) AS entry
-             WHERE {is_meant} GROUP BY parse_id ORDER BY cosine DESC, parse_id DESC LIMIT $3",
-            quoted(encoder)
+             WHERE {has_labels} GROUP BY parse_id ORDER BY cosine DESC, parse_id DESC LIMIT $3",
+            quote_literal(encoder)
         );
         let mut reader = self.database.reader.begin().await?;
         reader.execute(AssertSqlSafe(format!("SET LOCAL hnsw.ef_search = {IN_HAND}"))).await?;
         let near = sqlx::query_as(AssertSqlSafe(sql))
-            .bind(literal(vector))
+            .bind(vector_literal(vector))
             .bind(serde_json::to_string(labels)?)
             .bind(i64::from(most));
         let near: Vec<(String, f64)> = near.fetch_all(&mut *reader).await?;
@@ -160,7 +161,7 @@ impl RoomIndexRepository {
 }
 
 /// Formats a vector for the extension.
-fn literal(vector: &[f32]) -> String {
+fn vector_literal(vector: &[f32]) -> String {
     let mut text = String::with_capacity(vector.len() * 12);
     for (at, value) in vector.iter().enumerate() {
         let _ = write!(text, "{}{value}", if at == 0 { "[" } else { "," });
@@ -170,7 +171,7 @@ fn literal(vector: &[f32]) -> String {
 }
 
 /// Formats a text as an SQL literal.
-fn quoted(text: &str) -> String {
+fn quote_literal(text: &str) -> String {
     format!("'{}'", text.replace('\'', "''"))
 }
 
@@ -179,8 +180,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texts_end_where_they_end() {
-        assert_eq!(quoted("it's'; DROP TABLE jobs; --"), "'it''s''; DROP TABLE jobs; --'");
-        assert_eq!(literal(&[0.5, -1.0, 0.0]), "[0.5,-1,0]");
+    fn quoted_literals_escape_quotes() {
+        assert_eq!(quote_literal("it's'; DROP TABLE jobs; --"), "'it''s''; DROP TABLE jobs; --'");
+        assert_eq!(vector_literal(&[0.5, -1.0, 0.0]), "[0.5,-1,0]");
     }
 }

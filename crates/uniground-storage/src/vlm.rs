@@ -1,6 +1,6 @@
 //! Rows of vision-language models: names they gave, and money spent on them.
 
-use super::database::{Database, number, without_nul};
+use super::database::{Database, replace_nul, to_unsigned};
 use super::parses::note_change;
 use super::{StoreError, now};
 use sqlx::AnyConnection;
@@ -23,8 +23,8 @@ pub struct SpendRequest<'a> {
 /// The owner of a daily budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BudgetOwner {
-    OfAll,
-    OfKey,
+    Server,
+    Key,
 }
 
 /// The budget is too small for the request.
@@ -62,7 +62,7 @@ impl NameRepository {
             .await?;
         Ok(rows
             .into_iter()
-            .map(|(id, name)| Ok((number(id)?, name)))
+            .map(|(id, name)| Ok((to_unsigned(id)?, name)))
             .collect::<sqlx::Result<_>>()?)
     }
 
@@ -70,7 +70,7 @@ impl NameRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn keep_instance_names(
+    pub async fn insert_instance_names(
         &self,
         parse_id: &str,
         model: &str,
@@ -86,7 +86,7 @@ impl NameRepository {
                 .bind(model)
                 .bind(i64::from(prompt_version))
                 .bind(i64::from(*id))
-                .bind(&*without_nul(name))
+                .bind(&*replace_nul(name))
                 .bind(now())
                 .execute(&mut *tx)
                 .await?;
@@ -143,7 +143,7 @@ impl SpendingRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn spent_on(&self, day: &str) -> Result<f64, StoreError> {
+    pub async fn spending_on_day(&self, day: &str) -> Result<f64, StoreError> {
         let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM spending WHERE day = $1")
             .bind(day)
             .fetch_optional(&self.database.reader)
@@ -156,7 +156,7 @@ impl SpendingRepository {
     /// that is used up allows no calls, not even calls that seem to be free.
     ///
     /// # Errors
-    /// [`StoreError::NotHeld`]: the lease of this process has expired; [`StoreError::Database`].
+    /// [`StoreError::LeaseLost`]: the lease of this process has expired; [`StoreError::Database`].
     pub async fn reserve_spending(
         &self,
         id: &str,
@@ -169,15 +169,15 @@ impl SpendingRepository {
         let of_key = "SELECT coalesce((SELECT usd FROM key_spending WHERE day = $1 AND key_id = $2), 0.0)
                            + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1 AND key_id = $2), 0.0)";
         for (whose, sql, limit_usd) in
-            [(BudgetOwner::OfKey, of_key, key_daily_usd), (BudgetOwner::OfAll, of_all, daily_usd)]
+            [(BudgetOwner::Key, of_key, key_daily_usd), (BudgetOwner::Server, of_all, daily_usd)]
         {
             let Some(limit_usd) = limit_usd else { continue };
             let spent = sqlx::query_scalar(sql).bind(day);
-            let spent = if whose == BudgetOwner::OfKey { spent.bind(key_id) } else { spent };
+            let spent = if whose == BudgetOwner::Key { spent.bind(key_id) } else { spent };
             let spent: f64 = spent.fetch_one(&mut *tx).await?;
             let left_usd = limit_usd - spent;
             if left_usd <= 0.0 || usd > left_usd {
-                tx.forget().await?;
+                tx.rollback().await?;
                 return Ok(Err(BudgetExceeded { whose, limit_usd, left_usd: left_usd.max(0.0) }));
             }
         }
@@ -192,8 +192,8 @@ impl SpendingRepository {
             .bind(key_id)
             .bind(self.database.members.id().to_string());
         if query.execute(&mut *tx).await?.rows_affected() == 0 {
-            tx.forget().await?;
-            return Err(StoreError::NotHeld);
+            tx.rollback().await?;
+            return Err(StoreError::LeaseLost);
         }
         tx.commit().await?;
         Ok(Ok(()))
@@ -220,7 +220,7 @@ impl SpendingRepository {
     ///
     /// # Errors
     /// [`StoreError`].
-    pub(super) async fn settle_what_was_left(&self) -> Result<(), StoreError> {
+    pub(super) async fn settle_abandoned_reservations(&self) -> Result<(), StoreError> {
         let left = "DELETE FROM reservations WHERE member IS NULL OR member NOT IN (SELECT id FROM members) RETURNING day, key_id, usd";
         let mut tx = self.database.writer.begin().await?;
         let left: Vec<(String, Option<String>, f64)> =

@@ -1,7 +1,7 @@
 //! Webhook deliveries for finished jobs.
 
-use super::database::{Database, number};
-use super::jobs::after;
+use super::database::{Database, to_unsigned};
+use super::jobs::time_after;
 use super::{StoreError, now};
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,7 +18,7 @@ impl WebhookRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn due_announcements(&self, limit: u32) -> Result<Vec<(String, u32)>, StoreError> {
+    pub async fn due_deliveries(&self, limit: u32) -> Result<Vec<(String, u32)>, StoreError> {
         let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= $1
                    ORDER BY coalesce(not_before, ''), job_id LIMIT $2";
         let due: Vec<(String, i64)> = sqlx::query_as(sql)
@@ -28,7 +28,7 @@ impl WebhookRepository {
             .await?;
         Ok(due
             .into_iter()
-            .map(|(id, attempts)| Ok((id, number(attempts)?)))
+            .map(|(id, attempts)| Ok((id, to_unsigned(attempts)?)))
             .collect::<sqlx::Result<_>>()?)
     }
 
@@ -36,15 +36,11 @@ impl WebhookRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn put_off_announcement(
-        &self,
-        job_id: &str,
-        wait: Duration,
-    ) -> Result<(), StoreError> {
+    pub async fn postpone_delivery(&self, job_id: &str, wait: Duration) -> Result<(), StoreError> {
         let sql =
             "UPDATE announcements SET attempts = attempts + 1, not_before = $1 WHERE job_id = $2";
         sqlx::query(sql)
-            .bind(after(wait))
+            .bind(time_after(wait))
             .bind(job_id)
             .execute(self.database.writer.pool())
             .await?;
@@ -55,7 +51,7 @@ impl WebhookRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn forget_announcement(&self, job_id: &str) -> Result<(), StoreError> {
+    pub async fn delete_delivery(&self, job_id: &str) -> Result<(), StoreError> {
         sqlx::query("DELETE FROM announcements WHERE job_id = $1")
             .bind(job_id)
             .execute(self.database.writer.pool())
@@ -68,8 +64,8 @@ impl WebhookRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn note_announcements(&self) -> Result<(), StoreError> {
-        for &sql in self.database.engine.note_ends() {
+    pub async fn enable_deliveries(&self) -> Result<(), StoreError> {
+        for &sql in self.database.engine.create_job_end_trigger() {
             sqlx::query(sql).execute(self.database.writer.pool()).await?;
         }
         Ok(())
@@ -79,8 +75,8 @@ impl WebhookRepository {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn note_no_announcements(&self) -> Result<(), StoreError> {
-        for sql in [self.database.engine.note_no_ends(), "DELETE FROM announcements"] {
+    pub async fn disable_deliveries(&self) -> Result<(), StoreError> {
+        for sql in [self.database.engine.drop_job_end_trigger(), "DELETE FROM announcements"] {
             sqlx::query(sql).execute(self.database.writer.pool()).await?;
         }
         Ok(())

@@ -55,7 +55,7 @@ impl Transaction {
     }
 
     /// Rolls it back.
-    pub async fn forget(mut self) -> Result<(), StoreError> {
+    pub async fn rollback(mut self) -> Result<(), StoreError> {
         sqlx::query("ROLLBACK").execute(&mut *self.connection).await?;
         self.ended = true;
         Ok(())

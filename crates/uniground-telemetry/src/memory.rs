@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_process_has_less_than_it_may_have() {
+    fn memory_usage_is_below_its_limit() {
         let MemoryUsage { resident, most } = MemoryUsage::now().unwrap();
         assert!((1 << 20..most).contains(&resident), "{resident} of {most}");
     }

@@ -17,7 +17,7 @@ pub fn adopt(span: &Span, headers: &HeaderMap) {
 
 /// Returns the headers that pass the current span on to another service.
 #[must_use]
-pub fn handed_on() -> HeaderMap {
+pub fn propagation_headers() -> HeaderMap {
     let mut headers = HeaderMap::new();
     TraceContextPropagator::new()
         .inject_context(&Span::current().context(), &mut HeaderInjector(&mut headers));

@@ -33,7 +33,7 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
             None if ending != "png" || frame.colour.extension() == Some("png") => {
                 fs::read(&frame.colour)?
             }
-            _ => png(frame.decode_colour()?.into())?,
+            _ => encode_png(frame.decode_colour()?.into())?,
         };
         put(&colour, &bytes)?;
         let measured = frame.decode_depth()?;
@@ -49,7 +49,7 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
         );
         put(
             &depth,
-            &png(picture.context("the size of the depth picture does not match")?.into())?,
+            &encode_png(picture.context("the size of the depth picture does not match")?.into())?,
         )?;
         let m = frame.camera_to_world.to_homogeneous();
         let rows: String =
@@ -57,7 +57,7 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
         put(&pose, rows.as_bytes())?;
         listed.push(json!({
             "color": colour, "depth": depth, "pose": pose,
-            "intrinsics": camera(&frame.colour_intrinsics), "depth_intrinsics": camera(&frame.depth_intrinsics),
+            "intrinsics": camera_json(&frame.colour_intrinsics), "depth_intrinsics": camera_json(&frame.depth_intrinsics),
         }));
     }
     let mut ply = Vec::new();
@@ -70,12 +70,12 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
     Ok(())
 }
 
-fn camera(intrinsics: &Intrinsics) -> serde_json::Value {
+fn camera_json(intrinsics: &Intrinsics) -> serde_json::Value {
     let Intrinsics { width, height, fx, fy, cx, cy } = *intrinsics;
     json!({"width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy})
 }
 
-fn png(picture: image::DynamicImage) -> anyhow::Result<Vec<u8>> {
+fn encode_png(picture: image::DynamicImage) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
     picture.write_to(&mut bytes, image::ImageFormat::Png)?;
     Ok(bytes.into_inner())

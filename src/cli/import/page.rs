@@ -5,7 +5,7 @@ use image::RgbImage;
 use image::imageops::{FilterType, replace, resize};
 use std::fmt::Write;
 use uniground_core::scene::FrameRef;
-use uniground_evaluation::report::escaped;
+use uniground_evaluation::report::escape_html;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1060px;margin:2rem auto;padding:0 1rem;color:#222}\
 td{padding:.2rem .8rem;border-bottom:1px solid #ddd;vertical-align:top}img{max-width:100%;border:1px solid #ddd}\
@@ -24,11 +24,11 @@ pub(super) fn render(
 ) -> String {
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style><h1>{0}</h1><table>",
-        escaped(scan.file_name().unwrap_or(scan.as_str()))
+        escape_html(scan.file_name().unwrap_or(scan.as_str()))
     );
     for (what, value) in lines {
         let class = if *what == "warning" { " class=\"warning\"" } else { "" };
-        let _ = write!(page, "<tr{class}><td>{what}<td>{}</tr>", escaped(value));
+        let _ = write!(page, "<tr{class}><td>{what}<td>{}</tr>", escape_html(value));
     }
     page.push_str("</table>");
     for (name, title) in pictures {

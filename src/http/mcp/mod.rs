@@ -37,7 +37,7 @@ const INSTRUCTIONS: &str = "Finds objects in scanned rooms. Start with list_scen
     render_view.";
 
 /// Maximum size of a message, bytes. Unknown methods are echoed and logged.
-const MOST_BYTES: usize = 64 << 10;
+const MAX_MESSAGE_BYTES: usize = 64 << 10;
 
 /// Serves the API as MCP tools.
 #[derive(Clone)]
@@ -57,7 +57,7 @@ impl Mcp {
         let config = StreamableHttpServerConfig::default()
             .with_legacy_session_mode(false)
             .with_json_response(true)
-            .with_max_request_body_bytes(MOST_BYTES)
+            .with_max_request_body_bytes(MAX_MESSAGE_BYTES)
             .with_cancellation_token(shutdown)
             // Host names and origins are checked by the layers of the router.
             .disable_allowed_hosts()
@@ -91,7 +91,7 @@ impl Mcp {
 }
 
 /// Converts a problem to an MCP error.
-fn failed(error: Error) -> ErrorData {
+fn to_protocol_error(error: Error) -> ErrorData {
     let problem = ProblemResponse::from(error).problem();
     let message = format!("{} ({})", problem.detail, problem.code);
     match problem.status {
@@ -147,7 +147,7 @@ impl ServerHandler for Mcp {
         _: RequestContext<RoleServer>,
     ) -> Result<ListResourcesResult, ErrorData> {
         let cursor = request.and_then(|request| request.cursor);
-        resources::list(&self.services, cursor).await.map_err(failed)
+        resources::list(&self.services, cursor).await.map_err(to_protocol_error)
     }
 
     async fn list_resource_templates(
@@ -163,7 +163,8 @@ impl ServerHandler for Mcp {
         request: ReadResourceRequestParams,
         _: RequestContext<RoleServer>,
     ) -> Result<ReadResourceResponse, ErrorData> {
-        let contents = resources::read(&self.services, &request.uri).await.map_err(failed)?;
+        let contents =
+            resources::read(&self.services, &request.uri).await.map_err(to_protocol_error)?;
         let contents = contents.ok_or_else(|| {
             ErrorData::resource_not_found(
                 "unknown resource: use uniground://scenes/{scene_id} or \
@@ -215,7 +216,7 @@ pub(super) async fn answer(State(app): State<App>, request: Request) -> Response
         StatusCode::UNSUPPORTED_MEDIA_TYPE if says_json => StatusCode::BAD_REQUEST,
         status => status,
     };
-    let words = to_bytes(answered.into_body(), MOST_BYTES).await.unwrap_or_default();
+    let words = to_bytes(answered.into_body(), MAX_MESSAGE_BYTES).await.unwrap_or_default();
     let code = match status {
         StatusCode::BAD_REQUEST if says_json => "malformed_json",
         StatusCode::UNSUPPORTED_MEDIA_TYPE => "unsupported_media_type",

@@ -38,7 +38,7 @@ pub(super) async fn list(
     services: &Services,
     cursor: Option<String>,
 ) -> Result<ListResourcesResult, Error> {
-    let (_, cursor) = paging::checked(PAGE, cursor)?;
+    let (_, cursor) = paging::validate(PAGE, cursor)?;
     let page = services.scenes.scenes(PAGE, cursor.as_deref(), Labels::new()).await?;
     let of_scene = |scene: uniground_types::scenes::Scene| {
         let uri = format!("{SCENES}{}", scene.id);

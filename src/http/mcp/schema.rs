@@ -8,24 +8,24 @@ use utoipa::ToSchema;
 const COMPONENTS: &str = "#/components/schemas/";
 
 /// Returns the complete schema of a type with its definitions.
-pub(super) fn of<T: ToSchema>() -> Arc<JsonObject> {
+pub(super) fn schema_of<T: ToSchema>() -> Arc<JsonObject> {
     let mut parts = Vec::new();
     T::schemas(&mut parts);
-    let mut whole = written(&T::schema());
+    let mut whole = to_object(&T::schema());
     let parts: Map<String, Value> =
-        parts.into_iter().map(|(name, schema)| (name, Value::Object(written(&schema)))).collect();
+        parts.into_iter().map(|(name, schema)| (name, Value::Object(to_object(&schema)))).collect();
     if !parts.is_empty() {
         whole.insert("$defs".into(), Value::Object(parts));
     }
     let mut whole = Value::Object(whole);
-    refer_within(&mut whole);
+    inline_references(&mut whole);
     match whole {
         Value::Object(whole) => Arc::new(whole),
         _ => Arc::default(),
     }
 }
 
-fn written(schema: &impl serde::Serialize) -> Map<String, Value> {
+fn to_object(schema: &impl serde::Serialize) -> Map<String, Value> {
     match serde_json::to_value(schema) {
         Ok(Value::Object(schema)) => schema,
         _ => Map::new(),
@@ -33,7 +33,7 @@ fn written(schema: &impl serde::Serialize) -> Map<String, Value> {
 }
 
 /// Rewrites references to `$defs` and removes OpenAPI-only keywords.
-fn refer_within(schema: &mut Value) {
+fn inline_references(schema: &mut Value) {
     match schema {
         Value::Object(fields) => {
             if let Some(Value::String(reference)) = fields.get_mut("$ref")
@@ -49,9 +49,9 @@ fn refer_within(schema: &mut Value) {
             {
                 fields.remove("example");
             }
-            fields.values_mut().for_each(refer_within);
+            fields.values_mut().for_each(inline_references);
         }
-        Value::Array(items) => items.iter_mut().for_each(refer_within),
+        Value::Array(items) => items.iter_mut().for_each(inline_references),
         _ => {}
     }
 }

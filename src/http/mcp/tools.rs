@@ -2,7 +2,7 @@
 
 use super::schema;
 use super::values::{
-    Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED,
+    Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MAX_MARKED,
     ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView, SceneBrief, SceneBriefs, ViewKind,
 };
 use crate::http::paging;
@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use uniground_service::error::Error;
-use uniground_service::{Caller, EvidenceFile, Services, written};
+use uniground_service::{Caller, EvidenceFile, Services, write_graph};
 use uniground_types::approach::Approach as Approached;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::{InstanceView, Levels, ViewPicture};
@@ -67,12 +67,12 @@ pub(super) fn all() -> Vec<Tool> {
 }
 
 fn tool<I: ToSchema, O: ToSchema>(name: &'static str, description: &'static str) -> Tool {
-    without_output::<I>(name, description).with_raw_output_schema(schema::of::<O>())
+    without_output::<I>(name, description).with_raw_output_schema(schema::schema_of::<O>())
 }
 
 fn without_output<I: ToSchema>(name: &'static str, description: &'static str) -> Tool {
     let hints = ToolAnnotations::new().read_only(true).open_world(false);
-    Tool::new(name, description, schema::of::<I>()).with_annotations(hints)
+    Tool::new(name, description, schema::schema_of::<I>()).with_annotations(hints)
 }
 
 /// Calls a tool, or returns `None` for an unknown name. Errors are returned as results, so that the
@@ -121,7 +121,7 @@ fn failed(error: Error) -> CallToolResult {
 }
 
 /// Parses the arguments of a tool.
-fn read<T: DeserializeOwned>(arguments: JsonObject) -> Result<T, Error> {
+fn parse_arguments<T: DeserializeOwned>(arguments: JsonObject) -> Result<T, Error> {
     serde_path_to_error::deserialize(Value::Object(arguments)).map_err(|error| {
         let path = error.path().to_string();
         // The path `.` means the arguments themselves.
@@ -132,12 +132,12 @@ fn read<T: DeserializeOwned>(arguments: JsonObject) -> Result<T, Error> {
 }
 
 /// Returns a value as structured content, and as text for clients that support only text.
-fn told(value: &impl Serialize) -> Result<CallToolResult, Error> {
+fn to_result(value: &impl Serialize) -> Result<CallToolResult, Error> {
     let text = serde_json::to_string(value)?;
-    with_text(value, text)
+    to_result_with_text(value, text)
 }
 
-fn with_text(value: &impl Serialize, text: String) -> Result<CallToolResult, Error> {
+fn to_result_with_text(value: &impl Serialize, text: String) -> Result<CallToolResult, Error> {
     let mut result = CallToolResult::success(vec![ContentBlock::text(text)]);
     // Serialized through text, because a direct conversion would turn an f32's 0.55 into
     // 0.550000011920929.
@@ -145,13 +145,13 @@ fn with_text(value: &impl Serialize, text: String) -> Result<CallToolResult, Err
     Ok(result)
 }
 
-fn has(name: &str, part: Option<&str>) -> bool {
+fn name_matches(name: &str, part: Option<&str>) -> bool {
     part.is_none_or(|part| name.to_lowercase().contains(&part.to_lowercase()))
 }
 
 async fn list_scenes(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
-    let ListScenes { name, cursor } = read(arguments)?;
-    let (_, mut cursor) = paging::checked(SCENES, cursor)?;
+    let ListScenes { name, cursor } = parse_arguments(arguments)?;
+    let (_, mut cursor) = paging::validate(SCENES, cursor)?;
     let mut scenes = Vec::new();
     // Reads pages until enough scenes match.
     loop {
@@ -159,12 +159,12 @@ async fn list_scenes(services: &Services, arguments: JsonObject) -> Result<CallT
         scenes.extend(
             page.scenes
                 .into_iter()
-                .filter(|scene| has(&scene.name, name.as_deref()))
+                .filter(|scene| name_matches(&scene.name, name.as_deref()))
                 .map(SceneBrief::from),
         );
         cursor = page.next_cursor;
         if cursor.is_none() || !scenes.is_empty() {
-            return told(&SceneBriefs { scenes, next_cursor: cursor });
+            return to_result(&SceneBriefs { scenes, next_cursor: cursor });
         }
     }
 }
@@ -174,8 +174,8 @@ async fn ground(
     caller: Caller,
     arguments: JsonObject,
 ) -> Result<CallToolResult, Error> {
-    let (scene_id, request) = read::<Ground>(arguments)?.request();
-    told(&Grounded::from(services.grounding.ground(&scene_id, request, caller).await?))
+    let (scene_id, request) = parse_arguments::<Ground>(arguments)?.into_request();
+    to_result(&Grounded::from(services.grounding.ground(&scene_id, request, caller).await?))
 }
 
 async fn find_in_scenes(
@@ -183,12 +183,12 @@ async fn find_in_scenes(
     caller: Caller,
     arguments: JsonObject,
 ) -> Result<CallToolResult, Error> {
-    let request = read::<FindInScenes>(arguments)?.request();
-    told(&FoundBriefs::from(services.grounding.ground_many(request, caller).await?))
+    let request = parse_arguments::<FindInScenes>(arguments)?.into_request();
+    to_result(&FoundBriefs::from(services.grounding.ground_many(request, caller).await?))
 }
 
 async fn list_objects(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
-    let ListObjects { scene_id, name, level, mut cursor } = read(arguments)?;
+    let ListObjects { scene_id, name, level, mut cursor } = parse_arguments(arguments)?;
     let mut objects = Vec::new();
     loop {
         let page = services.instances.instances(&scene_id, level, OBJECTS, cursor).await?;
@@ -196,35 +196,35 @@ async fn list_objects(services: &Services, arguments: JsonObject) -> Result<Call
             page.instances
                 .into_iter()
                 .map(ObjectBrief::from)
-                .filter(|object| has(&object.name, name.as_deref())),
+                .filter(|object| name_matches(&object.name, name.as_deref())),
         );
         match page.next_cursor {
             Some(next) if objects.is_empty() => cursor = next,
-            next_cursor => return told(&ObjectBriefs { objects, next_cursor }),
+            next_cursor => return to_result(&ObjectBriefs { objects, next_cursor }),
         }
     }
 }
 
 async fn get_object(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
-    let OneObject { scene_id, instance_id } = read(arguments)?;
+    let OneObject { scene_id, instance_id } = parse_arguments(arguments)?;
     let instance = services.instances.instance(&scene_id, InstanceId(instance_id)).await?;
-    let mut result = told(&instance)?;
+    let mut result = to_result(&instance)?;
     if !instance.views.is_empty() {
         let file = services
             .instances
             .view_picture(&scene_id, InstanceId(instance_id), 0, ViewPicture::Crop)
             .await?;
-        result.content.push(picture(bytes_of(file).await?));
+        result.content.push(picture_content(read_picture(file).await?));
     }
     Ok(result)
 }
 
 async fn relations(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
-    let Relations { scene_id, instance_id } = read(arguments)?;
+    let Relations { scene_id, instance_id } = parse_arguments(arguments)?;
     let graph =
         services.instances.graph(&scene_id, Levels::Things, instance_id.map(InstanceId)).await?;
-    let (_, text) = written(&graph, GraphFormat::Text)?;
-    with_text(&graph, text)
+    let (_, text) = write_graph(&graph, GraphFormat::Text)?;
+    to_result_with_text(&graph, text)
 }
 
 async fn approach(
@@ -232,24 +232,26 @@ async fn approach(
     caller: Caller,
     arguments: JsonObject,
 ) -> Result<CallToolResult, Error> {
-    let (scene_id, request) = read::<Approach>(arguments)?.request();
-    told(&services.approach.approach(&scene_id, request, caller).await?)
+    let (scene_id, request) = parse_arguments::<Approach>(arguments)?.into_request();
+    to_result(&services.approach.approach(&scene_id, request, caller).await?)
 }
 
 async fn render_view(services: &Services, arguments: JsonObject) -> Result<CallToolResult, Error> {
-    let RenderView { scene_id, instance_ids, view } = read(arguments)?;
-    if instance_ids.len() > MOST_MARKED {
+    let RenderView { scene_id, instance_ids, view } = parse_arguments(arguments)?;
+    if instance_ids.len() > MAX_MARKED {
         return Err(Error::invalid(
             "/instance_ids",
-            format!("must name at most {MOST_MARKED} instances"),
+            format!("must name at most {MAX_MARKED} instances"),
         ));
     }
     let ids: Vec<InstanceId> = instance_ids.into_iter().map(InstanceId).collect();
     let jpeg = match (view, ids.first()) {
         (ViewKind::Room, _) => services.answers.room_picture(&scene_id, ids).await?,
         (ViewKind::Photograph, Some(&id)) => {
-            bytes_of(services.instances.view_picture(&scene_id, id, 0, ViewPicture::Frame).await?)
-                .await?
+            read_picture(
+                services.instances.view_picture(&scene_id, id, 0, ViewPicture::Frame).await?,
+            )
+            .await?
         }
         (ViewKind::Photograph, None) => {
             return Err(Error::invalid(
@@ -258,14 +260,14 @@ async fn render_view(services: &Services, arguments: JsonObject) -> Result<CallT
             ));
         }
     };
-    Ok(CallToolResult::success(vec![picture(jpeg)]))
+    Ok(CallToolResult::success(vec![picture_content(jpeg)]))
 }
 
-fn picture(jpeg: Vec<u8>) -> ContentBlock {
+fn picture_content(jpeg: Vec<u8>) -> ContentBlock {
     ContentBlock::image(STANDARD.encode(jpeg), "image/jpeg")
 }
 
-async fn bytes_of(picture: EvidenceFile) -> Result<Vec<u8>, Error> {
+async fn read_picture(picture: EvidenceFile) -> Result<Vec<u8>, Error> {
     match picture {
         EvidenceFile::Stored(file) => Ok(tokio::fs::read(file).await?),
         EvidenceFile::Drawn(jpeg) => Ok(jpeg.into()),

@@ -74,7 +74,7 @@ pub(super) struct Ground {
 }
 
 impl Ground {
-    pub fn request(self) -> (String, GroundRequest) {
+    pub fn into_request(self) -> (String, GroundRequest) {
         let Self { scene_id, query, observer, frame } = self;
         (scene_id, GroundRequest { observer, frame, ..GroundRequest::of(query) })
     }
@@ -152,7 +152,7 @@ pub(super) struct FindInScenes {
 }
 
 impl FindInScenes {
-    pub fn request(self) -> ManyGroundRequest {
+    pub fn into_request(self) -> ManyGroundRequest {
         let Self { query, labels } = self;
         ManyGroundRequest { labels, ..ManyGroundRequest::of(query) }
     }
@@ -301,7 +301,7 @@ pub(super) struct Approach {
 }
 
 impl Approach {
-    pub fn request(self) -> (String, ApproachRequest) {
+    pub fn into_request(self) -> (String, ApproachRequest) {
         let Self { scene_id, instance_id, query, robot, from, frame } = self;
         let any = ApproachRequest::to(InstanceId(0), robot);
         (
@@ -327,7 +327,7 @@ pub(super) struct RenderView {
 }
 
 /// Maximum number of marked instances in one picture.
-pub(super) const MOST_MARKED: usize = 20;
+pub(super) const MAX_MARKED: usize = 20;
 
 #[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]

@@ -13,14 +13,14 @@ use uniground_render::jpeg;
 
 /// Tokens of a question with five candidates, for models with one token per 28 x 28 pixels: a
 /// render, seven collages, two photographs, the text, and a reply.
-const TOKENS_OF_A_QUESTION: u64 = 10_000;
+const QUESTION_TOKENS: u64 = 10_000;
 /// A render, collages of five candidates and two anchors, and two photographs.
-const PICTURES_OF_A_QUESTION: usize = 10;
+const QUESTION_PICTURES: usize = 10;
 /// Timeout of one check.
-const LONGEST_LOOK: Duration = Duration::from_secs(20);
+const CHECK_TIMEOUT: Duration = Duration::from_secs(20);
 
 #[derive(Deserialize)]
-struct Listed {
+struct ModelListing {
     data: Vec<ListedModel>,
 }
 
@@ -36,8 +36,10 @@ struct ListedModel {
 impl ChatClient {
     /// Returns what the endpoint's server will refuse or truncate of a question, with advice; empty
     /// if no problem is known. Hosted servers are only asked for their list of models.
-    pub async fn limits(&self) -> Vec<String> {
-        let Some(listed) = self.look::<Listed>(self.http.get(self.address("models"))).await else {
+    pub async fn describe_limits(&self) -> Vec<String> {
+        let Some(listed) =
+            self.fetch_json::<ModelListing>(self.http.get(self.address("models"))).await
+        else {
             return Vec::new();
         };
         let model = &self.endpoint.model;
@@ -45,24 +47,24 @@ impl ChatClient {
             return Vec::new();
         };
         let too_short = |tokens: u64, what_to_do: &str| {
-            (tokens < TOKENS_OF_A_QUESTION).then(|| {
-                format!("{model} reads at most {tokens} tokens here, a question takes about {TOKENS_OF_A_QUESTION} and more with more candidates: {what_to_do}")
+            (tokens < QUESTION_TOKENS).then(|| {
+                format!("{model} reads at most {tokens} tokens here, a question takes about {QUESTION_TOKENS} and more with more candidates: {what_to_do}")
             })
         };
         let by_length = found
             .max_model_len
             .and_then(|tokens| too_short(tokens, "start its server with a larger --max-model-len"));
         let more = match found.owned_by.as_str() {
-            "vllm" => self.refuses_pictures().await,
+            "vllm" => self.picture_limit_advice().await,
             // This is how Ollama identifies itself.
-            "library" => match self.context_of_ollama().await {
+            "library" => match self.ollama_context_length().await {
                 Some(tokens) => too_short(
                     tokens,
                     "Ollama cuts the rest without a word; set OLLAMA_CONTEXT_LENGTH=16384, or num_ctx in a Modelfile",
                 ),
                 None => Some(format!(
                     "Ollama cuts what is longer than its context without a word, by default 4096 tokens on cards under 24 GB; a question \
-                     takes about {TOKENS_OF_A_QUESTION}: set OLLAMA_CONTEXT_LENGTH=16384"
+                     takes about {QUESTION_TOKENS}: set OLLAMA_CONTEXT_LENGTH=16384"
                 )),
             },
             _ => None,
@@ -72,40 +74,40 @@ impl ChatClient {
 
     /// Checks whether a vLLM server refuses a question's number of pictures, by a request with tiny
     /// pictures and one token of reply.
-    async fn refuses_pictures(&self) -> Option<String> {
+    async fn picture_limit_advice(&self) -> Option<String> {
         let picture =
             format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg(&RgbImage::new(56, 56))));
-        let pictures = (0..PICTURES_OF_A_QUESTION)
+        let pictures = (0..QUESTION_PICTURES)
             .map(|_| json!({"type": "image_url", "image_url": {"url": picture}}));
         let content: Vec<Value> = pictures.chain([json!({"type": "text", "text": "?"})]).collect();
         let body = json!({"model": self.endpoint.model, "max_tokens": 1, "messages": [{"role": "user", "content": content}]});
         let response = self
-            .authorised(self.http.post(self.address("chat/completions")).json(&body))
+            .authorized(self.http.post(self.address("chat/completions")).json(&body))
             .send()
             .await
             .ok()?;
         if !response.status().is_client_error() {
             return None;
         }
-        let told = super::bounded(response).await.ok().flatten().unwrap_or_default();
+        let message = super::read_limited(response).await.ok().flatten().unwrap_or_default();
         Some(format!(
-            "{} refuses {PICTURES_OF_A_QUESTION} pictures in one prompt, which a question has ({}): start vLLM with \
+            "{} refuses {QUESTION_PICTURES} pictures in one prompt, which a question has ({}): start vLLM with \
              --limit-mm-per-prompt '{{\"image\": 25}}' (older versions: image=25)",
             self.endpoint.model,
-            super::detail(&self.without_key(&told))
+            super::detail(&self.redact_key(&message))
         ))
     }
 
     /// Returns the context length that Ollama gives the model, tokens; `None` if it does not report
     /// it.
-    async fn context_of_ollama(&self) -> Option<u64> {
+    async fn ollama_context_length(&self) -> Option<u64> {
         #[derive(Deserialize)]
-        struct Shown {
+        struct ModelDetails {
             #[serde(default)]
             parameters: String,
         }
         #[derive(Deserialize)]
-        struct Running {
+        struct RunningModels {
             models: Vec<RunningModel>,
         }
         #[derive(Deserialize)]
@@ -116,8 +118,8 @@ impl ChatClient {
         let base = self.endpoint.base_url.trim_end_matches('/');
         let root = base.strip_suffix("/v1").unwrap_or(base);
         let model = &self.endpoint.model;
-        let shown: Option<Shown> = self
-            .look(self.http.post(format!("{root}/api/show")).json(&json!({"model": model})))
+        let shown: Option<ModelDetails> = self
+            .fetch_json(self.http.post(format!("{root}/api/show")).json(&json!({"model": model})))
             .await;
         let set = shown.and_then(|shown| {
             let line = shown
@@ -129,7 +131,8 @@ impl ChatClient {
         if set.is_some() {
             return set;
         }
-        let running: Running = self.look(self.http.get(format!("{root}/api/ps"))).await?;
+        let running: RunningModels =
+            self.fetch_json(self.http.get(format!("{root}/api/ps"))).await?;
         running.models.into_iter().find(|running| running.name == *model)?.context_length
     }
 
@@ -137,25 +140,25 @@ impl ChatClient {
         format!("{}/{path}", self.endpoint.base_url.trim_end_matches('/'))
     }
 
-    fn authorised(&self, request: reqwest::RequestBuilder) -> reqwest::RequestBuilder {
+    fn authorized(&self, request: reqwest::RequestBuilder) -> reqwest::RequestBuilder {
         self.endpoint
             .api_key
             .iter()
-            .fold(request.timeout(LONGEST_LOOK), reqwest::RequestBuilder::bearer_auth)
+            .fold(request.timeout(CHECK_TIMEOUT), reqwest::RequestBuilder::bearer_auth)
     }
 
     /// Sends a request and parses the response. Returns `None` if it cannot be parsed.
-    async fn look<T: serde::de::DeserializeOwned>(
+    async fn fetch_json<T: serde::de::DeserializeOwned>(
         &self,
         request: reqwest::RequestBuilder,
     ) -> Option<T> {
         let response = self
-            .authorised(request)
+            .authorized(request)
             .send()
             .await
             .ok()
             .filter(|response| response.status().is_success())?;
-        serde_json::from_str(&super::bounded(response).await.ok()??).ok()
+        serde_json::from_str(&super::read_limited(response).await.ok()??).ok()
     }
 }
 
@@ -168,7 +171,7 @@ mod tests {
     use uniground_models::chat::Prices;
 
     /// Runs the check against a server with these responses.
-    async fn told(
+    async fn check_limits(
         models: Value,
         completion: (StatusCode, Value),
         show: Value,
@@ -192,7 +195,10 @@ mod tests {
             prices: Prices::default(),
             concurrency: 1,
         };
-        ChatClient::new(endpoint, RetryPolicy::default(), ReplayCache::Off).unwrap().limits().await
+        ChatClient::new(endpoint, RetryPolicy::default(), ReplayCache::Off)
+            .unwrap()
+            .describe_limits()
+            .await
     }
 
     fn models(owner: &str, max_model_len: Option<u64>) -> Value {
@@ -200,7 +206,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_a_server_will_not_take_is_told_with_what_to_do() {
+    async fn endpoint_limits_are_reported_with_advice() {
         let fine = || (StatusCode::OK, json!({"choices": []}));
         let refused = || {
             (
@@ -210,10 +216,11 @@ mod tests {
         };
         let nothing = || json!({});
         assert_eq!(
-            told(models("vllm", Some(32_768)), fine(), nothing(), nothing()).await,
+            check_limits(models("vllm", Some(32_768)), fine(), nothing(), nothing()).await,
             Vec::<String>::new()
         );
-        let warnings = told(models("vllm", Some(4096)), refused(), nothing(), nothing()).await;
+        let warnings =
+            check_limits(models("vllm", Some(4096)), refused(), nothing(), nothing()).await;
         assert!(
             warnings.len() == 2
                 && warnings[0].contains("--max-model-len")
@@ -227,7 +234,7 @@ mod tests {
         );
 
         let set = json!({"parameters": "stop \"x\"\nnum_ctx                        8192"});
-        let warnings = told(models("library", None), fine(), set, nothing()).await;
+        let warnings = check_limits(models("library", None), fine(), set, nothing()).await;
         assert!(
             warnings.len() == 1
                 && warnings[0].contains("8192")
@@ -236,16 +243,16 @@ mod tests {
         );
         let running = json!({"models": [{"name": "qwen", "context_length": 32_768}]});
         assert_eq!(
-            told(models("library", None), fine(), nothing(), running).await,
+            check_limits(models("library", None), fine(), nothing(), running).await,
             Vec::<String>::new()
         );
         let warnings =
-            told(models("library", None), fine(), nothing(), json!({"models": []})).await;
+            check_limits(models("library", None), fine(), nothing(), json!({"models": []})).await;
         assert!(warnings.len() == 1 && warnings[0].contains("by default 4096"), "{warnings:?}");
 
         // Hosted servers are only asked for their list.
         assert_eq!(
-            told(models("openai", None), refused(), nothing(), nothing()).await,
+            check_limits(models("openai", None), refused(), nothing(), nothing()).await,
             Vec::<String>::new()
         );
     }

@@ -18,7 +18,7 @@ use sha2::{Digest, Sha256};
 use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tokio::time::sleep;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 use uniground_models::chat::{
     ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, Prices, Tokens,
 };
@@ -75,7 +75,7 @@ pub struct ChatClient {
     endpoint: Endpoint,
     patience: RetryPolicy,
     replay_cache: ReplayCache,
-    turns: Semaphore,
+    permits: Semaphore,
 }
 
 #[derive(Deserialize)]
@@ -138,27 +138,27 @@ struct Attempt {
 }
 
 impl Attempt {
-    fn unread(why: String, again: bool) -> Self {
+    fn from_unreadable(why: String, again: bool) -> Self {
         Self { error: ChatError::Undecodable(why), again, wait: None, may_be_billed: true }
     }
 }
 
 const MAX_REDIRECTS: usize = 3;
 /// Timeout of the reachability check.
-const LONGEST_LOOK: Duration = Duration::from_secs(5);
+const CHECK_TIMEOUT: Duration = Duration::from_secs(5);
 /// Servers count tokens differently, above all for pictures. A count that differs from the estimate
 /// by more than this factor is implausible.
-const MOST_PROMPT_TIMES: u64 = 20;
+const MAX_PROMPT_FACTOR: u64 = 20;
 /// The same factor for replies. It is large: models bill the tokens of their hidden reasoning too.
-const MOST_COMPLETION_TIMES: u64 = 1000;
+const MAX_COMPLETION_FACTOR: u64 = 1000;
 /// Tokens around even the shortest question.
-const FEW_TOKENS: u64 = 1000;
+const PROMPT_OVERHEAD_TOKENS: u64 = 1000;
 
 /// Returns a server's token count if it is plausible, and the estimate otherwise. Servers that
 /// report no count are not free of charge.
-fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
+fn plausible_token_count(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
     let least = reckoned / most_times;
-    let most = reckoned.max(FEW_TOKENS).saturating_mul(most_times);
+    let most = reckoned.max(PROMPT_OVERHEAD_TOKENS).saturating_mul(most_times);
     match counted {
         Some(counted) if counted > 0 && (least..=most).contains(&counted) => counted,
         Some(counted) => {
@@ -181,8 +181,8 @@ impl ChatClient {
         patience: RetryPolicy,
         replay_cache: ReplayCache,
     ) -> Result<Self, reqwest::Error> {
-        choose_cryptography();
-        let turns = Semaphore::new(endpoint.concurrency.max(1));
+        install_crypto_provider();
+        let permits = Semaphore::new(endpoint.concurrency.max(1));
         // Prompts and pictures must go to the configured origin only.
         let redirect = redirect::Policy::custom(|attempt| {
             let same_place = attempt
@@ -196,7 +196,7 @@ impl ChatClient {
             }
         });
         let http = reqwest::Client::builder().redirect(redirect).build()?;
-        Ok(Self { http, endpoint, patience, replay_cache, turns })
+        Ok(Self { http, endpoint, patience, replay_cache, permits })
     }
 
     /// Checks that the endpoint's server is reachable. Any response counts; the check costs
@@ -204,9 +204,9 @@ impl ChatClient {
     ///
     /// # Errors
     /// Why it cannot be reached.
-    pub async fn reach(&self) -> Result<(), reqwest::Error> {
+    pub async fn check_reachable(&self) -> Result<(), reqwest::Error> {
         let url = format!("{}/models", self.endpoint.base_url.trim_end_matches('/'));
-        let request = self.http.get(url).timeout(LONGEST_LOOK);
+        let request = self.http.get(url).timeout(CHECK_TIMEOUT);
         let request =
             self.endpoint.api_key.iter().fold(request, reqwest::RequestBuilder::bearer_auth);
         request.send().await.map(drop).map_err(reqwest::Error::without_url)
@@ -231,10 +231,16 @@ impl ChatClient {
                         .and_then(|choice| choice.message.text())
                         .unwrap_or_default();
                     let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
-                    let prompt_tokens =
-                        believed(prompt_tokens, Tokens::of(request).total(), MOST_PROMPT_TIMES);
-                    let completion_tokens =
-                        believed(completion_tokens, Tokens::of_text(&text), MOST_COMPLETION_TIMES);
+                    let prompt_tokens = plausible_token_count(
+                        prompt_tokens,
+                        Tokens::of(request).total(),
+                        MAX_PROMPT_FACTOR,
+                    );
+                    let completion_tokens = plausible_token_count(
+                        completion_tokens,
+                        Tokens::of_text(&text),
+                        MAX_COMPLETION_FACTOR,
+                    );
                     return Ok(ChatReply {
                         text,
                         prompt_tokens,
@@ -280,7 +286,7 @@ impl ChatClient {
         let mut request = self
             .http
             .post(url)
-            .headers(trace_context::handed_on())
+            .headers(trace_context::propagation_headers())
             .timeout(self.patience.timeout)
             .json(body);
         if let Some(key) = &self.endpoint.api_key {
@@ -296,18 +302,18 @@ impl ChatClient {
                 may_be_billed,
             }
         };
-        let _turn = self.turns.acquire().await;
+        let _permit = self.permits.acquire().await;
         let response = request.send().await.map_err(transport)?;
         let (status, wait) = (response.status(), retry_after(&response));
-        let text = bounded(response).await.map_err(transport)?.ok_or_else(|| {
-            Attempt::unread(format!("it is longer than {MAX_REPLY_BYTES} bytes"), false)
+        let text = read_limited(response).await.map_err(transport)?.ok_or_else(|| {
+            Attempt::from_unreadable(format!("it is longer than {MAX_REPLY_BYTES} bytes"), false)
         })?;
         if !status.is_success() {
             let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
             let error = ChatError::Refused {
                 status: status.as_u16(),
                 reason: status.canonical_reason().unwrap_or("of its own"),
-                detail: detail(&self.without_key(&text)),
+                detail: detail(&self.redact_key(&text)),
             };
             // The model may have run before a server error, so it may be billed.
             return Err(Attempt {
@@ -318,16 +324,16 @@ impl ChatClient {
             });
         }
         let completion: Completion = serde_json::from_str(&text)
-            .map_err(|error| Attempt::unread(error.to_string(), true))?;
+            .map_err(|error| Attempt::from_unreadable(error.to_string(), true))?;
         if completion.choices.is_empty() {
-            Err(Attempt::unread("there is no choice".into(), true))
+            Err(Attempt::from_unreadable("there is no choice".into(), true))
         } else {
             Ok(completion)
         }
     }
 
     /// Removes the API key: some servers repeat it in error messages.
-    fn without_key(&self, text: &str) -> String {
+    fn redact_key(&self, text: &str) -> String {
         match &self.endpoint.api_key {
             Some(key) if !key.is_empty() => text.replace(key.as_str(), "<key>"),
             _ => text.to_owned(),
@@ -399,7 +405,7 @@ impl ChatModel for ChatClient {
 const MAX_REPLY_BYTES: usize = 8 << 20;
 
 /// Returns the body as text, or `None` if it is too long.
-async fn bounded(mut response: Response) -> Result<Option<String>, reqwest::Error> {
+async fn read_limited(mut response: Response) -> Result<Option<String>, reqwest::Error> {
     let mut bytes = Vec::new();
     while let Some(chunk) = response.chunk().await? {
         bytes.extend_from_slice(&chunk);

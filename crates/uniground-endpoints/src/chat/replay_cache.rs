@@ -40,7 +40,7 @@ pub enum ReplayError {
 
 impl ReplayError {
     /// Adds the file to an I/O error.
-    fn at(path: &Utf8Path) -> impl FnOnce(std::io::Error) -> Self {
+    fn with_path(path: &Utf8Path) -> impl FnOnce(std::io::Error) -> Self {
         move |error| Self::Io { path: path.to_owned(), error }
     }
 }
@@ -63,11 +63,11 @@ impl ReplayCache {
             .create(true)
             .append(true)
             .open(path)
-            .map_err(ReplayError::at(path))?;
+            .map_err(ReplayError::with_path(path))?;
         // Remove an incomplete last line: the next reply must start on a line of its own.
-        let text = fs::read(path).map_err(ReplayError::at(path))?;
+        let text = fs::read(path).map_err(ReplayError::with_path(path))?;
         let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |at| at + 1);
-        file.set_len(whole as u64).map_err(ReplayError::at(path))?;
+        file.set_len(whole as u64).map_err(ReplayError::with_path(path))?;
         Ok(Self::Record { file: Mutex::new(file), known: Mutex::new(known) })
     }
 
@@ -117,7 +117,7 @@ impl ReplayCache {
 }
 
 fn read(path: &Utf8Path) -> Result<(HashMap<String, ChatReply>, Option<String>), ReplayError> {
-    let text = fs::read_to_string(path).map_err(ReplayError::at(path))?;
+    let text = fs::read_to_string(path).map_err(ReplayError::with_path(path))?;
     let (mut known, mut model, count) = (HashMap::new(), None, text.lines().count());
     for (i, line) in text.lines().enumerate() {
         let parsed: Result<Line, _> = serde_json::from_str(line);
@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_that_was_cut_off_is_continued() {
+    fn a_truncated_recording_is_continued() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap().join("answers.jsonl");
         let reply = |text: &str| ChatReply {

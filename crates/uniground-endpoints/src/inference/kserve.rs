@@ -13,7 +13,7 @@ use std::io::Read;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 use uniground_models::neural::bundle::Bundle;
 use uniground_models::neural::network::{
     Element, Input, Network, Port, Signature, Tensor, Values, finite,
@@ -23,8 +23,8 @@ use uniground_models::with_causes;
 
 const HEADER_LENGTH: &str = "Inference-Header-Content-Length";
 const ATTEMPTS: u32 = 4;
-const FIRST_WAIT: Duration = Duration::from_millis(250);
-const LONGEST_WAIT: Duration = Duration::from_secs(10);
+const MIN_BACKOFF: Duration = Duration::from_millis(250);
+const MAX_BACKOFF: Duration = Duration::from_secs(10);
 /// Larger responses are rejected.
 const MAX_ANSWER_BYTES: u64 = 1 << 30;
 
@@ -73,10 +73,10 @@ impl RemoteServer {
     /// # Errors
     /// [`ModelError::Remote`] when the HTTP client cannot be created.
     pub fn new(address: &str, timeout: Duration) -> Result<Self, ModelError> {
-        choose_cryptography();
+        install_crypto_provider();
         let address = address.trim_end_matches('/').to_owned();
         let client =
-            Client::builder().timeout(timeout).connect_timeout(timeout.min(LONGEST_WAIT)).build();
+            Client::builder().timeout(timeout).connect_timeout(timeout.min(MAX_BACKOFF)).build();
         let client = client
             .map_err(|e| ModelError::Remote { network: address.clone(), why: with_causes(&e) })?;
         Ok(Self { address, client })
@@ -89,8 +89,8 @@ impl RemoteServer {
     fn network(&self, name: &str) -> Result<RemoteNetwork, ModelError> {
         let url = format!("{}/v2/models/{name}", self.address);
         let wrong = |why: String| ModelError::Remote { network: name.to_owned(), why };
-        let answer = patiently(|| self.client.get(&url)).map_err(&wrong)?;
-        let text = bounded(answer).map_err(&wrong)?;
+        let answer = send_with_retries(|| self.client.get(&url)).map_err(&wrong)?;
+        let text = read_limited(answer).map_err(&wrong)?;
         let Metadata { versions, platform, inputs, outputs } = serde_json::from_slice(&text)
             .map_err(|e| wrong(format!("{url} is no description of a model: {e}")))?;
         let ports =
@@ -157,11 +157,11 @@ struct Header<'a> {
     /// Optional in the protocol, but some servers fail without it.
     id: &'a str,
     inputs: Vec<Value>,
-    outputs: Vec<Wanted<'a>>,
+    outputs: Vec<RequestedOutput<'a>>,
 }
 
 #[derive(Serialize)]
-struct Wanted<'a> {
+struct RequestedOutput<'a> {
     name: &'a str,
     parameters: Value,
 }
@@ -194,7 +194,7 @@ impl Network for RemoteNetwork {
 
     fn run(&self, inputs: &[Input], outputs: &[&str]) -> Result<Vec<Tensor>, ModelError> {
         let wrong = |why: String| ModelError::Remote { network: self.name.clone(), why };
-        let answer = self.asked(inputs, outputs).map_err(&wrong)?;
+        let answer = self.send_request(inputs, outputs).map_err(&wrong)?;
         let made = read_answer(answer, outputs).map_err(&wrong)?;
         for (tensor, name) in made.iter().zip(outputs) {
             finite(&self.name, name, &tensor.values)?;
@@ -205,21 +205,21 @@ impl Network for RemoteNetwork {
 
 impl RemoteNetwork {
     /// Sends a request. Uses raw bytes unless the server has rejected them before.
-    fn asked(&self, inputs: &[Input], outputs: &[&str]) -> Result<Response, String> {
+    fn send_request(&self, inputs: &[Input], outputs: &[&str]) -> Result<Response, String> {
         if !self.plain.load(Ordering::Relaxed) {
             let (header, body) = binary_request(inputs, outputs);
             let request = || {
                 let post = self.client.post(&self.url).header(HEADER_LENGTH, header);
                 post.header(CONTENT_TYPE, "application/octet-stream").body(body.clone())
             };
-            match patiently(request) {
+            match send_with_retries(request) {
                 Ok(answer) => return Ok(answer),
                 Err(why) if !why.starts_with(REFUSED) => return Err(why),
                 Err(_) => {}
             }
         }
         let body = plain_request(inputs, outputs);
-        let answer = patiently(|| {
+        let answer = send_with_retries(|| {
             self.client.post(&self.url).header(CONTENT_TYPE, "application/json").body(body.clone())
         })?;
         self.plain.store(true, Ordering::Relaxed);
@@ -246,7 +246,7 @@ fn binary_request(inputs: &[Input], outputs: &[&str]) -> (usize, Vec<u8>) {
         inputs: inputs.iter().map(described).collect(),
         outputs: outputs
             .iter()
-            .map(|name| Wanted { name, parameters: json!({"binary_data": true}) })
+            .map(|name| RequestedOutput { name, parameters: json!({"binary_data": true}) })
             .collect(),
     };
     let mut body = json!(header).to_string().into_bytes();
@@ -273,7 +273,7 @@ fn plain_request(inputs: &[Input], outputs: &[&str]) -> Vec<u8> {
         inputs: inputs.iter().map(described).collect(),
         outputs: outputs
             .iter()
-            .map(|name| Wanted { name, parameters: json!({"binary_data": false}) })
+            .map(|name| RequestedOutput { name, parameters: json!({"binary_data": false}) })
             .collect(),
     };
     json!(header).to_string().into_bytes()
@@ -286,7 +286,7 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
         .get(HEADER_LENGTH)
         .and_then(|v| v.to_str().ok())
         .and_then(|v| v.parse::<usize>().ok());
-    let body = bounded(answer)?;
+    let body = read_limited(answer)?;
     let (header, mut raw) = match header_length {
         Some(length) if length <= body.len() => body.split_at(length),
         Some(_) => return Err("the answer is shorter than its header says".into()),
@@ -320,7 +320,7 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
                 bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
             }
             (None, Some(data)) => {
-                flattened(&data).ok_or_else(|| format!("{name}: values that are no numbers"))?
+                flatten(&data).ok_or_else(|| format!("{name}: values that are no numbers"))?
             }
             (None, None) => return Err(format!("{name} has no values")),
         };
@@ -342,7 +342,7 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
 }
 
 /// Flattens a JSON list, nested or flat, into numbers.
-fn flattened(data: &Value) -> Option<Vec<f32>> {
+fn flatten(data: &Value) -> Option<Vec<f32>> {
     fn collect(value: &Value, values: &mut Vec<f32>) -> bool {
         match value {
             Value::Array(inner) => inner.iter().all(|v| collect(v, values)),
@@ -361,8 +361,8 @@ fn flattened(data: &Value) -> Option<Vec<f32>> {
 const REFUSED: &str = "refused";
 
 /// Repeats a request until it is answered, refused, or out of attempts.
-fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
-    let mut wait = FIRST_WAIT;
+fn send_with_retries(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
+    let mut wait = MIN_BACKOFF;
     let mut attempt = 1;
     loop {
         let (why, told) = match request().send() {
@@ -374,12 +374,12 @@ fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
                     .get(RETRY_AFTER)
                     .and_then(|v| v.to_str().ok()?.parse().ok())
                     .map(Duration::from_secs);
-                let text = bounded(answer).unwrap_or_default();
+                let text = read_limited(answer).unwrap_or_default();
                 let why = format!(
                     "{status}: {}",
                     String::from_utf8_lossy(&text).chars().take(200).collect::<String>()
                 );
-                if !comes_back(status) {
+                if !is_retryable(status) {
                     return Err(format!("{REFUSED} with {why}"));
                 }
                 (why, told)
@@ -389,17 +389,17 @@ fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
         if attempt == ATTEMPTS {
             return Err(format!("{why} ({ATTEMPTS} attempts)"));
         }
-        sleep(told.unwrap_or(wait).min(LONGEST_WAIT));
+        sleep(told.unwrap_or(wait).min(MAX_BACKOFF));
         wait *= 2;
         attempt += 1;
     }
 }
 
-fn comes_back(status: StatusCode) -> bool {
+fn is_retryable(status: StatusCode) -> bool {
     matches!(status.as_u16(), 408 | 425 | 429 | 502 | 503 | 504)
 }
 
-fn bounded(answer: Response) -> Result<Vec<u8>, String> {
+fn read_limited(answer: Response) -> Result<Vec<u8>, String> {
     let mut body = Vec::new();
     let read = answer.take(MAX_ANSWER_BYTES + 1).read_to_end(&mut body);
     read.map_err(|e| with_causes(&e))?;

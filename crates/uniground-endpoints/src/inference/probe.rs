@@ -2,11 +2,11 @@
 
 use reqwest::Client;
 use std::time::Duration;
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 use uniground_models::with_causes;
 
 /// Timeout of the probe.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Probes an inference server.
 #[derive(Debug)]
@@ -21,8 +21,8 @@ impl Probe {
     /// # Errors
     /// The HTTP client cannot be created.
     pub fn new(address: &str) -> Result<Self, reqwest::Error> {
-        choose_cryptography();
-        let client = Client::builder().timeout(PATIENCE).build()?;
+        install_crypto_provider();
+        let client = Client::builder().timeout(TIMEOUT).build()?;
         Ok(Self { url: format!("{}/v2/health/ready", address.trim_end_matches('/')), client })
     }
 
@@ -30,7 +30,7 @@ impl Probe {
     ///
     /// # Errors
     /// Why it is not ready, without its address.
-    pub async fn look(&self) -> Result<(), String> {
+    pub async fn check_ready(&self) -> Result<(), String> {
         let answer = self
             .client
             .get(&self.url)

@@ -7,7 +7,7 @@ const HEIGHT: f32 = 220.0;
 const LEFT: f32 = 46.0;
 const BOTTOM: f32 = 34.0;
 const TOP: f32 = 14.0;
-const COLOURS: [&str; 6] = ["#2a6fbb", "#c0392b", "#2c8a4b", "#8e5bb5", "#c77f1b", "#4a4a4a"];
+const COLORS: [&str; 6] = ["#2a6fbb", "#c0392b", "#2c8a4b", "#8e5bb5", "#c77f1b", "#4a4a4a"];
 
 /// One line of a chart.
 pub(super) struct Line {
@@ -17,7 +17,7 @@ pub(super) struct Line {
 
 /// Draws lines over a common X axis. Y starts at zero and ends at `top`, or slightly above the
 /// highest point.
-pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>) -> String {
+pub(super) fn line_chart(title: &str, x_label: &str, lines: &[Line], top: Option<f32>) -> String {
     let points = || lines.iter().flat_map(|line| &line.points);
     let highest = points().map(|p| p.1).fold(0.0, f32::max);
     let top = top.unwrap_or(highest * 1.1).max(f32::MIN_POSITIVE);
@@ -41,27 +41,27 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
         );
     }
     for (i, line) in lines.iter().enumerate() {
-        let colour = COLOURS[i % COLOURS.len()];
+        let color = COLORS[i % COLORS.len()];
         let path: String =
             line.points.iter().map(|(x, y)| format!("{:.1},{:.1} ", x_of(*x), y_of(*y))).collect();
         let _ = write!(
             svg,
-            "<polyline fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\" points=\"{path}\"/>"
+            "<polyline fill=\"none\" stroke=\"{color}\" stroke-width=\"2\" points=\"{path}\"/>"
         );
         for (x, y) in &line.points {
             let _ = write!(
                 svg,
-                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\" fill=\"{colour}\"/>",
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\" fill=\"{color}\"/>",
                 x_of(*x),
                 y_of(*y)
             );
         }
         // Curves rise to the right, so the legend is placed where they seldom are.
         let y = HEIGHT - BOTTOM - 8.0 - 14.0 * (lines.len() - 1 - i) as f32;
-        let name = super::escaped(&line.name);
+        let name = super::escape_html(&line.name);
         let _ = write!(
             svg,
-            "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>",
+            "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{color}\">{name}</text>",
             WIDTH - 10.0
         );
     }
@@ -78,10 +78,10 @@ pub(super) fn histogram(title: &str, x_label: &str, counts: &[usize]) -> String 
     for (i, &count) in counts.iter().enumerate() {
         let (x, y) = (LEFT + width * i as f32, y_of(count as f32));
         let height = HEIGHT - BOTTOM - y;
-        let colour = COLOURS[0];
+        let color = COLORS[0];
         let _ = write!(
             svg,
-            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{height:.1}\" fill=\"{colour}\"><title>{count}</title></rect>",
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{height:.1}\" fill=\"{color}\"><title>{count}</title></rect>",
             width - 1.0
         );
     }
@@ -111,7 +111,7 @@ fn frame(title: &str, x_label: &str, top: f32, y_of: &dyn Fn(f32) -> f32) -> Str
             WIDTH - 10.0,
             LEFT - 6.0,
             y + 4.0,
-            short(value)
+            format_short(value)
         );
     }
     let _ = write!(
@@ -123,7 +123,7 @@ fn frame(title: &str, x_label: &str, top: f32, y_of: &dyn Fn(f32) -> f32) -> Str
     svg
 }
 
-fn short(value: f32) -> String {
+fn format_short(value: f32) -> String {
     if value >= 1000.0 {
         format!("{:.1}k", value / 1000.0)
     } else if value >= 10.0 {

@@ -3,7 +3,7 @@
 
 use super::charts::{self, Line};
 use super::markdown::interval;
-use super::{CellReport, Report, escaped};
+use super::{CellReport, Report, escape_html};
 use crate::measures::Figures;
 use crate::pictures;
 use crate::scoring::ScoredExpression;
@@ -24,22 +24,22 @@ svg text{font-size:11px;fill:#444}.note{background:#fff4d6;padding:.3rem .8rem;m
 summary{cursor:pointer;font-weight:600;margin:1rem 0}";
 
 /// Returns the whole page.
-pub(super) fn page(report: &Report, folder: &Utf8Path, embedded: usize) -> String {
+pub(super) fn render_page(report: &Report, folder: &Utf8Path, embedded: usize) -> String {
     let run = &report.run;
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style><h1>{0}</h1>",
-        escaped(&report.suite)
+        escape_html(&report.suite)
     );
     let _ = write!(
         page,
         "<p>{} expressions in {} scenes; uniground {} {}, {}, {}, {}. Intervals are 95 % bootstrap.</p>",
         report.expressions,
         report.scenes,
-        escaped(&run.version),
-        escaped(run.label.as_deref().unwrap_or("")),
-        escaped(&run.system),
-        escaped(&run.machine),
-        escaped(&run.written_at)
+        escape_html(&run.version),
+        escape_html(run.label.as_deref().unwrap_or("")),
+        escape_html(&run.system),
+        escape_html(&run.machine),
+        escape_html(&run.written_at)
     );
     if run.paper_compatible {
         page.push_str("<p class=\"note\">Paper-compatible: annotated target classes and anchors were handed over. Not leak-free.</p>");
@@ -51,7 +51,7 @@ pub(super) fn page(report: &Report, folder: &Utf8Path, embedded: usize) -> Strin
             report.omissions.len()
         );
         for omission in &report.omissions {
-            let _ = write!(page, "<li>{}", escaped(&omission.to_string()));
+            let _ = write!(page, "<li>{}", escape_html(&omission.to_string()));
         }
         page.push_str("</ul></details>");
     }
@@ -59,31 +59,34 @@ pub(super) fn page(report: &Report, folder: &Utf8Path, embedded: usize) -> Strin
     page.push_str(&table(rows, true));
     page.push_str(&cost_charts(report));
     for cell in &report.cells {
-        page.push_str(&section(cell, folder, embedded));
+        page.push_str(&render_section(cell, folder, embedded));
     }
     page.push_str("</html>\n");
     page
 }
 
-fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
-    let mut html = format!("<h2>{}</h2>", escaped(&cell.name));
+fn render_section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
+    let mut html = format!("<h2>{}</h2>", escape_html(&cell.name));
     for note in &cell.notes {
-        let _ = write!(html, "<p class=\"note\">{}</p>", escaped(note));
+        let _ = write!(html, "<p class=\"note\">{}</p>", escape_html(note));
     }
     if let Some(models) = &cell.models {
         let _ = write!(
             html,
             "<p>Masks {}, encoder {}, reasoner {}.</p>",
-            escaped(&models.masks),
-            escaped(&models.encoder),
-            escaped(&models.reasoner)
+            escape_html(&models.masks),
+            escape_html(&models.encoder),
+            escape_html(&models.reasoner)
         );
     }
     let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
     cell.left_out.iter().for_each(|left| *reasons.entry(&left.reason).or_default() += 1);
     for (reason, count) in reasons {
-        let _ =
-            write!(html, "<p class=\"note\">{count} expressions left out: {}</p>", escaped(reason));
+        let _ = write!(
+            html,
+            "<p class=\"note\">{count} expressions left out: {}</p>",
+            escape_html(reason)
+        );
     }
     let scenes = cell.by_scene.iter().filter(|_| cell.by_scene.len() > 1);
     html.push_str(&table(
@@ -118,7 +121,7 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
         curve("shortlist, .25", &cell.figures.shortlist_recall_at, 0),
         curve("shortlist, .5", &cell.figures.shortlist_recall_at, 1),
     ];
-    html.push_str(&charts::lines("Recall at k", "k", &curves, Some(1.0)));
+    html.push_str(&charts::line_chart("Recall at k", "k", &curves, Some(1.0)));
     let failures: Vec<&ScoredExpression> = cell.failures().collect();
     let _ = write!(
         html,
@@ -127,13 +130,13 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
         cell.outcomes.len()
     );
     for (i, outcome) in failures.into_iter().enumerate() {
-        html.push_str(&failure(outcome, folder, i < embedded));
+        html.push_str(&render_failure(outcome, folder, i < embedded));
     }
     html.push_str("</details>");
     html
 }
 
-fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String {
+fn render_failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String {
     let mut html = String::from("<div class=\"failure\"><div>");
     if let Some(name) = &outcome.picture {
         let link = format!("{}/{name}", pictures::FOLDER);
@@ -146,9 +149,9 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
     let _ = write!(
         html,
         "</div><div><p class=\"q\">{}</p><p class=\"id\">{} &middot; {}</p>",
-        escaped(&outcome.query),
-        escaped(&outcome.id),
-        escaped(&outcome.splits.join(", "))
+        escape_html(&outcome.query),
+        escape_html(&outcome.id),
+        escape_html(&outcome.splits.join(", "))
     );
     match &outcome.target {
         Some(target) => {
@@ -156,7 +159,7 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
             let _ = write!(
                 html,
                 "<p>Truth: {}. IoU of the answer {:.2}, of the best candidate {best:.2}, of the best instance {:.2}.</p>",
-                escaped(target.name.as_deref().unwrap_or("a box")),
+                escape_html(target.name.as_deref().unwrap_or("a box")),
                 target.iou,
                 target.best_instance_iou
             );
@@ -164,7 +167,7 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
         None => html.push_str("<p>Truth: no such object in the room.</p>"),
     }
     if let Some(error) = &outcome.error {
-        let _ = write!(html, "<p>Failed: {}</p>", escaped(error));
+        let _ = write!(html, "<p>Failed: {}</p>", escape_html(error));
     }
     if let Some(reply) = &outcome.reply {
         let status = match reply.status {
@@ -177,7 +180,7 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
             html,
             "<p>Reply: {status}, confidence {:.2}. {}</p>",
             reply.confidence,
-            escaped(&reply.answer.explanation)
+            escape_html(&reply.answer.explanation)
         );
         let candidates: Vec<String> = reply
             .candidates
@@ -191,7 +194,7 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
                 )
             })
             .collect();
-        let _ = write!(html, "<p>Candidates: {}</p>", escaped(&candidates.join(", ")));
+        let _ = write!(html, "<p>Candidates: {}</p>", escape_html(&candidates.join(", ")));
     }
     html.push_str("</div></div>");
     html
@@ -227,7 +230,7 @@ fn cost_charts(report: &Report) -> String {
     let chart = |title: &str, lines: BTreeMap<String, Vec<(f32, f32)>>| {
         let lines: Vec<Line> =
             lines.into_iter().map(|(name, points)| Line { name, points }).collect();
-        charts::lines(title, "top_k", &lines, None)
+        charts::line_chart(title, "top_k", &lines, None)
     };
     chart("Median latency, ms", latency) + &chart("Tokens per question", tokens)
 }
@@ -250,7 +253,7 @@ fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) ->
         let _ = write!(
             html,
             "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
-            escaped(name),
+            escape_html(name),
             f.expressions,
             interval(&f.complete[0]),
             interval(&f.complete[1]),

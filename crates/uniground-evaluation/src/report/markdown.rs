@@ -8,7 +8,7 @@ use std::fmt::Write;
 const SHOWN_OMISSIONS: usize = 50;
 
 // Writing to a String cannot fail.
-pub(super) fn page(report: &Report) -> String {
+pub(super) fn render_page(report: &Report) -> String {
     let mut page = String::new();
     let run = &report.run;
     let _ = writeln!(page, "# {}\n", report.suite);

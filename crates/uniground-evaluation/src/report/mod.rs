@@ -116,13 +116,13 @@ impl Report {
         };
         write("report.json", serde_json::to_vec(self)?)?;
         write("report.md", self.markdown().into_bytes())?;
-        write("index.html", html::page(self, folder, embedded).into_bytes())
+        write("index.html", html::render_page(self, folder, embedded).into_bytes())
     }
 
     /// Returns the Markdown tables.
     #[must_use]
     pub fn markdown(&self) -> String {
-        markdown::page(self)
+        markdown::render_page(self)
     }
 }
 
@@ -137,7 +137,7 @@ impl CellReport {
         let figures = |groups: BTreeMap<&str, Vec<&ScoredExpression>>| {
             groups
                 .into_iter()
-                .map(|(name, group)| (name.to_owned(), Figures::of(&group, seed)))
+                .map(|(name, group)| (name.to_owned(), Figures::from_outcomes(&group, seed)))
                 .collect()
         };
         // If the built-in reasoner was the fallback for some questions, the cell is still
@@ -150,7 +150,7 @@ impl CellReport {
             .cloned();
         Self {
             notes: notes(&configuration, models.as_ref()),
-            figures: Figures::of(&outcomes.iter().collect::<Vec<_>>(), seed),
+            figures: Figures::from_outcomes(&outcomes.iter().collect::<Vec<_>>(), seed),
             splits: figures(splits),
             by_scene: figures(by_scene),
             left_out: left_out.into_iter().map(|(id, reason)| LeftOut { id, reason }).collect(),
@@ -169,7 +169,7 @@ impl CellReport {
 
 /// Escapes text for HTML.
 #[must_use]
-pub fn escaped(text: &str) -> String {
+pub fn escape_html(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -41,14 +41,14 @@ pub(super) fn read(file: &Utf8Path, records: &[Record], collected: &mut Collecte
         let task = record
             .decode::<VisualGroundingRecord>(file)
             .and_then(|found| {
-                task_of(found, i).map_err(|what| Omission::new(file, record.line, what))
+                to_task(found, i).map_err(|what| Omission::new(file, record.line, what))
             })
             .map(|task| RawTask { file: file.to_owned(), line: record.line, ..task });
-        collected.take(task);
+        collected.add(task);
     }
 }
 
-fn task_of(record: VisualGroundingRecord, index: usize) -> Result<RawTask, String> {
+fn to_task(record: VisualGroundingRecord, index: usize) -> Result<RawTask, String> {
     let target = match record.target_id {
         None => return Err("there is no target_id: the test split has no ground truth".into()),
         Some(Targets::One(id)) => id.get()?,

@@ -139,7 +139,7 @@ struct SceneFiles {
 }
 
 impl Collected {
-    fn take(&mut self, task: Result<RawTask, Omission>) {
+    fn add(&mut self, task: Result<RawTask, Omission>) {
         match task {
             Ok(task) => self.tasks.push(task),
             Err(omission) => self.omissions.push(omission),
@@ -180,7 +180,7 @@ impl Suite {
 
     /// Returns the first `count` tasks in an order that depends only on ids and `seed`.
     #[must_use]
-    pub fn sampled(mut self, count: usize, seed: u64) -> Self {
+    pub fn sample(mut self, count: usize, seed: u64) -> Self {
         let mut keyed: Vec<(u64, usize)> =
             self.tasks.iter().enumerate().map(|(i, task)| (hash(&task.id, seed), i)).collect();
         keyed.sort_unstable();
@@ -195,9 +195,9 @@ impl Suite {
     /// Returns the tasks of the first `count` scenes in an order that depends only on ids and
     /// `seed`.
     #[must_use]
-    pub fn sampled_by_scene(mut self, count: usize, seed: u64) -> Self {
-        let asked_about: BTreeSet<usize> = self.tasks.iter().map(|task| task.scene).collect();
-        let mut keyed: Vec<(u64, usize)> = asked_about
+    pub fn sample_by_scene(mut self, count: usize, seed: u64) -> Self {
+        let answer_query: BTreeSet<usize> = self.tasks.iter().map(|task| task.scene).collect();
+        let mut keyed: Vec<(u64, usize)> = answer_query
             .into_iter()
             .map(|scene| (hash(&self.scenes[scene].id, seed), scene))
             .collect();
@@ -263,7 +263,7 @@ fn read_file(
     if text.trim_start().starts_with('{') {
         return queries::read_suite(file, &text, collected);
     }
-    let records = match Record::all(&text) {
+    let records = match Record::parse_list(&text) {
         Ok(records) => records,
         Err(error) => {
             collected.omissions.push(Omission::new(file, error.line() as u64, error.to_string()));
@@ -296,7 +296,7 @@ fn assemble(name: String, folder: &Utf8Path, collected: Collected) -> Suite {
     let mut first_of: BTreeMap<String, (Utf8PathBuf, u64)> = BTreeMap::new();
     for task in raw {
         let scene = *index_of.entry(task.scene.clone()).or_insert_with(|| {
-            scenes.push(scene_of(&task.scene, folder, known.get(&task.scene), &mut omissions));
+            scenes.push(build_scene(&task.scene, folder, known.get(&task.scene), &mut omissions));
             scenes.len() - 1
         });
         let omit = |reason: String| Omission::new(&task.file, task.line, reason);
@@ -313,7 +313,7 @@ fn assemble(name: String, folder: &Utf8Path, collected: Collected) -> Suite {
     Suite { name, scenes, tasks, omissions }
 }
 
-fn scene_of(
+fn build_scene(
     id: &str,
     folder: &Utf8Path,
     known: Option<&SceneFiles>,
@@ -325,9 +325,9 @@ fn scene_of(
             [".zip", ".tar", ".tar.zst", ""].map(|ending| folder.join(format!("{id}{ending}")));
         candidates.into_iter().find(|path| path.exists())
     });
-    let annotations = annotations.or_else(|| Annotations::file_of(folder, id)).map(|file| {
-        let (annotations, told) = Annotations::read(&file);
-        omissions.extend(told);
+    let annotations = annotations.or_else(|| Annotations::find_file(folder, id)).map(|file| {
+        let (annotations, reported) = Annotations::read(&file);
+        omissions.extend(reported);
         Sealed::new(annotations)
     });
     SuiteScene { id: id.to_owned(), scan, annotations, recorded }

@@ -46,7 +46,7 @@ fn left_out() -> Value {
     Value::Bool(false)
 }
 
-fn target(id: &Value, aabb: Option<Aabb>) -> Result<RawTarget, String> {
+fn parse_target(id: &Value, aabb: Option<Aabb>) -> Result<RawTarget, String> {
     match (id, aabb) {
         (Value::Number(id), _) => {
             let id = id.as_u64().and_then(|id| u32::try_from(id).ok());
@@ -101,7 +101,7 @@ pub(super) fn read_suite(
             SceneFiles { scan: found(scan), annotations: found(annotations), recorded: None };
         collected.scenes.insert(id, files);
     }
-    read(file, &Record::located(text, &expressions), None, collected);
+    read(file, &Record::with_locations(text, &expressions), None, collected);
     Ok(())
 }
 
@@ -116,7 +116,7 @@ fn read(file: &Utf8Path, records: &[Record], scene: Option<&str>, collected: &mu
                 id: query.id.unwrap_or_else(|| format!("{scene}#{}", i + 1)),
                 scene,
                 query: query.query,
-                target: target(&query.target_id, query.target_box)
+                target: parse_target(&query.target_id, query.target_box)
                     .map_err(|what| Omission::new(file, record.line, what))?,
                 target_name: query.target_name,
                 uniqueness: query.unique.map(|unique| if unique { "unique" } else { "multiple" }),
@@ -124,6 +124,6 @@ fn read(file: &Utf8Path, records: &[Record], scene: Option<&str>, collected: &mu
                 anchors: Vec::new(),
             })
         });
-        collected.take(task);
+        collected.add(task);
     }
 }

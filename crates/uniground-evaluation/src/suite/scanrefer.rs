@@ -64,9 +64,9 @@ pub(super) fn read(
     }
     for (line, record) in decoded {
         let task = record.and_then(|record| {
-            let told = |what| Omission::new(file, line, what);
+            let omit = |what| Omission::new(file, line, what);
             let (object, annotation) =
-                (record.object_id.get().map_err(told)?, record.ann_id.get().map_err(told)?);
+                (record.object_id.get().map_err(omit)?, record.ann_id.get().map_err(omit)?);
             let alike = objects_of
                 .get(&(record.scene_id.clone(), class(&record.object_name)))
                 .map_or(0, BTreeSet::len);
@@ -83,6 +83,6 @@ pub(super) fn read(
                 anchors: Vec::new(),
             })
         });
-        collected.take(task);
+        collected.add(task);
     }
 }

@@ -41,11 +41,11 @@ impl Row<'_> {
         (!cell.is_empty()).then_some(cell)
     }
 
-    fn need(&self, column: &str) -> Result<&str, String> {
+    fn require(&self, column: &str) -> Result<&str, String> {
         self.get(column).ok_or_else(|| format!("{column} is empty"))
     }
 
-    fn flag(&self, column: &str) -> Option<bool> {
+    fn parse_flag(&self, column: &str) -> Option<bool> {
         match self.get(column)?.to_ascii_lowercase().as_str() {
             "true" | "1" => Some(true),
             "false" | "0" => Some(false),
@@ -66,7 +66,7 @@ pub(super) fn read(file: &Utf8Path, text: &str, collected: &mut Collected) -> an
         let task = match cells {
             Ok(cells) => {
                 let line = cells.position().map_or(0, csv::Position::line);
-                let task = task_of(&Row { columns: &columns, cells: &cells }, i);
+                let task = to_task(&Row { columns: &columns, cells: &cells }, i);
                 task.map(|task| RawTask { file: file.to_owned(), line, ..task })
                     .map_err(|what| Omission::new(file, line, what))
             }
@@ -76,27 +76,29 @@ pub(super) fn read(file: &Utf8Path, text: &str, collected: &mut Collected) -> an
                 error.to_string(),
             )),
         };
-        collected.take(task);
+        collected.add(task);
     }
     Ok(())
 }
 
-fn task_of(row: &Row, index: usize) -> Result<RawTask, String> {
-    let target = row.need("target_id")?;
+fn to_task(row: &Row, index: usize) -> Result<RawTask, String> {
+    let target = row.require("target_id")?;
     let target: u32 =
         target.parse().map_err(|_| format!("target_id {target:?} is not an object's number"))?;
-    let (scene, query) = (row.need("scan_id")?, row.need("utterance")?);
-    let alike = row.get("stimulus_id").and_then(alike_of);
+    let (scene, query) = (row.require("scan_id")?, row.require("utterance")?);
+    let alike = row.get("stimulus_id").and_then(class_size);
     let mut splits = Vec::new();
-    if let Some(easy) = row.flag("is_easy_referit3d").or_else(|| alike.map(|n| n <= EASY_UP_TO)) {
+    if let Some(easy) =
+        row.parse_flag("is_easy_referit3d").or_else(|| alike.map(|n| n <= EASY_UP_TO))
+    {
         splits.push(if easy { "easy" } else { "hard" }.to_owned());
     }
-    let depends = row.flag("is_vd_referit3d").unwrap_or_else(|| depends_on_view(query));
+    let depends = row.parse_flag("is_vd_referit3d").unwrap_or_else(|| depends_on_view(query));
     splits.push(if depends { "view-dependent" } else { "view-independent" }.to_owned());
     if let Some(kind) = row.get("reference_type").or_else(|| row.get("coarse_reference_type")) {
         splits.push(format!("kind: {kind}"));
     }
-    let unique = row.flag("is_unique_scanrefer").or_else(|| alike.map(|n| n == 1));
+    let unique = row.parse_flag("is_unique_scanrefer").or_else(|| alike.map(|n| n == 1));
     Ok(RawTask {
         file: "".into(),
         line: 0,
@@ -116,7 +118,7 @@ fn task_of(row: &Row, index: usize) -> Result<RawTask, String> {
 
 /// Returns the number of objects of the class from `scan-label-N-target-distractors…`. N includes
 /// the target.
-fn alike_of(stimulus: &str) -> Option<u32> {
+fn class_size(stimulus: &str) -> Option<u32> {
     stimulus.split('-').nth(2)?.parse().ok()
 }
 

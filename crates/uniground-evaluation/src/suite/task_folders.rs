@@ -85,27 +85,27 @@ pub(super) fn read_below(root: &Utf8Path, collected: &mut Collected) -> anyhow::
 
 fn read(folder: &Utf8Path, name: &str) -> Result<(RawTask, SceneFiles), Omission> {
     let file = folder.join("task.json");
-    let told = |what: &str| Omission::new(&file, None, what);
-    let task: TaskRecord = match json(&file)? {
+    let omit = |what: &str| Omission::new(&file, None, what);
+    let task: TaskRecord = match read_json(&file)? {
         OneOrList::One(task) => task,
         OneOrList::List(tasks) => {
-            tasks.first().cloned().ok_or_else(|| told("the list is empty"))?
+            tasks.first().cloned().ok_or_else(|| omit("the list is empty"))?
         }
     };
     let query = task
         .description
         .or(task.caption)
-        .ok_or_else(|| told("there is neither description nor caption"))?;
+        .ok_or_else(|| omit("there is neither description nor caption"))?;
     let scan = task.scene_id.or(task.scan_id);
     let truth_file = folder.join("gt.json");
-    let truth: TruthRecord = json(&truth_file)?;
-    let target = z_up(&truth.gt_bbox)
+    let truth: TruthRecord = read_json(&truth_file)?;
+    let target = to_z_up(&truth.gt_bbox)
         .map_err(|what| Omission::new(&truth_file, None, format!("gt_bbox: {what}")))?;
     let cloud = folder.join("full_pcd.ply");
     let files = SceneFiles {
         scan: cloud.is_file().then_some(cloud),
         annotations: None,
-        recorded: candidates(folder)?,
+        recorded: read_candidates(folder)?,
     };
     let task = RawTask {
         line: 1,
@@ -120,24 +120,24 @@ fn read(folder: &Utf8Path, name: &str) -> Result<(RawTask, SceneFiles), Omission
             None => "unknown",
         }),
         splits: scan.map(|scan| format!("scan: {scan}")).into_iter().collect(),
-        anchors: anchors(folder)?,
+        anchors: read_anchors(folder)?,
         file,
     };
     Ok((task, files))
 }
 
 /// Returns the candidates of `ref.json`, without names.
-fn candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
+fn read_candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
     let file = folder.join("ref.json");
     if !file.is_file() {
         return Ok(None);
     }
-    let records: BTreeMap<String, CandidateRecord> = json(&file)?;
+    let records: BTreeMap<String, CandidateRecord> = read_json(&file)?;
     let mut objects = Vec::new();
     for (id, candidate) in records {
-        let told = |what: String| Omission::new(&file, None, format!("candidate {id:?}: {what}"));
-        let number = id.parse().map_err(|_| told("it is not numbered".into()))?;
-        let aabb = z_up(&candidate.bbox).map_err(told)?;
+        let omit = |what: String| Omission::new(&file, None, format!("candidate {id:?}: {what}"));
+        let number = id.parse().map_err(|_| omit("it is not numbered".into()))?;
+        let aabb = to_z_up(&candidate.bbox).map_err(omit)?;
         objects.push(SceneObject {
             id: number,
             name: String::new(),
@@ -154,7 +154,7 @@ fn candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
 }
 
 /// Reads `anchor.json`, or else all `anchor_*.json`.
-fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
+fn read_anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
     let single = folder.join("anchor.json");
     let files = if single.is_file() {
         vec![single]
@@ -168,15 +168,15 @@ fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
         listed.into_iter().filter(|path| anchored(path)).collect()
     };
     let read = |file: &camino::Utf8PathBuf| {
-        let AnchorRecord { anchor, bbox } = json(file)?;
-        Ok((anchor, z_up(&bbox).map_err(|what| Omission::new(file, None, what))?))
+        let AnchorRecord { anchor, bbox } = read_json(file)?;
+        Ok((anchor, to_z_up(&bbox).map_err(|what| Omission::new(file, None, what))?))
     };
     files.iter().map(read).collect()
 }
 
 /// Converts `[x, y, z, dx, dy, dz]` of a Y-up world to Z-up: `(x, -z, y)`, with extents swapped in
 /// the same way. Further numbers are ignored.
-fn z_up(numbers: &[f32]) -> Result<Aabb, String> {
+fn to_z_up(numbers: &[f32]) -> Result<Aabb, String> {
     match *numbers {
         [x, y, z, dx, dy, dz, ..] => {
             let aabb = Aabb { center: Point3::new(x, -z, y), size: Vector3::new(dx, dz, dy) };
@@ -186,7 +186,7 @@ fn z_up(numbers: &[f32]) -> Result<Aabb, String> {
     }
 }
 
-fn json<T: DeserializeOwned>(file: &Utf8Path) -> Result<T, Omission> {
+fn read_json<T: DeserializeOwned>(file: &Utf8Path) -> Result<T, Omission> {
     let text =
         fs::read_to_string(file).map_err(|error| Omission::new(file, None, error.to_string()))?;
     serde_json::from_str(&text)

@@ -21,7 +21,7 @@ fn target(task: &Task) -> &Target {
     &task.truth.for_reader().target
 }
 
-fn told(suite: &Suite) -> Vec<String> {
+fn omission_lines(suite: &Suite) -> Vec<String> {
     let relative = |o: &Omission| {
         format!("{}:{} {}", o.file.file_name().unwrap(), o.line.unwrap_or(0), o.reason)
     };
@@ -35,7 +35,7 @@ const ROOM: &str = r#"{"objects": [
 ]}"#;
 
 #[test]
-fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
+fn query_lists_are_joined_with_annotations_and_invalid_queries_are_reported() {
     let (_keep, root) = folder(&[
         ("room.scene.json", ROOM),
         (
@@ -67,18 +67,21 @@ fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
     let uniqueness: Vec<_> = suite.tasks.iter().map(|t| t.truth.for_reader().uniqueness).collect();
     assert_eq!(uniqueness, ["unique", "absent", "multiple", "unknown"]);
     assert_eq!(suite.tasks[0].truth.for_reader().splits, ["kind: unique"]);
-    let told = told(&suite);
-    assert!(told[0].starts_with("room.queries.json:8 query: invalid type"), "{told:?}");
+    let reported = omission_lines(&suite);
+    assert!(reported[0].starts_with("room.queries.json:8 query: invalid type"), "{reported:?}");
     assert!(
-        told[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"),
-        "{told:?}"
+        reported[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"),
+        "{reported:?}"
     );
-    assert!(told[2].starts_with("other.queries.json:1 the scene other is missing"), "{told:?}");
-    assert!(told[3].starts_with("room.queries.json:5 the id left is taken by"), "{told:?}");
-    assert_eq!(told[4], "room.queries.json:6 target 9 is not in the annotations of room");
-    assert_eq!(told[5], "room.queries.json:7 the query is empty");
-    assert!(told[6].starts_with("room.queries.json:11 the box has no volume"), "{told:?}");
-    assert_eq!(told.len(), 7);
+    assert!(
+        reported[2].starts_with("other.queries.json:1 the scene other is missing"),
+        "{reported:?}"
+    );
+    assert!(reported[3].starts_with("room.queries.json:5 the id left is taken by"), "{reported:?}");
+    assert_eq!(reported[4], "room.queries.json:6 target 9 is not in the annotations of room");
+    assert_eq!(reported[5], "room.queries.json:7 the query is empty");
+    assert!(reported[6].starts_with("room.queries.json:11 the box has no volume"), "{reported:?}");
+    assert_eq!(reported.len(), 7);
 }
 
 #[test]
@@ -93,9 +96,12 @@ fn a_suite_file_names_its_scenes() {
     ]);
     let suite = open(&root, "suite.json");
     assert_eq!((suite.tasks.len(), suite.scenes[0].id.as_str()), (1, "flat"));
-    let told = told(&suite);
-    assert!(told[0].contains("scene gone:") && told[0].contains("does not exist"), "{told:?}");
-    assert_eq!(told[1], "suite.json:2 the expression names no scene");
+    let reported = omission_lines(&suite);
+    assert!(
+        reported[0].contains("scene gone:") && reported[0].contains("does not exist"),
+        "{reported:?}"
+    );
+    assert_eq!(reported[1], "suite.json:2 the expression names no scene");
 }
 
 #[test]
@@ -121,7 +127,10 @@ fn scanrefer_counts_a_class_over_its_own_objects() {
     let by_name = open(&root, "ScanRefer_filtered_val.json");
     assert_eq!(by_name.tasks[0].id, "scene0011_00-0-3");
     assert_eq!(uniqueness(&by_name), ["unique", "unique", "unique"]);
-    assert_eq!(told(&by_name), ["ScanRefer_filtered_val.json:4 \"x\" is not an object's number"]);
+    assert_eq!(
+        omission_lines(&by_name),
+        ["ScanRefer_filtered_val.json:4 \"x\" is not an object's number"]
+    );
     let options =
         SuiteOptions { label_map: Some(root.join("labels.tsv")), ..SuiteOptions::default() };
     let by_class = Suite::open(&root.join("ScanRefer_filtered_val.json"), &options).unwrap();
@@ -149,7 +158,7 @@ fn tables_carry_the_splits_of_referit3d() {
     let splits: Vec<_> = nr3d.tasks.iter().map(|t| t.truth.for_reader().splits.clone()).collect();
     assert_eq!(splits, [vec!["easy", "view-dependent"], vec!["hard", "view-independent"]]);
     assert_eq!(nr3d.tasks[0].id, "scene0515_00-1-7");
-    assert_eq!(told(&nr3d), ["nr3d.csv:4 target_id \"one\" is not an object's number"]);
+    assert_eq!(omission_lines(&nr3d), ["nr3d.csv:4 target_id \"one\" is not an object's number"]);
     let subset = open(&root, "scanrefer_250.csv");
     let truth = subset.tasks[0].truth.for_reader();
     assert_eq!(
@@ -160,7 +169,7 @@ fn tables_carry_the_splits_of_referit3d() {
 }
 
 #[test]
-fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
+fn embodiedscan_scene_ids_are_the_last_path_component() {
     let (_keep, root) = folder(&[
         (
             "scans/47333462.json",
@@ -182,14 +191,14 @@ fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
     assert_eq!((suite.tasks.len(), suite.scenes[0].id.as_str()), (1, "47333462"));
     assert_eq!(suite.tasks[0].truth.for_reader().splits, ["view-dependent", "easy"]);
     assert!(matches!(target(&suite.tasks[0]), Target::Object { rotated: Some(_), .. }));
-    assert!(told(&suite)[0].ends_with("2 targets: only expressions with one are scored"));
+    assert!(omission_lines(&suite)[0].ends_with("2 targets: only expressions with one are scored"));
     let lists = Suite::open(&root.join("queries.json"), &options).unwrap();
     // The converter writes `false` for everything, so the annotations are counted instead.
     assert_eq!(lists.tasks[0].truth.for_reader().uniqueness, "unique");
 }
 
 #[test]
-fn task_folders_are_turned_upright() {
+fn task_folders_are_converted_to_z_up() {
     let (_keep, root) = folder(&[
         (
             "scene0019_00/1/task.json",
@@ -226,7 +235,7 @@ fn task_folders_are_turned_upright() {
 }
 
 #[test]
-fn what_can_not_be_scored_at_all_is_an_error_that_says_why() {
+fn unscorable_suites_are_errors_with_a_reason() {
     let (_keep, root) = folder(&[
         ("empty.queries.json", "[]"),
         ("broken.queries.json", "[{\"query\": "),
@@ -261,15 +270,15 @@ fn a_sample_depends_on_ids_and_seed_alone() {
         folder(&[("room.scene.json", ROOM), ("room.queries.json", &format!("[{expressions}]"))]);
     let suite = open(&root, "room.queries.json");
     let ids = |suite: Suite| suite.tasks.into_iter().map(|t| t.id).collect::<Vec<_>>();
-    let drawn = ids(suite.clone().sampled(10, 1));
+    let drawn = ids(suite.clone().sample(10, 1));
     assert_eq!(drawn.len(), 10);
-    assert_eq!(ids(suite.clone().sampled(10, 1)), drawn);
-    assert_ne!(ids(suite.clone().sampled(10, 2)), drawn);
-    assert_eq!(ids(suite.clone().sampled(500, 2)), ids(suite));
+    assert_eq!(ids(suite.clone().sample(10, 1)), drawn);
+    assert_ne!(ids(suite.clone().sample(10, 2)), drawn);
+    assert_eq!(ids(suite.clone().sample(500, 2)), ids(suite));
 }
 
 #[test]
-fn a_sample_of_scenes_keeps_all_that_is_asked_of_them() {
+fn sampling_by_scene_keeps_all_tasks_of_a_scene() {
     let names = ["a", "b", "c", "d", "e"];
     let annotations = names.map(|name| format!("{name}.scene.json"));
     let lists = names.map(|name| format!("{name}.queries.json"));
@@ -281,7 +290,7 @@ fn a_sample_of_scenes_keeps_all_that_is_asked_of_them() {
     let (_keep, root) = folder(&files);
     let suite = open(&root, "");
     let scenes = |seed| {
-        let drawn = suite.clone().sampled_by_scene(2, seed);
+        let drawn = suite.clone().sample_by_scene(2, seed);
         assert_eq!(drawn.tasks.len(), 4, "both expressions of both scenes");
         drawn
             .tasks

@@ -1,6 +1,6 @@
 //! Runs the pipelines in this process, without a server or a store.
 
-use super::oracle::{NamedBy, give_name, instances_of, see, view};
+use super::oracle::{NamedBy, choose_views, embed_and_name, give_name, instances_of};
 use super::seen_names::name_as_seen;
 use super::{OpenScene, System};
 use crate::annotations::Annotations;
@@ -91,7 +91,7 @@ impl InProcess {
     ) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
-        let program = digest::of(&bytes);
+        let program = digest::short_digest(&bytes);
         // Answers without this record are not part of it, so its path is part of the fingerprint.
         let fingerprint = format!(
             "{program} {models} {} {}",
@@ -105,7 +105,7 @@ impl InProcess {
     /// Stores finished stages of parses below a folder. Later runs with other questions, models or
     /// settings of stage 2 reuse them. They are only valid for this executable.
     #[must_use]
-    pub fn keeping_parses_in(self, folder: &Utf8Path) -> Self {
+    pub fn with_parse_cache(self, folder: &Utf8Path) -> Self {
         Self { parses: Some(folder.to_owned()), ..self }
     }
 
@@ -114,7 +114,7 @@ impl InProcess {
         let Some(parses) = &self.parses else { return Ok(Checkpoints::none()) };
         let mut hasher = Sha256::new();
         digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
-        let content = digest::finish(hasher);
+        let content = digest::short_hex(hasher);
         let own = parses.join(&self.program);
         let folder = own.join(&content);
         fs::create_dir_all(&folder).with_context(|| folder.to_string())?;
@@ -147,7 +147,7 @@ impl System for InProcess {
         &self.fingerprint
     }
 
-    fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
+    fn check_configuration(&self, configuration: &Configuration) -> anyhow::Result<()> {
         for (axis, wanted) in [
             ("parser=vlm", configuration.parser == ParserChoice::Vlm),
             ("reasoner=vlm", configuration.reasoner == ReasonerChoice::Vlm),
@@ -161,11 +161,11 @@ impl System for InProcess {
         self.models(configuration).map(drop)
     }
 
-    fn still_has(&self, _: &str) -> bool {
+    fn has_scene(&self, _: &str) -> bool {
         true // The fingerprint and the content cover everything that a reply depends on.
     }
 
-    fn enter(
+    fn open_scene(
         &self,
         scene: &SuiteScene,
         configuration: &Configuration,
@@ -182,7 +182,7 @@ impl System for InProcess {
         // photographs.
         let with_views = self.vlm.is_some();
         let known = |annotations: &Annotations, names| {
-            boxed(annotations, scene, names, &models, &settings, with_views)
+            build_known_instances(annotations, scene, names, &models, &settings, with_views)
         };
         let OpenedScene {
             mut instances,
@@ -277,7 +277,7 @@ struct OpenedScene {
 
 /// Builds instances from known boxes, with the scan's cloud if there is one, and with an encoder's
 /// embeddings and names.
-fn boxed(
+fn build_known_instances(
     known: &Annotations,
     scene: &SuiteScene,
     names: NamedBy,
@@ -301,13 +301,18 @@ fn boxed(
         .with_context(|| format!("the scene {} is empty", scene.id))?;
     let mut instances = instances_of(known, &cloud, names);
     let embeddings = match &models.encoder {
-        Some(encoder) if names == NamedBy::Encoder => {
-            Some(see(known, &mut instances, &cloud, &frames, encoder, &settings.parsing)?)
-        }
+        Some(encoder) if names == NamedBy::Encoder => Some(embed_and_name(
+            known,
+            &mut instances,
+            &cloud,
+            &frames,
+            encoder,
+            &settings.parsing,
+        )?),
         _ => None,
     };
     if with_views {
-        view(known, &mut instances, &cloud, &frames, &settings.parsing)?;
+        choose_views(known, &mut instances, &cloud, &frames, &settings.parsing)?;
     }
     Ok(OpenedScene {
         instances,
@@ -330,7 +335,7 @@ impl OpenScene for LocalScene {
     ) -> anyhow::Result<Reply> {
         // In a paper-compatible run, annotated anchors are added to the scene.
         let instances = match hints.filter(|h| !h.anchors.is_empty()) {
-            Some(hints) => self.with(&hints.anchors).into(),
+            Some(hints) => self.with_anchors(&hints.anchors).into(),
             None => self.instances.clone(),
         };
         let question = Question {
@@ -389,9 +394,9 @@ impl OpenScene for LocalScene {
 }
 
 impl LocalScene {
-    fn with(&self, anchors: &[(String, Aabb)]) -> Vec<Instance> {
+    fn with_anchors(&self, anchors: &[(String, Aabb)]) -> Vec<Instance> {
         let mut instances = self.instances.to_vec();
-        let objects = Annotations::named(anchors);
+        let objects = Annotations::from_boxes(anchors);
         for mut anchor in instances_of(&objects, &PointCloud::default(), NamedBy::Annotated) {
             let name = anchor.given_name.take().unwrap_or_default();
             anchor.id = InstanceId(instances.len() as u32 + 1);

@@ -9,7 +9,7 @@ use super::configuration::Configuration;
 use super::reply::Reply;
 use super::suite::{Expression, Hints, SuiteScene};
 pub use in_process::{InProcess, ModelLoader, ModelUse};
-pub use oracle::{NamedBy, instances_of, see};
+pub use oracle::{NamedBy, embed_and_name, instances_of};
 pub use server::Server;
 use uniground_geometry::boxes::Aabb;
 use uniground_render::RenderScene;
@@ -26,16 +26,16 @@ pub trait System: Sync {
     ///
     /// # Errors
     /// Returns the reason if it does not.
-    fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()>;
+    fn check_configuration(&self, configuration: &Configuration) -> anyhow::Result<()>;
 
     /// Returns whether it still has the scene with this [token](OpenScene::token).
-    fn still_has(&self, token: &str) -> bool;
+    fn has_scene(&self, token: &str) -> bool;
 
     /// Prepares a scene for questions.
     ///
     /// # Errors
     /// Returns the reason why the scene cannot be used.
-    fn enter(
+    fn open_scene(
         &self,
         scene: &SuiteScene,
         configuration: &Configuration,

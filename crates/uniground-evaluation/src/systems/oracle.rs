@@ -40,13 +40,13 @@ pub fn instances_of(
     names: NamedBy,
 ) -> Vec<Instance> {
     let objects = &annotations.objects;
-    let label_of_point = annotations.label(cloud);
-    let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
+    let label_of_point = annotations.label_points(cloud);
+    let mut colors: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
     let mut points: Vec<Vec<Point3<f32>>> = vec![Vec::new(); objects.len()];
     for (i, label) in label_of_point.iter().enumerate() {
         if let Some(Ok(object)) = label.map(|label| objects.binary_search_by_key(&label, |o| o.id))
         {
-            colours[object].push(cloud.colours[i]);
+            colors[object].push(cloud.colours[i]);
             points[object].push(cloud.positions[i]);
         }
     }
@@ -62,9 +62,9 @@ pub fn instances_of(
     let supports = supports(&bodies, &structures, floor_z, &Progress::silent())
         .unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
     let build = |(i, object): (usize, &SceneObject)| {
-        let seen = &colours[i];
+        let seen = &colors[i];
         let annotated = object.mean_rgb.map(|rgb| rgb.map(|v| v.clamp(0.0, 255.0) as u8));
-        let mean_rgb = mean(seen).or(annotated).unwrap_or([128; 3]);
+        let mean_rgb = mean_color(seen).or(annotated).unwrap_or([128; 3]);
         let mut instance = Instance {
             oriented_box: oriented_box_of(object),
             point_count: seen.len() as u32,
@@ -109,7 +109,7 @@ fn oriented_box_of(object: &SceneObject) -> OrientedBox {
 ///
 /// # Errors
 /// Returns an error for an unreadable frame, or a model that fails.
-pub fn see(
+pub fn embed_and_name(
     annotations: &Annotations,
     instances: &mut [Instance],
     cloud: &PointCloud,
@@ -117,7 +117,7 @@ pub fn see(
     encoder: &DualEncoder,
     settings: &ParsingSettings,
 ) -> Result<Embeddings, ParseError> {
-    let (own, instance_of_point) = points_of(annotations, cloud);
+    let (own, instance_of_point) = object_points(annotations, cloud);
     let labels = Labels::of_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
     let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
@@ -129,14 +129,14 @@ pub fn see(
 ///
 /// # Errors
 /// Returns an error for an unreadable frame.
-pub(super) fn view(
+pub(super) fn choose_views(
     annotations: &Annotations,
     instances: &mut [Instance],
     cloud: &PointCloud,
     frames: &[FrameRef],
     settings: &ParsingSettings,
 ) -> Result<(), ParseError> {
-    let (own, instance_of_point) = points_of(annotations, cloud);
+    let (own, instance_of_point) = object_points(annotations, cloud);
     let labels = Labels::of_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
     let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
@@ -160,10 +160,10 @@ fn visibility(
 }
 
 /// Returns the points that are annotated as part of an object, with the objects' ids.
-fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<InstanceId>) {
+fn object_points(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<InstanceId>) {
     let mut own = PointCloud::default();
     let mut instance_of_point = Vec::new();
-    for (i, label) in annotations.label(cloud).iter().enumerate() {
+    for (i, label) in annotations.label_points(cloud).iter().enumerate() {
         if let Some(Ok(object)) =
             label.map(|label| annotations.objects.binary_search_by_key(&label, |o| o.id))
         {
@@ -184,9 +184,9 @@ pub(super) fn give_name(instance: &mut Instance, name: &str) {
     instance.given_name = Some(name.to_owned());
 }
 
-fn mean(colours: &[[u8; 3]]) -> Option<[u8; 3]> {
-    let n = colours.len() as u64;
+fn mean_color(colors: &[[u8; 3]]) -> Option<[u8; 3]> {
+    let n = colors.len() as u64;
     let sum =
-        colours.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+        colors.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
     (n > 0).then(|| sum.map(|s| ((s + n / 2) / n) as u8))
 }

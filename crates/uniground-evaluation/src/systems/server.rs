@@ -66,7 +66,7 @@ impl System for Server {
         &self.address
     }
 
-    fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
+    fn check_configuration(&self, configuration: &Configuration) -> anyhow::Result<()> {
         let Configuration {
             source, names, preset, settings, masks, encoder, paper_compatible, ..
         } = configuration;
@@ -95,15 +95,19 @@ impl System for Server {
         Ok(())
     }
 
-    fn still_has(&self, token: &str) -> bool {
+    fn has_scene(&self, token: &str) -> bool {
         let id = token.split(' ').next().unwrap_or_default();
-        self.runtime.block_on(self.client.scene(id)).is_ok_and(|scene| token_of(&scene) == token)
+        self.runtime.block_on(self.client.scene(id)).is_ok_and(|scene| scene_token(&scene) == token)
     }
 
-    fn enter(&self, scene: &SuiteScene, _: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
+    fn open_scene(
+        &self,
+        scene: &SuiteScene,
+        _: &Configuration,
+    ) -> anyhow::Result<Box<dyn OpenScene>> {
         let scan =
             scene.scan.as_deref().with_context(|| format!("the scene {} has no scan", scene.id))?;
-        let archive = Archive::of(scan)?;
+        let archive = Archive::read(scan)?;
         // Uploading the same scan again returns the existing scene.
         let key = format!("evaluation-as-it-is-{}", archive.digest()?);
         self.runtime.block_on(async {
@@ -132,7 +136,7 @@ impl System for Server {
                 .join("cloud.ply");
             fs::write(&file, cloud)?;
             let render_scene = RenderScene::of(read_cloud(&file)?);
-            let token = token_of(&self.client.scene(&id).await?);
+            let token = scene_token(&self.client.scene(&id).await?);
             let scene = RemoteScene {
                 token,
                 client: self.client.clone(),
@@ -229,7 +233,7 @@ impl OpenScene for RemoteScene {
 }
 
 /// Returns a token of a scene and its parse. It changes if the scene is deleted or parsed again.
-fn token_of(scene: &Scene) -> String {
+fn scene_token(scene: &Scene) -> String {
     format!("{} {} {:?}", scene.id, scene.parse_version, scene.models)
 }
 
@@ -241,7 +245,7 @@ struct Archive {
 }
 
 impl Archive {
-    fn of(scan: &Utf8Path) -> anyhow::Result<Self> {
+    fn read(scan: &Utf8Path) -> anyhow::Result<Self> {
         if let Some(kind) = ArchiveKind::of_file_name(scan.as_str()).filter(|_| scan.is_file()) {
             return Ok(Self {
                 media_type: kind.media_type(),
@@ -266,6 +270,6 @@ impl Archive {
     fn digest(&self) -> anyhow::Result<String> {
         let mut hasher = Sha256::new();
         digest::add_path(&self.path, &mut hasher).with_context(|| self.path.to_string())?;
-        Ok(digest::finish(hasher))
+        Ok(digest::short_hex(hasher))
     }
 }

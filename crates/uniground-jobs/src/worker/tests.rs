@@ -20,7 +20,7 @@ async fn queue(folder: &tempfile::TempDir) -> Jobs {
 
 /// A job kind that does what its payload says.
 #[derive(Default)]
-struct Obedient {
+struct ScriptedJob {
     tries: AtomicU32,
 }
 
@@ -33,7 +33,7 @@ fn failed(transient: bool) -> JobFailure {
     }
 }
 
-impl JobKind for Obedient {
+impl JobKind for ScriptedJob {
     const NAME: &'static str = "obedient";
     const CONCURRENCY: usize = 1;
     const RETRY: Retry = Retry { interrupted: 3, transient: 3, backoff: Duration::from_millis(1) };
@@ -78,7 +78,7 @@ fn written<'a>(kind: &'a str, payload: &'a str) -> NewJob<'a> {
 }
 
 async fn submit(jobs: &Jobs, what: &str) -> String {
-    jobs.submit::<Obedient>("s", &what.to_owned(), None).await.unwrap().id
+    jobs.submit::<ScriptedJob>("s", &what.to_owned(), None).await.unwrap().id
 }
 
 fn lane<K: JobKind>(
@@ -102,15 +102,15 @@ async fn until(jobs: &Jobs, id: &str, done: impl Fn(&Job) -> bool) -> Job {
 }
 
 #[tokio::test]
-async fn jobs_succeed_fail_and_panic_each_to_their_end() {
+async fn success_failure_and_panic_each_finish_the_job() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let stranger = jobs.repository.insert_job("s", &written("stranger", "{}")).await.unwrap().id;
-    jobs.refuse_unknown_kinds(&[Obedient::NAME]).await.unwrap();
+    jobs.fail_unknown_kinds(&[ScriptedJob::NAME]).await.unwrap();
     assert_eq!(jobs.get(&stranger).await.unwrap().error.unwrap().code, "unknown_job_kind");
     let unreadable =
-        jobs.repository.insert_job("s", &written(Obedient::NAME, "{")).await.unwrap().id;
-    let worker = lane(&jobs, Obedient::default(), &shutdown);
+        jobs.repository.insert_job("s", &written(ScriptedJob::NAME, "{")).await.unwrap().id;
+    let worker = lane(&jobs, ScriptedJob::default(), &shutdown);
     assert_eq!(
         until(&jobs, &unreadable, |j| j.state.is_final()).await.error.unwrap().code,
         "internal"
@@ -135,10 +135,10 @@ async fn jobs_succeed_fail_and_panic_each_to_their_end() {
 }
 
 #[tokio::test]
-async fn cancelling_stops_a_job_and_stopping_the_server_puts_it_back() {
+async fn cancellation_stops_a_job_and_shutdown_requeues_it() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
-    let worker = lane(&jobs, Obedient::default(), &shutdown);
+    let worker = lane(&jobs, ScriptedJob::default(), &shutdown);
     let (first, second, third) =
         (submit(&jobs, "wait").await, submit(&jobs, "wait").await, submit(&jobs, "wait").await);
     until(&jobs, &first, |j| j.stage.as_deref() == Some("waiting") && j.progress == 0.5).await;
@@ -153,47 +153,49 @@ async fn cancelling_stops_a_job_and_stopping_the_server_puts_it_back() {
 }
 
 #[tokio::test]
-async fn a_wish_to_stop_between_claim_and_start_is_not_lost() {
+async fn a_cancel_request_between_claim_and_start_is_not_lost() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let id = submit(&jobs, "wait").await;
-    let claimed = jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
+    let claimed = jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap().unwrap();
     assert_eq!(
         jobs.cancel(&id).await.unwrap().state,
         JobState::Running,
         "claimed, and in nobody's hands yet"
     );
-    jobs.run(&Arc::new(Obedient::default()), claimed, &shutdown).await.unwrap();
+    jobs.run(&Arc::new(ScriptedJob::default()), claimed, &shutdown).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
 }
 
 #[tokio::test]
-async fn a_wish_to_stop_outlives_the_server() {
+async fn a_cancel_request_survives_a_restart() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "wait").await;
-    jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
+    jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap().unwrap();
     jobs.cancel(&id).await.unwrap();
     // The server crashes here; the next one recovers its queue.
     jobs.repository.enter_as_new_process().await.unwrap();
-    jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+    jobs.repository.recover_jobs(ScriptedJob::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
 }
 
 /// Only the holder of the lease may write; after the lease has passed on, its writes are refused.
 #[tokio::test]
-async fn a_job_has_one_holder() {
+async fn only_the_lease_holder_may_write() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
-    let first = JobLease::of(&jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap());
-    jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+    let first = JobLease::from_claimed_row(
+        &jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap().unwrap(),
+    );
+    jobs.repository.recover_jobs(ScriptedJob::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Running, "its holder is there");
     jobs.repository.enter_as_new_process().await.unwrap();
-    jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+    jobs.repository.recover_jobs(ScriptedJob::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
     let not_held = |written: Result<(), StoreError>| {
-        assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
+        assert!(matches!(written, Err(StoreError::LeaseLost)), "{written:?}");
     };
     not_held(jobs.repository.save_job_progress(&first, "stage", 0.5).await.map(drop));
     not_held(
@@ -207,15 +209,18 @@ async fn a_job_has_one_holder() {
 
 /// Interruptions are not the job's fault as long as it makes progress.
 #[tokio::test]
-async fn interruptions_count_only_while_a_job_gets_no_further() {
+async fn interruptions_count_only_without_progress() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
     let interrupted = async |progress| {
-        let job = jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
-        jobs.repository.save_job_progress(&JobLease::of(&job), "stage", progress).await.unwrap();
+        let job = jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap().unwrap();
+        jobs.repository
+            .save_job_progress(&JobLease::from_claimed_row(&job), "stage", progress)
+            .await
+            .unwrap();
         jobs.repository.enter_as_new_process().await.unwrap();
-        jobs.repository.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+        jobs.repository.recover_jobs(ScriptedJob::NAME, RECOVERY).await.unwrap();
         jobs.get(&id).await.unwrap().state
     };
     for step in 1_u8..30 {
@@ -223,29 +228,33 @@ async fn interruptions_count_only_while_a_job_gets_no_further() {
     }
     // Without further progress it waits.
     assert_eq!(interrupted(0.1).await, JobState::Queued);
-    assert_eq!(jobs.repository.claim_job(Obedient::NAME).await.unwrap(), None, "not at once again");
+    assert_eq!(
+        jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap(),
+        None,
+        "not at once again"
+    );
 }
 
 #[tokio::test]
-async fn a_job_that_brings_its_server_down_fails_in_the_end() {
+async fn a_job_that_keeps_crashing_its_server_fails() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
     let recovery = JobRecovery { wait: Duration::ZERO, ..RECOVERY };
     for _ in 0..4 {
         assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
-        jobs.repository.claim_job(Obedient::NAME).await.unwrap().unwrap();
+        jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap().unwrap();
         jobs.repository.enter_as_new_process().await.unwrap();
-        jobs.repository.recover_jobs(Obedient::NAME, recovery).await.unwrap();
+        jobs.repository.recover_jobs(ScriptedJob::NAME, recovery).await.unwrap();
     }
     assert_eq!(jobs.get(&id).await.unwrap().error.unwrap().code, "interrupted");
 }
 
 #[tokio::test]
-async fn no_kind_waits_for_another() {
+async fn job_kinds_do_not_block_each_other() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
-    let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, Obedient::default(), &shutdown)];
+    let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, ScriptedJob::default(), &shutdown)];
     let mut slow = Vec::new();
     for _ in 0..3 {
         slow.push(jobs.submit::<Slow>("s", &(), None).await.unwrap().id);
@@ -262,28 +271,28 @@ async fn no_kind_waits_for_another() {
 
 /// A key with ten jobs does not block a key with one.
 #[tokio::test]
-async fn keys_take_turns() {
+async fn jobs_of_keys_run_round_robin() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     for (key, what) in [("a", "a1"), ("a", "a2"), ("a", "a3"), ("b", "b1"), ("b", "b2")] {
-        jobs.submit::<Obedient>("s", &what.to_owned(), Some(key)).await.unwrap();
+        jobs.submit::<ScriptedJob>("s", &what.to_owned(), Some(key)).await.unwrap();
     }
-    let mut turns = Vec::new();
-    while let Some(job) = jobs.repository.claim_job(Obedient::NAME).await.unwrap() {
-        turns.push(job.payload.trim_matches('"').to_owned());
+    let mut order = Vec::new();
+    while let Some(job) = jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap() {
+        order.push(job.payload.trim_matches('"').to_owned());
     }
-    assert_eq!(turns, ["a1", "b1", "a2", "b2", "a3"]);
+    assert_eq!(order, ["a1", "b1", "a2", "b2", "a3"]);
 }
 
 #[tokio::test]
-async fn a_full_queue_says_so() {
+async fn a_full_queue_rejects_jobs() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     for _ in 0..10 {
         submit(&jobs, "this").await;
     }
     assert!(matches!(
-        jobs.submit::<Obedient>("s", &String::new(), None).await,
+        jobs.submit::<ScriptedJob>("s", &String::new(), None).await,
         Err(JobsError::QueueFull { queued: 10, .. })
     ));
     jobs.submit::<Slow>("s", &(), None).await.unwrap();
@@ -292,10 +301,10 @@ async fn a_full_queue_says_so() {
 /// A key that fills the queue leaves a place for a key without jobs. The last job in the queue
 /// reports how many are ahead of it.
 #[tokio::test]
-async fn one_key_does_not_fill_the_queue() {
+async fn one_key_cannot_fill_the_queue() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
-    let ask = async |key| jobs.submit::<Obedient>("s", &String::new(), Some(key)).await;
+    let ask = async |key| jobs.submit::<ScriptedJob>("s", &String::new(), Some(key)).await;
     for _ in 0..9 {
         ask("many").await.unwrap();
     }
@@ -307,26 +316,26 @@ async fn one_key_does_not_fill_the_queue() {
 
 /// The lane's task is aborted, like after a panic.
 #[tokio::test]
-async fn a_lane_that_ends_is_known_by_its_kind() {
+async fn a_stopped_lane_is_reported_by_kind() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
-    let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, Obedient::default(), &shutdown)];
+    let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, ScriptedJob::default(), &shutdown)];
     let id = submit(&jobs, "this").await;
     until(&jobs, &id, |j| j.state == JobState::Succeeded).await;
-    assert!(jobs.lanes().into_iter().all(|(_, up)| up) && jobs.lanes().len() == 2);
+    assert!(jobs.lane_states().into_iter().all(|(_, up)| up) && jobs.lane_states().len() == 2);
     workers[0].abort();
-    while jobs.lanes()["slow"] {
+    while jobs.lane_states()["slow"] {
         time::sleep(Duration::from_millis(5)).await;
     }
-    assert!(jobs.lanes()["obedient"]);
-    let told = jobs.metrics().text();
+    assert!(jobs.lane_states()["obedient"]);
+    let exported = jobs.metrics().text();
     assert!(
-        told.contains("uniground_lane_up{kind=\"slow\"} 0")
-            && told.contains("uniground_lane_up{kind=\"obedient\"} 1"),
-        "{told}"
+        exported.contains("uniground_lane_up{kind=\"slow\"} 0")
+            && exported.contains("uniground_lane_up{kind=\"obedient\"} 1"),
+        "{exported}"
     );
     assert!(
-        told.contains("uniground_jobs_finished_total{kind=\"obedient\",state=\"succeeded\"} 1"),
-        "{told}"
+        exported.contains("uniground_jobs_finished_total{kind=\"obedient\",state=\"succeeded\"} 1"),
+        "{exported}"
     );
 }

@@ -20,7 +20,7 @@ impl CoordinateFrameView {
     ///
     /// # Errors
     /// [`Error::NoMap`], [`Error::NoSourceFrame`].
-    pub fn of(
+    pub fn resolve(
         choice: FrameChoice,
         scene: &SceneRow,
         source_to_scene: Option<SourceToScene>,
@@ -43,7 +43,7 @@ impl CoordinateFrameView {
     }
 
     /// Returns the boxes of these targets in this frame.
-    pub fn holding(self, targets: &[Target]) -> InFrame {
+    pub fn with_targets(self, targets: &[Target]) -> InFrame {
         let boxes = targets
             .iter()
             .map(|target| self.from_scene.place(target.id, &target.oriented_box))

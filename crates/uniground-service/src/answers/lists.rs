@@ -7,7 +7,7 @@ use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
 use serde::Deserialize;
 use std::sync::Arc;
-use uniground_storage::{AnswerFilter, AnswerRepository, AnswerRow, page};
+use uniground_storage::{AnswerFilter, AnswerRepository, AnswerRow, split_page};
 use uniground_types::answer::Answer;
 
 /// How many things are written, one after the other.
@@ -45,10 +45,11 @@ impl AnswerService {
         limit: u32,
         cursor: Option<&str>,
     ) -> Result<String, Error> {
-        let (rows, next) =
-            page(self.answer_repository.answers(filter, limit + 1, cursor).await?, limit, |row| {
-                &row.id
-            });
+        let (rows, next) = split_page(
+            self.answer_repository.answers(filter, limit + 1, cursor).await?,
+            limit,
+            |row| &row.id,
+        );
         let answers: Vec<&str> = rows.iter().map(|row| row.body.as_str()).collect();
         Ok(format!(
             "{{\"answers\":[{}],\"next_cursor\":{}}}",
@@ -79,7 +80,7 @@ impl AnswerService {
                         .flat_map(|row| [row.body.as_str(), "\n"])
                         .collect::<String>()
                         .into_bytes(),
-                    LineFormat::Csv => rows_of(&rows)?,
+                    LineFormat::Csv => csv_rows(&rows)?,
                 };
                 Ok(Some((Bytes::from(page), (filter, cursor))))
             }
@@ -92,11 +93,11 @@ fn columns() -> Vec<&'static str> {
     ["answer_id", "scene_id", "query", "status"].into_iter().chain(table::COLUMNS).collect()
 }
 
-fn rows_of(rows: &[AnswerRow]) -> Result<Vec<u8>, Error> {
-    table::written(rows.iter().map(|row| {
+fn csv_rows(rows: &[AnswerRow]) -> Result<Vec<u8>, Error> {
+    table::to_csv(rows.iter().map(|row| {
         let answer: Answer = serde_json::from_str(&row.body)?;
         let status = serde_json::to_value(answer.status)?.as_str().unwrap_or_default().to_owned();
-        let figures = table::cells(Some(&answer));
+        let figures = table::answer_cells(Some(&answer));
         Ok([answer.id, answer.scene_id, answer.query, status].into_iter().chain(figures).collect())
     }))
 }

@@ -20,13 +20,13 @@ use uniground_types::many::{MOST_SCENES, ManyAnswers, ManyGroundRequest, NotAske
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
 /// Scenes of one question that are asked concurrently.
-const AT_ONCE: usize = 4;
+const MAX_CONCURRENT_SCENES: usize = 4;
 /// Up to this many scenes stay in memory after they were scanned.
 const FEW_SCENES: usize = 32;
 /// How many scenes are scanned if more match than can be scanned.
 const LIKELY_SCENES: usize = 200;
 /// The wait when no permit is free, and how often it is repeated.
-const STEP_ASIDE: Duration = Duration::from_millis(100);
+const RETRY_DELAY: Duration = Duration::from_millis(100);
 const TRIES: u32 = 100;
 
 impl GroundingService {
@@ -47,15 +47,15 @@ impl GroundingService {
         let (start, question) = (Instant::now(), request.of_one());
         // Fails early for a question that insists on a model that cannot be had.
         QuestionModels::decide(self.vlm.as_ref(), &question, &caller, Vec::new())?;
-        let (rows, narrowed) = self.scenes_meant(&request).await?;
+        let (rows, narrowed) = self.select_scenes(&request).await?;
         let glance_at = GroundRequest { reasoner: ReasonerChoice::Builtin, ..question.clone() };
         let stays = rows.len() <= FEW_SCENES;
         let looks: Vec<(SceneRow, Result<MatchRank, Error>)> = stream::iter(rows)
             .map(async |row| {
-                let seen = Box::pin(self.glance(&row, &glance_at, &caller, start, stays)).await;
+                let seen = Box::pin(self.scan_scene(&row, &glance_at, &caller, start, stays)).await;
                 (row, seen)
             })
-            .buffered(AT_ONCE)
+            .buffered(MAX_CONCURRENT_SCENES)
             .collect()
             .await;
         let (mut looked_into, mut likely, mut not_asked, mut first_error) =
@@ -70,7 +70,7 @@ impl GroundingService {
                 Err(Error::SceneNotFound { .. }) => {}
                 Err(error @ Error::QuestionTimedOut { .. }) => return Err(error),
                 Err(error) => {
-                    not_asked.push(told(&row, &error));
+                    not_asked.push(to_not_asked(&row, &error));
                     if !matches!(error, Error::SceneNotReady { .. }) {
                         first_error.get_or_insert(error);
                     }
@@ -87,10 +87,11 @@ impl GroundingService {
         let asked: Vec<(SceneRow, Result<_, Error>)> = stream::iter(likely)
             .map(async |(_, row)| {
                 let answer =
-                    Box::pin(self.ask_in_full(&row, &question, &caller, start, pays.clone())).await;
+                    Box::pin(self.ask_full_question(&row, &question, &caller, start, pays.clone()))
+                        .await;
                 (row, answer)
             })
-            .buffered(AT_ONCE)
+            .buffered(MAX_CONCURRENT_SCENES)
             .collect()
             .await;
         let (mut answers, mut first_error) = (Vec::new(), None);
@@ -100,7 +101,7 @@ impl GroundingService {
                     answers.push(SceneAnswer { scene_name: row.name, labels: row.labels, answer });
                 }
                 Err(error) => {
-                    not_asked.push(told(&row, &error));
+                    not_asked.push(to_not_asked(&row, &error));
                     first_error.get_or_insert(error);
                 }
             }
@@ -112,11 +113,11 @@ impl GroundingService {
         // request.
         if let Some(key) = &caller.key {
             for _ in answers.iter().skip(1) {
-                let _ = self.keyring.count(key).await;
+                let _ = self.keyring.count_request(key).await;
             }
         }
         let standing_of =
-            |found: &SceneAnswer| standing(found.answer.status, found.answer.confidence);
+            |found: &SceneAnswer| match_rank(found.answer.status, found.answer.confidence);
         answers.sort_by(|a, b| {
             let (a, b) = (standing_of(a), standing_of(b));
             a.0.cmp(&b.0).then(b.1.total_cmp(&a.1))
@@ -126,7 +127,7 @@ impl GroundingService {
 
     /// Returns the scenes to scan: all that match or, if they are too many, the likeliest ones by
     /// the room index. Also returns whether the list was shortened this way.
-    async fn scenes_meant(
+    async fn select_scenes(
         &self,
         request: &ManyGroundRequest,
     ) -> Result<(Vec<SceneRow>, bool), Error> {
@@ -149,7 +150,7 @@ impl GroundingService {
     }
 
     /// Asks the whole question about one scene.
-    async fn ask_in_full(
+    async fn ask_full_question(
         &self,
         row: &SceneRow,
         question: &GroundRequest,
@@ -176,7 +177,7 @@ impl GroundingService {
                 .ground_for(&row.id, GroundRequest { timeout_s, ..question.clone() }, asker)
                 .await
             {
-                Err(Error::Overloaded) if tries < TRIES => sleep(STEP_ASIDE).await,
+                Err(Error::Overloaded) if tries < TRIES => sleep(RETRY_DELAY).await,
                 answered => return answered,
             }
             tries += 1;
@@ -184,7 +185,7 @@ impl GroundingService {
     }
 
     /// Asks the built-in reasoner about one scene. The answer is not stored.
-    async fn glance(
+    async fn scan_scene(
         &self,
         row: &SceneRow,
         question: &GroundRequest,
@@ -201,18 +202,18 @@ impl GroundingService {
             let parse = if stays {
                 self.parsed_scenes.loaded_parse(parse_id).await?
             } else {
-                self.parsed_scenes.passing_parse(parse_id).await?
+                self.parsed_scenes.load_parse_uncached(parse_id).await?
             };
             let scene = StoredScene::new(self.parsed_scenes.clone(), parse);
             let models = QuestionModels::decide(self.vlm.as_ref(), question, caller, Vec::new())?;
             match pipeline::answer(&scene, models.into_ask(question)).await {
                 Err(Error::Overloaded) if tries < TRIES => {
                     drop(glance);
-                    sleep(STEP_ASIDE).await;
+                    sleep(RETRY_DELAY).await;
                 }
                 answered => {
                     return answered.map(|Answered { grounding, .. }| {
-                        standing(grounding.status, grounding.confidence)
+                        match_rank(grounding.status, grounding.confidence)
                     });
                 }
             }
@@ -233,7 +234,7 @@ type MatchRank = (u8, f32);
 
 /// Ranks a result by status, then by confidence. Results that find the object come before results
 /// that report its absence.
-fn standing(status: Status, confidence: f32) -> MatchRank {
+fn match_rank(status: Status, confidence: f32) -> MatchRank {
     match status {
         Status::Grounded => (0, confidence),
         Status::Ambiguous => (1, confidence),
@@ -242,7 +243,7 @@ fn standing(status: Status, confidence: f32) -> MatchRank {
     }
 }
 
-fn told(row: &SceneRow, error: &Error) -> NotAsked {
+fn to_not_asked(row: &SceneRow, error: &Error) -> NotAsked {
     if !matches!(error, Error::SceneNotReady { .. }) {
         tracing::warn!(
             scene_id = row.id,

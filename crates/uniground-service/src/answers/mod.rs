@@ -39,9 +39,9 @@ use uniground_types::question::{
 
 /// How long a batch keeps retrying to store an answer. After that the answer is lost and the
 /// question is asked again.
-pub(super) const STORE_IS_BACK: Duration = Duration::from_mins(5);
+pub(super) const STORE_RETRY_TIMEOUT: Duration = Duration::from_mins(5);
 /// The interval between the attempts.
-const LOOK_AGAIN: Duration = Duration::from_secs(1);
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The caller of a question, with the budget and answer id that a batch assigns.
 pub(super) struct QuestionCaller {
@@ -106,13 +106,13 @@ impl GroundingService {
         asker: QuestionCaller,
     ) -> Result<Answer, Error> {
         let (start, is_batch) = (Instant::now(), asker.is_batch);
-        let answered = Box::pin(self.ground_uncounted(scene_id, request, asker)).await;
+        let answered = Box::pin(self.answer_question(scene_id, request, asker)).await;
         match &answered {
             Ok(answer) => {
                 let reasoner =
                     if answer.models.reasoner == builtin::NAME { "builtin" } else { "vlm" };
-                self.metrics.questions.answered(
-                    word(answer.status),
+                self.metrics.questions.record_answer(
+                    status_name(answer.status),
                     reasoner,
                     answer.degraded,
                     start.elapsed(),
@@ -121,12 +121,12 @@ impl GroundingService {
             // Not counted as a failure: a batch yields to interactive questions and retries at
             // once.
             Err(Error::Overloaded) if is_batch => {}
-            Err(error) => self.metrics.questions.failed(error.code()),
+            Err(error) => self.metrics.questions.record_failure(error.code()),
         }
         answered
     }
 
-    async fn ground_uncounted(
+    async fn answer_question(
         &self,
         scene_id: &str,
         request: GroundRequest,
@@ -158,7 +158,8 @@ impl GroundingService {
             self.parsed_scenes.clone(),
             self.parsed_scenes.loaded_parse(&parse_id).await?,
         );
-        let frame = CoordinateFrameView::of(request.frame, &scene, source.parse.source_to_scene)?;
+        let frame =
+            CoordinateFrameView::resolve(request.frame, &scene, source.parse.source_to_scene)?;
         let request = match &frame {
             Some(frame) => GroundRequest {
                 observer: request.observer.map(|observer| frame.from_scene.observer(&observer)),
@@ -167,7 +168,7 @@ impl GroundingService {
             None => request,
         };
         // A permit for the queue of the model, held until the question is answered.
-        let _place = models.queue_place()?;
+        let _place = models.acquire_queue_permit()?;
         let asks_model = models.has_reviewer() || request.parser == ParserChoice::Vlm;
         let ask = models.into_ask(&request);
         let answered = match request.timeout_s {
@@ -181,22 +182,23 @@ impl GroundingService {
                     Ok(answered) => answered?,
                     // A question that does not require the model falls back to the built-in answer.
                     Err(_) if asks_model && request.reasoner == ReasonerChoice::Auto => {
-                        self.without_model(&request, &source, seconds).await?
+                        self.answer_without_model(&request, &source, seconds).await?
                     }
                     Err(_) => return Err(Error::QuestionTimedOut { seconds }),
                 }
             }
             None => pipeline::answer(&source, ask).await?,
         };
-        answered.calls.iter().for_each(|call| self.metrics.vlm.purpose(call.purpose));
+        answered.calls.iter().for_each(|call| self.metrics.vlm.record_purpose(call.purpose));
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
-        let mut answer = self.told(&answered, asker.answer_id, scene.id, version, &source.parse);
-        answer.in_frame = frame.map(|frame| frame.holding(&answer.targets));
+        let mut answer =
+            self.to_answer(&answered, asker.answer_id, scene.id, version, &source.parse);
+        answer.in_frame = frame.map(|frame| frame.with_targets(&answer.targets));
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
         // No client waits for an item of a batch, and its answer may have been paid for. Storing it
         // is retried until the store is available again.
-        let patience = if asker.is_batch { STORE_IS_BACK } else { Duration::ZERO };
-        match self.keep_within(patience, &answer, model, &parse_id, answered.calls).await {
+        let patience = if asker.is_batch { STORE_RETRY_TIMEOUT } else { Duration::ZERO };
+        match self.store_with_retries(patience, &answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
             Ok(false) => {
                 self.blobs.discard(self.blobs.answer(&answer.id)).await?;
@@ -212,11 +214,11 @@ impl GroundingService {
                 (answer.stored, answer.evidence) = (false, Some(Vec::new()));
             }
         }
-        Ok(filtered(answer, request.include.as_deref()))
+        Ok(filter_answer(answer, request.include.as_deref()))
     }
 
     /// Returns the built-in answer to a question that timed out before the model replied.
-    async fn without_model(
+    async fn answer_without_model(
         &self,
         request: &GroundRequest,
         source: &Arc<StoredScene>,
@@ -234,8 +236,8 @@ impl GroundingService {
         Ok(answered)
     }
 
-    /// Like `keep`, but retries for up to `patience` while the store is unavailable.
-    async fn keep_within(
+    /// Like `store_answer`, but retries for up to `patience` while the store is unavailable.
+    async fn store_with_retries(
         &self,
         patience: Duration,
         answer: &Answer,
@@ -245,13 +247,13 @@ impl GroundingService {
     ) -> Result<bool, Error> {
         let start = Instant::now();
         loop {
-            match self.keep(answer, model, parse_id, calls.clone()).await {
+            match self.store_answer(answer, model, parse_id, calls.clone()).await {
                 Err(error) if error.is_transient() && start.elapsed() < patience => {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
                         "answer could not be stored yet; retrying"
                     );
-                    sleep(LOOK_AGAIN).await;
+                    sleep(RETRY_INTERVAL).await;
                 }
                 kept => return kept,
             }
@@ -259,14 +261,14 @@ impl GroundingService {
     }
 
     /// Stores an answer with its transcript. Returns `false` if its scene was deleted.
-    async fn keep(
+    async fn store_answer(
         &self,
         answer: &Answer,
         model: &str,
         parse_id: &str,
         calls: Vec<CallRecord>,
     ) -> Result<bool, Error> {
-        self.transcripts.keep_transcript(answer, model, calls).await?;
+        self.transcripts.store_transcript(answer, model, calls).await?;
         let new = NewAnswer {
             id: answer.id.clone(),
             scene_id: answer.scene_id.clone(),
@@ -301,7 +303,7 @@ impl GroundingService {
     }
 
     /// Converts the result of a question to the answer that callers get.
-    fn told(
+    fn to_answer(
         &self,
         answered: &Answered,
         id: String,
@@ -348,8 +350,9 @@ impl GroundingService {
         alternatives.iter_mut().for_each(|alternative| alternative.view = view(alternative.id));
         let mut evidence = vec![transcripts::picture_path(&id, pictures::GLOBAL)];
         if self.limits.retention.evidence_days > 0 {
-            let shown =
-                transcripts::pictures(&calls).into_iter().filter(|name| *name != pictures::GLOBAL);
+            let shown = transcripts::picture_names(&calls)
+                .into_iter()
+                .filter(|name| *name != pictures::GLOBAL);
             evidence.extend(shown.map(|name| transcripts::picture_path(&id, name)));
         }
         Answer {
@@ -382,7 +385,7 @@ impl GroundingService {
             direction_convention,
             frame: CoordinateFrame::default(),
             in_frame: None,
-            trace: Some(Trace { calls: calls.iter().map(call).collect(), corrections }),
+            trace: Some(Trace { calls: calls.iter().map(to_call).collect(), corrections }),
             usage: usage_of(&calls),
             timings_ms,
         }
@@ -405,7 +408,7 @@ impl AnswerService {
 }
 
 /// Returns the spelling of a status.
-fn word(status: Status) -> &'static str {
+fn status_name(status: Status) -> &'static str {
     match status {
         Status::Grounded => "grounded",
         Status::Uncertain => "uncertain",
@@ -415,7 +418,7 @@ fn word(status: Status) -> &'static str {
 }
 
 /// Converts one call of a model to its form in the trace.
-fn call(record: &CallRecord) -> Call {
+fn to_call(record: &CallRecord) -> Call {
     let (reply, error) = (record.outcome.as_ref().ok(), record.outcome.as_ref().err().cloned());
     Call {
         purpose: record.purpose.to_owned(),
@@ -428,7 +431,7 @@ fn call(record: &CallRecord) -> Call {
 }
 
 /// Keeps the requested parts of an answer. Keeps all of them if none are named.
-fn filtered(mut answer: Answer, include: Option<&[Include]>) -> Answer {
+fn filter_answer(mut answer: Answer, include: Option<&[Include]>) -> Answer {
     if let Some(include) = include {
         let wanted = |part| include.contains(&part);
         answer.candidates = answer.candidates.filter(|_| wanted(Include::Candidates));

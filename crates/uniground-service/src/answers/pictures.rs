@@ -48,9 +48,12 @@ impl AnswerService {
             .strip_suffix(".jpg")
             .filter(|stem| stem.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-'));
         let not_found = || Error::AnswerPictureNotFound { id: id.into(), name: name.into() };
-        match self.transcripts.kept_file(id, &format!("{}.jpg", stem.ok_or_else(not_found)?)).await
+        match self
+            .transcripts
+            .read_answer_file(id, &format!("{}.jpg", stem.ok_or_else(not_found)?))
+            .await
         {
-            Err(Error::NoTranscript { .. }) if stem == Some(GLOBAL) => self.drawn_picture(id).await,
+            Err(Error::NoTranscript { .. }) if stem == Some(GLOBAL) => self.draw_answer(id).await,
             Err(Error::NoTranscript { .. }) => Err(not_found()),
             read => read,
         }
@@ -58,7 +61,7 @@ impl AnswerService {
 
     /// Draws the room from above: the answer's box, its anchor and the other candidates over the
     /// cloud.
-    async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
+    async fn draw_answer(&self, id: &str) -> Result<Vec<u8>, Error> {
         let row = self
             .answer_repository
             .answer(id)
@@ -77,7 +80,9 @@ impl AnswerService {
         let anchor = answer.anchor_id.map(|id| (id, BoxStyle::Anchor));
         let chosen = answer.predicted_id.map(|id| (id, BoxStyle::Answer));
         let marks = candidates.chain(anchor).chain(chosen).collect();
-        source.compute(move |source| source.room_with(marks, &answer.candidate_names)).await
+        source
+            .compute(move |source| source.draw_room_with_boxes(marks, &answer.candidate_names))
+            .await
     }
 
     /// Draws the room of a scene's current parse from above, with instances marked. JPEG.
@@ -100,14 +105,14 @@ impl AnswerService {
             return Err(Error::InstanceNotFound { scene_id: scene_id.into(), id });
         }
         let marks = marked.into_iter().map(|id| (id, BoxStyle::Answer)).collect();
-        source.compute(move |source| source.room_with(marks, &BTreeMap::new())).await
+        source.compute(move |source| source.draw_room_with_boxes(marks, &BTreeMap::new())).await
     }
 }
 
 impl StoredScene {
     /// Draws the room from above with boxes, as JPEG. Later boxes lie on top. If an instance has
     /// several boxes, only the last one is drawn.
-    fn room_with(
+    fn draw_room_with_boxes(
         &self,
         marks: Vec<(InstanceId, BoxStyle)>,
         names: &BTreeMap<u32, String>,

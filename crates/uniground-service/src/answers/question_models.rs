@@ -39,10 +39,10 @@ impl QuestionModels {
         caller: &Caller,
         budgets: Vec<Budget>,
     ) -> Result<Self, Error> {
-        let is_unpaid = is_unpaid(vlm, request, caller);
-        if let Some(vlm) =
-            vlm.filter(|_| wants_model(request) && !is_unpaid && request.max_cost_usd.is_some())
-            && !vlm.prices().are_known()
+        let is_spending_forbidden = is_spending_forbidden(vlm, request, caller);
+        if let Some(vlm) = vlm.filter(|_| {
+            wants_model(request) && !is_spending_forbidden && request.max_cost_usd.is_some()
+        }) && !vlm.prices().are_known()
         {
             return Err(Error::invalid(
                 "/max_cost_usd",
@@ -51,9 +51,9 @@ impl QuestionModels {
         }
         let reviewer = match (request.reasoner, vlm) {
             (ReasonerChoice::Builtin, _) | (ReasonerChoice::Auto, None) => None,
-            (ReasonerChoice::Auto, Some(_)) if is_unpaid => None,
+            (ReasonerChoice::Auto, Some(_)) if is_spending_forbidden => None,
             (ReasonerChoice::Vlm, None) => return Err(Error::VlmNotConfigured),
-            (ReasonerChoice::Vlm, Some(_)) if is_unpaid => {
+            (ReasonerChoice::Vlm, Some(_)) if is_spending_forbidden => {
                 return Err(Error::OverBudget(OverBudget {
                     of: OF_QUESTION,
                     limit_usd: 0.0,
@@ -65,7 +65,7 @@ impl QuestionModels {
         };
         // The grammar reads where nothing may be spent.
         let reader = vlm
-            .filter(|_| !is_unpaid)
+            .filter(|_| !is_spending_forbidden)
             .map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.clone() });
         let parser: Arc<dyn QueryParser> = match (request.parser.beside(request.reasoner), reader) {
             (ParserChoice::Vlm, _) if vlm.is_none() => return Err(Error::VlmNotConfigured),
@@ -99,8 +99,8 @@ impl QuestionModels {
     ///
     /// # Errors
     /// [`Error::Overloaded`].
-    pub fn queue_place(&self) -> Result<Option<OwnedSemaphorePermit>, Error> {
-        self.reviewer.as_ref().map(|(vlm, _)| vlm.place()).transpose()
+    pub fn acquire_queue_permit(&self) -> Result<Option<OwnedSemaphorePermit>, Error> {
+        self.reviewer.as_ref().map(|(vlm, _)| vlm.acquire_permit()).transpose()
     }
 
     /// The question with its models, as the pipeline takes it.
@@ -132,7 +132,7 @@ pub(super) fn wants_model(request: &GroundRequest) -> bool {
 
 /// Whether nothing may be spent on a question: it says so, or its key has a daily budget and the
 /// model's prices are not known.
-fn is_unpaid(vlm: Option<&Arc<Vlm>>, request: &GroundRequest, caller: &Caller) -> bool {
+fn is_spending_forbidden(vlm: Option<&Arc<Vlm>>, request: &GroundRequest, caller: &Caller) -> bool {
     let has_budget = caller.key.as_ref().is_some_and(|key| key.row.daily_usd.is_some());
     request.max_cost_usd == Some(0.0)
         || (has_budget && vlm.is_some_and(|vlm| !vlm.prices().are_known()))

@@ -27,7 +27,7 @@ use uniground_storage::{Blobs, PinnedPath, Scratch};
 use uniground_types::settings::ParsingSettings;
 
 /// The maximum number of instances that questions may add to a parse.
-const MOST_FOUND: usize = 500;
+const MAX_POINTED_INSTANCES: usize = 500;
 
 /// A loaded parse, with the service that stores its files and rows.
 pub struct StoredScene {
@@ -41,7 +41,7 @@ impl StoredScene {
     }
 
     /// Pins a file of the parse after checking that it is as it was written.
-    pub fn check(&self, file: &Utf8Path) -> Result<PinnedPath, Error> {
+    pub fn pin_checked_file(&self, file: &Utf8Path) -> Result<PinnedPath, Error> {
         self.scenes.check_file(&self.parse.id, file)
     }
 
@@ -106,8 +106,8 @@ impl SceneSource for StoredScene {
         if let Some(render_scene) = known.get(&self.parse.id) {
             return Ok(render_scene);
         }
-        let file = ParseFile::Cloud.of(&self.folder());
-        let file = self.check(&file)?;
+        let file = ParseFile::Cloud.path_in(&self.folder());
+        let file = self.pin_checked_file(&file)?;
         // The caller is not at fault: the parse is damaged.
         let damaged = |error| match error {
             IngestError::Io { .. } => Error::Ingest(error),
@@ -130,11 +130,10 @@ impl SceneSource for StoredScene {
             return shots.take(most).collect();
         }
         let folder = self.folder();
-        let shots = instance
-            .views
-            .iter()
-            .enumerate()
-            .filter_map(|(k, view)| shot(&self.scenes.blobs, &folder, instance.id, k, view));
+        let shots =
+            instance.views.iter().enumerate().filter_map(|(k, view)| {
+                read_shot(&self.scenes.blobs, &folder, instance.id, k, view)
+            });
         shots.take(most).collect()
     }
 
@@ -151,7 +150,7 @@ impl SceneSource for StoredScene {
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
         // The names came with an answer that was paid for. That answer is returned even if the
         // names cannot be stored.
-        if let Err(error) = self.scenes.keep_names(&self.parse.id, names).await {
+        if let Err(error) = self.scenes.store_names(&self.parse.id, names).await {
             tracing::warn!(
                 parse_id = self.parse.id,
                 error = &error as &dyn std::error::Error,
@@ -171,7 +170,7 @@ impl SceneSource for StoredScene {
             return Ok(None);
         };
         // Pins the whole scan, because any of its frames may show the place.
-        let _scan = blobs.whole(&self.parse.content)?;
+        let _scan = blobs.pin_folder(&self.parse.content)?;
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         // Uses the masks of the parse: the same model, or the built-in ones.
         let models = &self.scenes.models;
@@ -206,9 +205,12 @@ impl SceneSource for StoredScene {
     ) -> Result<(Arc<Self>, InstanceId), Error> {
         // In a growing scene, the instance is stored before the next parse continues from this one,
         // or not at all. Otherwise another instance could get the same id.
-        let _turn = self.scenes.service_locks.correcting(&self.parse.id).await?;
-        let Some(id) =
-            self.scenes.parse_repository.insert_found(&self.parse.id, &found, MOST_FOUND).await?
+        let _lock = self.scenes.service_locks.lock_parse_data(&self.parse.id).await?;
+        let Some(id) = self
+            .scenes
+            .parse_repository
+            .insert_pointed_instance(&self.parse.id, &found, MAX_POINTED_INSTANCES)
+            .await?
         else {
             // The instance is used for this question only.
             let (mut parse, id) = (
@@ -227,7 +229,7 @@ impl SceneSource for StoredScene {
     ) -> Result<T, Error> {
         let source = self.clone();
         match self.scenes.question_permits.compute(move || work(&source)).await {
-            Err(error) => Err(self.scenes.after_damage(error).await),
+            Err(error) => Err(self.scenes.retire_if_damaged(error).await),
             done => done,
         }
     }
@@ -235,10 +237,16 @@ impl SceneSource for StoredScene {
 
 /// Reads a stored view. Returns `None` and logs a warning if it cannot be read. Parses of versions
 /// that stored no masks have drawn pictures only.
-fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
+fn read_shot(
+    blobs: &Blobs,
+    parse: &Utf8Path,
+    id: InstanceId,
+    at: usize,
+    of: &View,
+) -> Option<Shot> {
     let read = |file: Utf8PathBuf| {
         let decoded = blobs
-            .file(parse, &file)
+            .pin_file(parse, &file)
             .and_then(fs::read)
             .map_err(|e| e.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));

@@ -19,7 +19,7 @@ pub const COLUMNS: [&str; 10] = [
 ];
 
 /// Returns the cells of an answer in the order of [`COLUMNS`]. Missing values are empty.
-pub fn cells(answer: Option<&Answer>) -> [String; COLUMNS.len()] {
+pub fn answer_cells(answer: Option<&Answer>) -> [String; COLUMNS.len()] {
     let Some(answer) = answer else { return Default::default() };
     let [center, size] =
         [answer.aabb.map(|aabb| aabb.center), answer.aabb.map(|aabb| aabb.size.into())];
@@ -41,7 +41,7 @@ pub fn cells(answer: Option<&Answer>) -> [String; COLUMNS.len()] {
 }
 
 /// Formats rows as CSV, without a header.
-pub fn written(rows: impl Iterator<Item = Result<Vec<String>, Error>>) -> Result<Vec<u8>, Error> {
+pub fn to_csv(rows: impl Iterator<Item = Result<Vec<String>, Error>>) -> Result<Vec<u8>, Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
         writer.write_record(&row?).map_err(|error| Error::Io(io::Error::other(error)))?;

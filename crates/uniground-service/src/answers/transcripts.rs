@@ -22,7 +22,7 @@ pub(super) fn picture_path(answer_id: &str, name: &str) -> String {
 }
 
 /// Returns the names of the pictures that a model was shown, without duplicates.
-pub(super) fn pictures(records: &[CallRecord]) -> BTreeSet<&str> {
+pub(super) fn picture_names(records: &[CallRecord]) -> BTreeSet<&str> {
     let parts = records.iter().flat_map(|record| &record.request.user);
     parts
         .filter_map(|part| {
@@ -41,7 +41,7 @@ pub struct Transcripts {
 
 impl Transcripts {
     /// Stores what the model was asked and what it replied.
-    pub(super) async fn keep_transcript(
+    pub(super) async fn store_transcript(
         &self,
         answer: &Answer,
         model: &str,
@@ -81,11 +81,11 @@ impl Transcripts {
         id: &str,
         file: &str,
     ) -> Result<T, Error> {
-        Ok(serde_json::from_slice(&self.kept_file(id, file).await?)?)
+        Ok(serde_json::from_slice(&self.read_answer_file(id, file).await?)?)
     }
 
     /// Reads a file that is stored with an answer.
-    pub(super) async fn kept_file(&self, id: &str, file: &str) -> Result<Vec<u8>, Error> {
+    pub(super) async fn read_answer_file(&self, id: &str, file: &str) -> Result<Vec<u8>, Error> {
         self.answer_repository
             .answer(id)
             .await?

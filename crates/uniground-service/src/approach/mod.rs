@@ -37,9 +37,9 @@ impl ApproachService {
         caller: Caller,
     ) -> Result<Approach, Error> {
         request.check()?;
-        let (answer, row, scene) = self.asked_about(scene_id, &request, caller).await?;
-        let frame = CoordinateFrameView::of(request.frame, &row, scene.parse.source_to_scene)?;
-        let mut told = Approach {
+        let (answer, row, scene) = self.answer_query(scene_id, &request, caller).await?;
+        let frame = CoordinateFrameView::resolve(request.frame, &row, scene.parse.source_to_scene)?;
+        let mut result = Approach {
             scene_id: row.id,
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
             status: ApproachStatus::NotGrounded,
@@ -58,10 +58,10 @@ impl ApproachService {
         if let Some(several) =
             answer.as_ref().map(|answer| answer.targets.len()).filter(|meant| *meant > 1)
         {
-            told.detail = format!(
+            result.detail = format!(
                 "the question means {several} things, and one is driven to: ask with the instance_id of one of its answer's targets"
             );
-            return Ok(told);
+            return Ok(result);
         }
         let meant = match &answer {
             Some(answer) => {
@@ -70,8 +70,8 @@ impl ApproachService {
             None => request.instance_id,
         };
         let Some(id) = meant else {
-            told.detail = "the question has no sure answer in this room, and nothing is driven to on a guess: see its answer".into();
-            return Ok(told);
+            result.detail = "the question has no sure answer in this room, and nothing is driven to on a guess: see its answer".into();
+            return Ok(result);
         };
         let known = scene.instances().get((id.0 as usize).wrapping_sub(1));
         let instance =
@@ -82,8 +82,8 @@ impl ApproachService {
                 format!("instance {id} is no thing: somebody has dismissed or split it"),
             ));
         }
-        let (name, wish) = (instance.label().to_owned(), wish_of(&request, frame.as_ref()));
-        told.target = Some(ApproachTarget {
+        let (name, wish) = (instance.label().to_owned(), to_wish(&request, frame.as_ref()));
+        result.target = Some(ApproachTarget {
             id,
             name: name.clone(),
             aabb: instance.aabb,
@@ -98,19 +98,19 @@ impl ApproachService {
             .await?;
         let Places { poses, start, cells } =
             places.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
-        (told.start, told.cells, told.floor_z_m) = (start, Some(cells), Some(floor_z_m));
+        (result.start, result.cells, result.floor_z_m) = (start, Some(cells), Some(floor_z_m));
         match poses {
             Ok(poses) => {
-                told.detail = poses.first().map(|best| best.why.clone()).unwrap_or_default();
-                (told.status, told.poses) = (ApproachStatus::Found, poses);
+                result.detail = poses.first().map(|best| best.why.clone()).unwrap_or_default();
+                (result.status, result.poses) = (ApproachStatus::Found, poses);
             }
             Err(failed) => {
-                told.detail = explanation(failed, &name, &cells);
-                (told.status, told.failed) = (ApproachStatus::NonePossible, Some(failed));
+                result.detail = explanation(failed, &name, &cells);
+                (result.status, result.failed) = (ApproachStatus::NonePossible, Some(failed));
             }
         }
-        told.in_frame = frame.map(|frame| frame.with_poses(&told.poses));
-        Ok(told)
+        result.in_frame = frame.map(|frame| frame.with_poses(&result.poses));
+        Ok(result)
     }
 
     /// Returns the map of a scene's floor. What is higher above the floor than `height_m` is not an
@@ -120,7 +120,7 @@ impl ApproachService {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; an invalid
     /// height.
     pub async fn floor(&self, scene_id: &str, height_m: f32) -> Result<FloorMap, Error> {
-        let scene = self.mapped(scene_id, height_m).await?;
+        let scene = self.load_scene_for_map(scene_id, height_m).await?;
         scene.compute(move |scene| Ok(Floor::of(&*scene.occupancy()?, height_m).map().0)).await
     }
 
@@ -129,7 +129,7 @@ impl ApproachService {
     /// # Errors
     /// Those of [`floor`](Self::floor).
     pub async fn floor_picture(&self, scene_id: &str, height_m: f32) -> Result<Vec<u8>, Error> {
-        let scene = self.mapped(scene_id, height_m).await?;
+        let scene = self.load_scene_for_map(scene_id, height_m).await?;
         let drawn = scene.compute(move |scene| {
             let (_, picture) = Floor::of(&*scene.occupancy()?, height_m).map();
             let mut png = Vec::new();
@@ -139,7 +139,11 @@ impl ApproachService {
         drawn.await
     }
 
-    async fn mapped(&self, scene_id: &str, height_m: f32) -> Result<Arc<StoredScene>, Error> {
+    async fn load_scene_for_map(
+        &self,
+        scene_id: &str,
+        height_m: f32,
+    ) -> Result<Arc<StoredScene>, Error> {
         check_map_height(height_m)?;
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         Ok(StoredScene::new(
@@ -150,7 +154,7 @@ impl ApproachService {
 
     /// Answers the request's question, if it has one. Also returns the parse that the answer's ids
     /// belong to.
-    async fn asked_about(
+    async fn answer_query(
         &self,
         scene_id: &str,
         request: &ApproachRequest,
@@ -160,7 +164,7 @@ impl ApproachService {
             let answer = match &request.query {
                 Some(query) => Some(
                     self.grounding_service
-                        .ground(scene_id, question(query), caller.clone())
+                        .ground(scene_id, builtin_question(query), caller.clone())
                         .await?,
                 ),
                 None => None,
@@ -187,7 +191,7 @@ impl ApproachService {
 
 /// Returns a question for the built-in reasoner: it costs nothing, and a robot does not wait for a
 /// model.
-fn question(query: &str) -> GroundRequest {
+fn builtin_question(query: &str) -> GroundRequest {
     GroundRequest {
         reasoner: ReasonerChoice::Builtin,
         allow_builtin: true,
@@ -196,7 +200,7 @@ fn question(query: &str) -> GroundRequest {
 }
 
 /// Converts the request. `frame` is the frame of the robot's pose, or `None` for the scene's own.
-fn wish_of(request: &ApproachRequest, frame: Option<&CoordinateFrameView>) -> Wish {
+fn to_wish(request: &ApproachRequest, frame: Option<&CoordinateFrameView>) -> Wish {
     let ApproachRequest {
         instance_id: _,
         query: _,

@@ -86,18 +86,18 @@ mod tests {
     }
 
     /// Returns the form in which questions were stored before batches had defaults.
-    fn whole(defaults: &Map<String, Value>, own: Map<String, Value>) -> String {
+    fn stored_question(defaults: &Map<String, Value>, own: Map<String, Value>) -> String {
         let mut all = defaults.clone();
         all.extend(own);
         Value::Object(all).to_string()
     }
 
-    fn stored(defaults: &Map<String, Value>) -> BatchDefaults {
+    fn stored_defaults(defaults: &Map<String, Value>) -> BatchDefaults {
         BatchDefaults::from_stored(Some(&Value::Object(defaults.clone()).to_string())).unwrap()
     }
 
     #[test]
-    fn an_item_goes_before_the_defaults() {
+    fn item_fields_override_defaults() {
         let defaults = fields(
             json!({"query": "the sofa", "top_k": 3, "min_confidence": 0.1, "\"odd\"\n": [1, {"a": null}]}),
         );
@@ -109,20 +109,23 @@ mod tests {
         ] {
             let (defaults, own) = (&defaults, fields(own));
             let request = Value::Object(own.clone()).to_string();
-            assert_eq!(stored(defaults).merge(&request).unwrap(), whole(defaults, own.clone()));
-            let query = serde_json::from_str::<Map<String, Value>>(&whole(defaults, own)).unwrap()
-                ["query"]
+            assert_eq!(
+                stored_defaults(defaults).merge(&request).unwrap(),
+                stored_question(defaults, own.clone())
+            );
+            let query = serde_json::from_str::<Map<String, Value>>(&stored_question(defaults, own))
+                .unwrap()["query"]
                 .as_str()
                 .map(str::to_owned);
-            assert_eq!(stored(defaults).query_of(&request), query.unwrap_or_default());
+            assert_eq!(stored_defaults(defaults).query_of(&request), query.unwrap_or_default());
         }
-        assert!(stored(&defaults).merge("no JSON").is_err());
+        assert!(stored_defaults(&defaults).merge("no JSON").is_err());
     }
 
     /// Batches of earlier versions store whole questions. They are returned unchanged, without
     /// parsing.
     #[test]
-    fn whole_questions_stay_as_they_are() {
+    fn complete_questions_are_not_changed_by_merging() {
         let none = BatchDefaults::from_stored(None).unwrap();
         assert!(matches!(
             none.merge("{ \"query\" : 1.50 }").unwrap(),
@@ -133,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn an_item_that_names_no_scene_asks_about_the_shared_one() {
+    fn items_without_a_scene_use_the_shared_scene() {
         for (own, scene) in [
             (json!({"query": "a"}), "shared"),
             (json!({"scene_id": "own"}), "own"),
@@ -150,14 +153,14 @@ mod tests {
         /// However the fields are divided between shared and own ones, the merged question equals
         /// the text of an item that stores all of them.
         #[test]
-        fn merged_questions_are_those_that_were_stored_whole(
+        fn merging_reproduces_the_complete_question(
             shared in proptest::collection::btree_map("[a-c\"\\\\]{0,2}", "\\PC{0,8}", 0..4),
             own in proptest::collection::btree_map("[a-c\"\\\\]{0,2}", any::<f64>(), 0..4),
         ) {
             let shared: Map<String, Value> = shared.into_iter().map(|(name, text)| (name, text.into())).collect();
             let own: Map<String, Value> = own.into_iter().map(|(name, number)| (name, number.into())).collect();
             let request = Value::Object(own.clone()).to_string();
-            prop_assert_eq!(stored(&shared).merge(&request).unwrap().into_owned(), whole(&shared, own));
+            prop_assert_eq!(stored_defaults(&shared).merge(&request).unwrap().into_owned(), stored_question(&shared, own));
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::items::{BatchDefaults, question_of};
 use super::reason;
-use crate::answers::{QuestionCaller, STORE_IS_BACK};
+use crate::answers::{QuestionCaller, STORE_RETRY_TIMEOUT};
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
 use crate::{Caller, Capacity, GroundingService, Keyring, Vlm, job_failure, until_cancelled};
@@ -58,9 +58,9 @@ const WRITE_AFTER: usize = 64;
 /// Attempts at a question after transient errors, and the wait before the second attempt. Each
 /// later wait is twice as long.
 const TRIES: u32 = 4;
-const FIRST_WAIT: Duration = Duration::from_secs(1);
+const MIN_BACKOFF: Duration = Duration::from_secs(1);
 /// The wait of a question that found no free permit. Interactive questions go first.
-const STEP_ASIDE: Duration = Duration::from_millis(50);
+const RETRY_DELAY: Duration = Duration::from_millis(50);
 
 /// How long questions in progress may take after the job was asked to stop. Requests have the same
 /// time when the server stops.
@@ -83,7 +83,7 @@ struct BatchRun {
     /// Items that were answered or failed, including those of earlier runs.
     done: u32,
     progress: Progress,
-    hold: JobLease,
+    lease: JobLease,
     lost: CancellationToken,
 }
 
@@ -102,7 +102,7 @@ pub struct BatchRunner {
 impl BatchRunner {
     async fn run_batch(
         &self,
-        JobContext { hold, lost, payload, progress }: JobContext<Payload>,
+        JobContext { lease, lost, payload, progress }: JobContext<Payload>,
     ) -> Result<String, Error> {
         // Deleted in the meantime, or submitted to a server that was stopped before it had received
         // all of it.
@@ -112,16 +112,24 @@ impl BatchRunner {
         let defaults = Arc::new(BatchDefaults::from_stored(
             self.batch_repository.batch_defaults(&batch.id).await?.as_deref(),
         )?);
-        let (numbers, spent) = self.batch_repository.batch_figures(&batch.id).await?;
+        let (numbers, spent) = self.batch_repository.summarize_batch_items(&batch.id).await?;
         let done = numbers.values().sum();
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
-        let mut run =
-            BatchRun { service: self.clone(), batch, defaults, budget, done, progress, hold, lost };
+        let mut run = BatchRun {
+            service: self.clone(),
+            batch,
+            defaults,
+            budget,
+            done,
+            progress,
+            lease,
+            lost,
+        };
         loop {
-            if !run.is_wanted().await? {
-                return Ok(run.told("stopped"));
+            if !run.is_running().await? {
+                return Ok(run.summary("stopped"));
             }
-            let Ok(caller) = self.keyring.caller_of(run.batch.key_id.as_deref()) else {
+            let Ok(caller) = self.keyring.resolve_caller(run.batch.key_id.as_deref()) else {
                 return run.pause(reason::KEY_REFUSED, "its key is refused").await;
             };
             // Answers need disk space too: on a nearly full disk the batch is postponed.
@@ -129,11 +137,11 @@ impl BatchRunner {
             let items = self.batch_repository.open_batch_items(&run.batch.id, WINDOW).await?;
             if items.is_empty() {
                 self.batch_repository
-                    .move_batch(&run.batch.id, &["running"], "succeeded", None)
+                    .change_batch_state(&run.batch.id, &["running"], "succeeded", None)
                     .await?;
-                return Ok(run.told("done"));
+                return Ok(run.summary("done"));
             }
-            if run.ask(items, &caller).await? == BudgetState::Spent {
+            if run.ask(items, &caller).await? == BudgetState::Exhausted {
                 return run.pause(reason::BUDGET_SPENT, "its money is spent").await;
             }
         }
@@ -143,8 +151,8 @@ impl BatchRunner {
 /// Whether the budget of the batch sufficed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum BudgetState {
-    Enough,
-    Spent,
+    Available,
+    Exhausted,
 }
 
 impl BatchRun {
@@ -163,24 +171,24 @@ impl BatchRun {
                 async move { service.ask_item(item, &defaults, &caller, budget.as_ref()).await };
             let asked = AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()));
             // A question that panics fails alone. Its batch continues.
-            async move { asked.await.unwrap_or_else(|panic| Ok(failed(number, &panic.into()))) }
+            async move { asked.await.unwrap_or_else(|panic| Ok(to_failed_item(number, &panic.into()))) }
         };
         let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
         let (mut closed, mut written, mut money) =
-            (Vec::new(), Instant::now(), BudgetState::Enough);
+            (Vec::new(), Instant::now(), BudgetState::Available);
         // Why the run stops, and how long it waits for questions in progress, which have been paid
         // for.
         let (mut stop, mut is_cancelled): (Option<(Error, tokio::time::Instant)>, bool) =
             (None, false);
         let soon = || tokio::time::Instant::now() + GRACE;
         // Answers that were paid for are stored once the database is available again.
-        let when_it_is_back = || tokio::time::Instant::now() + STORE_IS_BACK;
+        let when_it_is_back = || tokio::time::Instant::now() + STORE_RETRY_TIMEOUT;
         loop {
             let end = tokio::select! {
                 // The lease is lost. Returning drops the calls in progress: another worker makes
                 // them now.
-                () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
+                () = self.lost.cancelled() => return Err(StoreError::LeaseLost.into()),
                 end = ends.next() => end,
                 () = sleep_until(stop.as_ref().map_or_else(when_it_is_back, |(_, until)| *until)), if stop.is_some() => None,
                 cancelled = until_cancelled(&self.progress), if !is_cancelled => {
@@ -193,7 +201,7 @@ impl BatchRun {
             match end {
                 None => break,
                 Some(Ok(ItemOutcome::Closed(item))) => closed.push(item),
-                Some(Ok(ItemOutcome::OverBudget)) => money = BudgetState::Spent,
+                Some(Ok(ItemOutcome::OverBudget)) => money = BudgetState::Exhausted,
                 // The database is failing. Finished items are still written, and the job is
                 // retried.
                 Some(Err(error)) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
@@ -209,7 +217,7 @@ impl BatchRun {
                     Err(error) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
                 }
             }
-            if money == BudgetState::Spent || stop.is_some() {
+            if money == BudgetState::Exhausted || stop.is_some() {
                 asking.store(false, Relaxed);
             }
         }
@@ -219,18 +227,21 @@ impl BatchRun {
 
     /// Writes the results of items. Returns whether the batch goes on.
     async fn write(&mut self, closed: &mut Vec<ClosedItem>) -> Result<bool, Error> {
-        self.service.batch_repository.close_batch_items(&self.hold, &self.batch.id, closed).await?;
+        self.service
+            .batch_repository
+            .close_batch_items(&self.lease, &self.batch.id, closed)
+            .await?;
         for item in closed.drain(..) {
-            self.service.metrics.questions.item(&item.status);
+            self.service.metrics.questions.record_batch_item(&item.status);
             self.done += 1;
         }
         // A key that was revoked or has expired is detected before the next items.
-        Ok(self.service.keyring.caller_of(self.batch.key_id.as_deref()).is_ok()
-            && self.is_wanted().await?)
+        Ok(self.service.keyring.resolve_caller(self.batch.key_id.as_deref()).is_ok()
+            && self.is_running().await?)
     }
 
     /// Returns whether the batch is still running: not paused, cancelled or deleted.
-    async fn is_wanted(&self) -> Result<bool, Error> {
+    async fn is_running(&self) -> Result<bool, Error> {
         Ok(self
             .service
             .batch_repository
@@ -242,12 +253,12 @@ impl BatchRun {
     async fn pause(&self, reason: &str, why: &str) -> Result<String, Error> {
         self.service
             .batch_repository
-            .move_batch(&self.batch.id, &["running"], "paused", Some(reason))
+            .change_batch_state(&self.batch.id, &["running"], "paused", Some(reason))
             .await?;
-        Ok(self.told(why))
+        Ok(self.summary(why))
     }
 
-    fn told(&self, why: &str) -> String {
+    fn summary(&self, why: &str) -> String {
         format!("{} of {} questions asked: {why}", self.done, self.batch.items)
     }
 }
@@ -284,9 +295,9 @@ impl BatchRunner {
                     GroundRequest { reasoner: ReasonerChoice::Vlm, ..request }
                 }
                 Ok(request) => request,
-                Err(error) => return Ok(failed(item, &error)),
+                Err(error) => return Ok(to_failed_item(item, &error)),
             };
-        let (mut tries, mut wait) = (0, FIRST_WAIT);
+        let (mut tries, mut wait) = (0, MIN_BACKOFF);
         loop {
             let asker = QuestionCaller {
                 caller: caller.clone(),
@@ -296,7 +307,7 @@ impl BatchRunner {
                 may_name: true,
             };
             match self.grounding_service.ground_for(&scene_id, request.clone(), asker).await {
-                Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotKept),
+                Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotStored),
                 Ok(answer) => {
                     let status = serde_json::to_value(answer.status)?
                         .as_str()
@@ -309,7 +320,7 @@ impl BatchRunner {
                         error: None,
                     }));
                 }
-                Err(Error::Overloaded) => sleep(STEP_ASIDE).await,
+                Err(Error::Overloaded) => sleep(RETRY_DELAY).await,
                 // The budget of the batch, of its key or of the server for today is exhausted: the
                 // item waits. The question's own budget will not grow, so it does not wait for
                 // that.
@@ -325,7 +336,7 @@ impl BatchRunner {
                     sleep(wait).await;
                     (tries, wait) = (tries + 1, wait * 2);
                 }
-                Err(error) => return Ok(failed(item, &error)),
+                Err(error) => return Ok(to_failed_item(item, &error)),
             }
         }
     }
@@ -335,19 +346,19 @@ impl BatchRunner {
 /// every item.
 const MAX_DETAIL_CHARS: usize = 500;
 
-fn shortened(text: &str) -> String {
+fn shorten(text: &str) -> String {
     match text.char_indices().nth(MAX_DETAIL_CHARS) {
         Some((cut, _)) => format!("{}...", &text[..cut]),
         None => text.to_owned(),
     }
 }
 
-fn failed(item: u32, error: &Error) -> ItemOutcome {
+fn to_failed_item(item: u32, error: &Error) -> ItemOutcome {
     let detail = match error {
         Error::Invalid { pointer, detail } => {
-            format!("{}: {}", shortened(pointer), shortened(detail))
+            format!("{}: {}", shorten(pointer), shorten(detail))
         }
-        other => shortened(&other.to_string()),
+        other => shorten(&other.to_string()),
     };
     let error = Some((error.code().to_owned(), detail));
     ItemOutcome::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })

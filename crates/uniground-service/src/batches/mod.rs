@@ -16,7 +16,7 @@ use crate::error::Error;
 use job::Payload;
 use std::sync::Arc;
 use uniground_jobs::{JobRequest, Jobs, JobsError};
-use uniground_storage::{BatchRepository, BatchRow, ResumeOutcome, page};
+use uniground_storage::{BatchRepository, BatchRow, ResumeOutcome, split_page};
 use uniground_types::batch::{Batch, BatchList, BatchState};
 
 /// Concurrent questions of a batch that does not specify a number.
@@ -59,7 +59,9 @@ impl BatchService {
     /// [`Error::Store`].
     pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, Error> {
         let (rows, next_cursor) =
-            page(self.batch_repository.batches(limit + 1, cursor).await?, limit, |row| &row.id);
+            split_page(self.batch_repository.batches(limit + 1, cursor).await?, limit, |row| {
+                &row.id
+            });
         let mut batches = Vec::with_capacity(rows.len());
         for row in rows {
             batches.push(self.present_batch(row).await?);
@@ -72,7 +74,7 @@ impl BatchService {
     /// # Errors
     /// [`Error::BatchNotFound`], [`Error::BatchOver`].
     pub async fn pause_batch(&self, id: &str) -> Result<Batch, Error> {
-        self.move_batch(id, &["running", "paused"], "paused").await
+        self.change_batch_state(id, &["running", "paused"], "paused").await
     }
 
     /// Cancels a batch for good. Existing answers stay.
@@ -80,7 +82,7 @@ impl BatchService {
     /// # Errors
     /// Those of [`pause_batch`](Self::pause_batch). Cancelling a batch twice is not an error.
     pub async fn cancel_batch(&self, id: &str) -> Result<Batch, Error> {
-        self.move_batch(id, &["running", "paused", "cancelled"], "cancelled").await
+        self.change_batch_state(id, &["running", "paused", "cancelled"], "cancelled").await
     }
 
     /// Resumes a paused batch. A running batch is left as it is.
@@ -94,17 +96,17 @@ impl BatchService {
         let new_job = job.row();
         let resume = self.batch_repository.resume_batch(id, &new_job);
         match self.jobs.enqueue(&job, resume).await? {
-            ResumeOutcome::By(_) | ResumeOutcome::GoesOn => {}
-            ResumeOutcome::Over => {
+            ResumeOutcome::Resumed(_) | ResumeOutcome::AlreadyRunning => {}
+            ResumeOutcome::Finished => {
                 return Err(Error::BatchOver { id: id.into(), state: row.state });
             }
         }
         self.batch(id).await
     }
 
-    async fn move_batch(&self, id: &str, from: &[&str], to: &str) -> Result<Batch, Error> {
+    async fn change_batch_state(&self, id: &str, from: &[&str], to: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
-        if !self.batch_repository.move_batch(id, from, to, None).await? {
+        if !self.batch_repository.change_batch_state(id, from, to, None).await? {
             return Err(Error::BatchOver { id: id.into(), state: row.state });
         }
         self.batch(id).await
@@ -149,7 +151,7 @@ impl BatchService {
 
     async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
         let (state, reason, eta_s) = self.batch_state(&row).await?;
-        let (by_status, cost_usd) = self.batch_repository.batch_figures(&row.id).await?;
+        let (by_status, cost_usd) = self.batch_repository.summarize_batch_items(&row.id).await?;
         let done = by_status.values().sum();
         let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;
         Ok(Batch {

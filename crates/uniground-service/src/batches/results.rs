@@ -31,7 +31,7 @@ pub struct ResultRequest {
 /// Items read per page.
 const PAGE: u32 = 200;
 /// The polling interval of a followed batch.
-const LOOK_EVERY: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
 /// A line of results. The answer is the stored JSON, byte for byte.
 #[derive(Serialize)]
@@ -63,42 +63,45 @@ impl BatchService {
         let service = self.clone();
         let begin = (results.format == LineFormat::Csv)
             .then(|| Bytes::from(format!("{}\n", columns().join(","))));
-        let pages = stream::try_unfold(results, move |wanted| {
+        let pages = stream::try_unfold(results, move |page_request| {
             let (service, defaults) = (service.clone(), defaults.clone());
-            async move { service.next_page(wanted, &defaults).await }
+            async move { service.next_page(page_request, &defaults).await }
         });
         Ok(futures::StreamExt::chain(stream::iter(begin.map(Ok)), pages))
     }
 
     async fn next_page(
         &self,
-        mut wanted: ResultRequest,
+        mut page_request: ResultRequest,
         defaults: &BatchDefaults,
     ) -> Result<Option<(Bytes, ResultRequest)>, Error> {
         loop {
             // Read before the items, so that items closed after this are found in the next pass.
-            let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
-            let rows =
-                self.batch_repository.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
+            let (state, ..) =
+                self.batch_state(&self.batch_row(&page_request.batch_id).await?).await?;
+            let rows = self
+                .batch_repository
+                .batch_items(&page_request.batch_id, page_request.from, PAGE)
+                .await?;
             let done: Vec<ItemRow> =
                 rows.into_iter().take_while(|row| row.status.is_some()).collect();
             if let Some(last) = done.last() {
-                wanted.from = last.item + 1;
-                let page = match wanted.format {
-                    LineFormat::Jsonl => lines(&done, defaults)?,
-                    LineFormat::Csv => rows_of(&done, defaults)?,
+                page_request.from = last.item + 1;
+                let page = match page_request.format {
+                    LineFormat::Jsonl => to_json_lines(&done, defaults)?,
+                    LineFormat::Csv => csv_rows(&done, defaults)?,
                 };
-                return Ok(Some((page.into(), wanted)));
+                return Ok(Some((page.into(), page_request)));
             }
-            if !wanted.follow || state != BatchState::Running {
+            if !page_request.follow || state != BatchState::Running {
                 return Ok(None);
             }
-            sleep(LOOK_EVERY).await;
+            sleep(POLL_INTERVAL).await;
         }
     }
 }
 
-fn lines(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
+fn to_json_lines(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
     let mut page = Vec::new();
     for row in rows {
         let query = defaults.query_of(&row.request);
@@ -122,8 +125,8 @@ fn columns() -> Vec<&'static str> {
     before.into_iter().chain(table::COLUMNS).chain(["error_code", "error"]).collect()
 }
 
-fn rows_of(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
-    table::written(rows.iter().map(|row| {
+fn csv_rows(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
+    table::to_csv(rows.iter().map(|row| {
         let query = defaults.query_of(&row.request);
         let answer: Option<Answer> = row.answer.as_deref().map(serde_json::from_str).transpose()?;
         let (code, detail) = row.error.clone().unwrap_or_default();
@@ -134,6 +137,10 @@ fn rows_of(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error>
             row.status.clone().unwrap_or_default(),
             row.answer_id.clone(),
         ];
-        Ok(item.into_iter().chain(table::cells(answer.as_ref())).chain([code, detail]).collect())
+        Ok(item
+            .into_iter()
+            .chain(table::answer_cells(answer.as_ref()))
+            .chain([code, detail])
+            .collect())
     }))
 }

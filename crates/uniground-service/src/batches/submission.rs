@@ -35,8 +35,8 @@ pub enum BatchBody<S> {
 
 /// The maximum number of items, and of their bytes, in one transaction. Small enough that questions
 /// do not wait long for the database.
-const TOGETHER: usize = 500;
-const BYTES_TOGETHER: usize = 1 << 20;
+const MAX_ITEMS_PER_TRANSACTION: usize = 500;
+const MAX_BYTES_PER_TRANSACTION: usize = 1 << 20;
 /// The maximum length of a line in bytes. All defaults together have the same limit.
 const MAX_LINE_BYTES: usize = 64 << 10;
 /// The maximum bytes of all items of a batch and its defaults, as they are stored.
@@ -48,7 +48,7 @@ const MAX_SCENE_ID_BYTES: usize = 64;
 impl Submission {
     /// Splits a JSON request into metadata and items.
     #[must_use]
-    pub fn of(
+    pub fn from_request(
         request: BatchRequest,
         idempotency_key: Option<String>,
     ) -> (Self, Vec<Map<String, Value>>) {
@@ -103,7 +103,7 @@ struct BatchReceiver<'a> {
 }
 
 impl BatchReceiver<'_> {
-    async fn take(&mut self, mut fields: Map<String, Value>) -> Result<(), Error> {
+    async fn buffer_item(&mut self, mut fields: Map<String, Value>) -> Result<(), Error> {
         // `{"defaults": {...}}` lines are allowed before the first item.
         if self.items == 0
             && fields.len() == 1
@@ -112,7 +112,7 @@ impl BatchReceiver<'_> {
             // Several lines of defaults form one set. Together they may be no longer than one line.
             self.defaults_bytes += fields["defaults"].to_string().len();
             if self.defaults_bytes > MAX_LINE_BYTES {
-                return Err(long_defaults());
+                return Err(long_defaults_error());
             }
             // The scene in the URL applies unless the defaults name another.
             self.defaults.extend(defaults.clone());
@@ -122,7 +122,7 @@ impl BatchReceiver<'_> {
             return Err(Error::TooManyItems { most: MAX_ITEMS });
         }
         if self.items == 0 {
-            self.settle_defaults()?;
+            self.finalize_defaults()?;
         }
         let scene_id = take_scene(&mut fields, &self.scene_id);
         if self.form == DigestForm::Whole {
@@ -132,7 +132,7 @@ impl BatchReceiver<'_> {
         }
         let request = Value::Object(fields).to_string();
         if self.form == DigestForm::Shared && request.len() > MAX_LINE_BYTES {
-            return Err(self.too_long());
+            return Err(self.line_too_long_error());
         }
         self.digest.update(scene_id.as_bytes());
         self.digest.update(request.as_bytes());
@@ -146,7 +146,9 @@ impl BatchReceiver<'_> {
         }
         self.waiting.push(NewItem { scene_id, request });
         self.waiting_bytes += bytes;
-        if self.waiting.len() >= TOGETHER || self.waiting_bytes >= BYTES_TOGETHER {
+        if self.waiting.len() >= MAX_ITEMS_PER_TRANSACTION
+            || self.waiting_bytes >= MAX_BYTES_PER_TRANSACTION
+        {
             self.write().await
         } else {
             Ok(())
@@ -154,7 +156,7 @@ impl BatchReceiver<'_> {
     }
 
     /// Finalizes the defaults when the first item arrives.
-    fn settle_defaults(&mut self) -> Result<(), Error> {
+    fn finalize_defaults(&mut self) -> Result<(), Error> {
         self.scene_id = take_scene(&mut self.defaults, "");
         if self.scene_id.len() > MAX_SCENE_ID_BYTES {
             let detail = format!("no scene's id has more than {MAX_SCENE_ID_BYTES} bytes");
@@ -162,7 +164,7 @@ impl BatchReceiver<'_> {
         }
         let defaults = self.stored_defaults();
         if defaults.len() > MAX_LINE_BYTES {
-            return Err(long_defaults());
+            return Err(long_defaults_error());
         }
         if self.form == DigestForm::Shared && !self.defaults.is_empty() {
             self.digest.update(b"defaults ");
@@ -191,7 +193,7 @@ impl BatchReceiver<'_> {
         Ok(())
     }
 
-    fn too_long(&self) -> Error {
+    fn line_too_long_error(&self) -> Error {
         Error::invalid(
             format!("/items/{}", self.items),
             format!("a line has at most {MAX_LINE_BYTES} bytes"),
@@ -199,17 +201,17 @@ impl BatchReceiver<'_> {
     }
 
     /// Receives all items. A batch needs at least one.
-    async fn take_all<E>(
+    async fn receive_all<E>(
         &mut self,
         body: BatchBody<impl Stream<Item = Result<Bytes, E>> + Unpin>,
     ) -> Result<(), Error> {
         match body {
             BatchBody::Items(items) => {
                 for fields in items {
-                    self.take(fields).await?;
+                    self.buffer_item(fields).await?;
                 }
             }
-            BatchBody::Lines(lines) => self.take_lines(lines).await?,
+            BatchBody::Lines(lines) => self.receive_lines(lines).await?,
         }
         if self.items == 0 {
             return Err(Error::invalid("/items", "a batch has at least one question"));
@@ -217,22 +219,22 @@ impl BatchReceiver<'_> {
         self.write().await
     }
 
-    async fn take_line(&mut self, line: &[u8]) -> Result<(), Error> {
+    async fn receive_line(&mut self, line: &[u8]) -> Result<(), Error> {
         let line = line.trim_ascii();
         if line.is_empty() {
             return Ok(());
         }
         if line.len() > MAX_LINE_BYTES {
-            return Err(self.too_long());
+            return Err(self.line_too_long_error());
         }
         let fields = serde_json::from_slice(line);
         let fields = fields.map_err(|error| {
             Error::invalid(format!("/items/{}", self.items), format!("not a JSON object: {error}"))
         })?;
-        self.take(fields).await
+        self.buffer_item(fields).await
     }
 
-    async fn take_lines<E>(
+    async fn receive_lines<E>(
         &mut self,
         mut lines: impl Stream<Item = Result<Bytes, E>> + Unpin,
     ) -> Result<(), Error> {
@@ -246,18 +248,18 @@ impl BatchReceiver<'_> {
             rest.extend_from_slice(parts.next().unwrap_or_default());
             for part in parts {
                 let line = std::mem::replace(&mut rest, part.to_vec());
-                self.take_line(&line).await?;
+                self.receive_line(&line).await?;
             }
             if rest.len() > MAX_LINE_BYTES {
-                return Err(self.too_long());
+                return Err(self.line_too_long_error());
             }
         }
         let last = std::mem::take(&mut rest);
-        self.take_line(&last).await
+        self.receive_line(&last).await
     }
 }
 
-fn long_defaults() -> Error {
+fn long_defaults_error() -> Error {
     Error::invalid("/defaults", format!("defaults have at most {MAX_LINE_BYTES} bytes as JSON"))
 }
 
@@ -323,7 +325,7 @@ impl BatchService {
     ) -> Result<Batch, Error> {
         submission.check()?;
         let Submission { label, concurrency, max_cost_usd, idempotency_key, defaults } = submission;
-        let key = idempotency_key.map(|key| caller.own(key));
+        let key = idempotency_key.map(|key| caller.qualify_name(key));
         let before = match &key {
             Some(key) => self.batch_repository.batch_of_idempotency_key(key).await?,
             None => None,
@@ -359,7 +361,7 @@ impl BatchService {
             items: 0,
             stored_bytes: 0,
         };
-        let received = receiving.take_all(body).await;
+        let received = receiving.receive_all(body).await;
         let defaults = receiving.stored_defaults();
         let (items, digest) = (receiving.items, receiving.digest.finalize());
         let request: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -386,7 +388,7 @@ impl BatchService {
                 unfinished.id = None;
                 self.batch(&id).await
             }
-            Ok(SubmitOutcome::MadeBefore(before)) => {
+            Ok(SubmitOutcome::AlreadyExists(before)) => {
                 unfinished.discard().await;
                 self.batch(&before.id).await
             }
@@ -420,7 +422,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_batch_is_as_large_as_it_may_be_and_no_larger() {
+    fn batch_size_limit_is_exact() {
         assert!(check_size(MAX_STORED_BYTES).is_ok());
         let refused = check_size(MAX_STORED_BYTES + 1).unwrap_err();
         assert_eq!(

@@ -22,7 +22,7 @@ use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::settings::ParsingSettings;
 
 /// The maximum number of corrections of a parse.
-const MOST: u32 = 5000;
+const MAX_CORRECTIONS: u32 = 5000;
 const MAX_NAME_CHARS: usize = 100;
 const MAX_IDS: usize = 100;
 
@@ -50,7 +50,7 @@ impl CorrectionService {
     ) -> Result<Correction, Error> {
         check(&change)?;
         // Under the lock: what is checked stays valid until the correction is stored.
-        let (parse_id, _turn) = self.scene_lookup.turn_at_parse(scene_id).await?;
+        let (parse_id, _lock) = self.scene_lookup.lock_current_parse(scene_id).await?;
         let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let known = |id: InstanceId| {
             let instance = parse.instances.get((id.0 as usize).wrapping_sub(1));
@@ -83,15 +83,15 @@ impl CorrectionService {
                 }
                 let members = instance_ids.clone();
                 let scene = StoredScene::new(self.parsed_scenes.clone(), parse.clone());
-                Some(scene.compute(move |scene| scene.merged(&members)).await?)
+                Some(scene.compute(move |scene| scene.merge_instances(&members)).await?)
             }
         };
         let author = caller.key.as_ref().map(|key| key.row.name.as_str());
         let new = NewCorrection { parse_id: &parse_id, change: &change, author, made };
         self.correction_repository
-            .insert_correction(new, MOST)
+            .insert_correction(new, MAX_CORRECTIONS)
             .await?
-            .ok_or(Error::TooManyCorrections { most: MOST })
+            .ok_or(Error::TooManyCorrections { most: MAX_CORRECTIONS })
     }
 
     /// Lists the corrections of a scene's current parse, newest first.
@@ -111,7 +111,7 @@ impl CorrectionService {
     /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] if a later correction refers to
     /// the instance that this one created.
     pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
-        let (parse_id, _turn) = self.scene_lookup.turn_at_parse(scene_id).await?;
+        let (parse_id, _lock) = self.scene_lookup.lock_current_parse(scene_id).await?;
         let corrections = self.correction_repository.corrections(&parse_id).await?;
         let not_found = || Error::CorrectionNotFound { id: id.to_owned() };
         let correction =
@@ -144,7 +144,7 @@ impl CorrectionService {
 
 impl StoredScene {
     /// Merges the points of several instances into one instance.
-    fn merged(&self, members: &[InstanceId]) -> Result<Instance, Error> {
+    fn merge_instances(&self, members: &[InstanceId]) -> Result<Instance, Error> {
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         let (known, of_point) = (self.instances(), self.instance_of_point()?);
         let owners = Owners::of(&of_point, known);

@@ -26,7 +26,7 @@ impl InstanceService {
         let (row, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let parse: Arc<LoadedParse> = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let levels = if around.is_some() { Levels::All } else { levels };
-        let graph = self.question_permits.compute(move || Ok(graph_of(&parse, levels))).await?;
+        let graph = self.question_permits.compute(move || Ok(to_graph(&parse, levels))).await?;
         let Graph { nodes, edges } = match around {
             Some(id) => graph
                 .around(id)
@@ -43,7 +43,7 @@ impl InstanceService {
     }
 }
 
-fn graph_of(parse: &LoadedParse, levels: Levels) -> Graph {
+fn to_graph(parse: &LoadedParse, levels: Levels) -> Graph {
     let LoadedParse { instances, extent, names, .. } = parse;
     let guessed = if parse.embeddings.is_some() { Guessed::ByLooks } else { Guessed::ByMeasures };
     Graph::of(SceneView { instances, extent: *extent, names, appearance: None }, levels, guessed)
@@ -53,7 +53,10 @@ fn graph_of(parse: &LoadedParse, levels: Levels) -> Graph {
 ///
 /// # Errors
 /// JSON that cannot be written. This never happens for these graphs.
-pub fn written(graph: &SceneGraph, format: GraphFormat) -> Result<(&'static str, String), Error> {
+pub fn write_graph(
+    graph: &SceneGraph,
+    format: GraphFormat,
+) -> Result<(&'static str, String), Error> {
     Ok(match format {
         GraphFormat::Json => ("application/json", serde_json::to_string(graph)?),
         GraphFormat::Graphml => ("application/graphml+xml", graphml(graph)),

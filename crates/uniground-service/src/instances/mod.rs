@@ -2,7 +2,7 @@
 
 mod graph;
 
-pub use graph::written;
+pub use graph::write_graph;
 
 use super::answers::StoredScene;
 use super::parses::LoadedParse;
@@ -24,7 +24,7 @@ pub enum EvidenceFile {
 }
 
 /// Converts an instance to the form that callers see.
-fn view_of(
+fn to_view(
     instance: Instance,
     model_name: Option<String>,
     given_name: Option<String>,
@@ -111,7 +111,7 @@ impl InstanceService {
             .instances
             .iter()
             .filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed));
-        let mut page = self.views_of(&parse, listed.take(limit as usize + 1)).await?;
+        let mut page = self.to_views(&parse, listed.take(limit as usize + 1)).await?;
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);
         Ok(InstanceList {
@@ -121,15 +121,15 @@ impl InstanceService {
     }
 
     /// Returns all instances of a parse in order of id, except those that were dismissed.
-    pub(super) async fn shown_instances(
+    pub(super) async fn visible_instances(
         &self,
         parse: &LoadedParse,
     ) -> Result<Vec<InstanceView>, Error> {
-        self.views_of(parse, parse.instances.iter().filter(|instance| !instance.dismissed)).await
+        self.to_views(parse, parse.instances.iter().filter(|instance| !instance.dismissed)).await
     }
 
     /// Converts instances to views with the names they were given.
-    async fn views_of<'a>(
+    async fn to_views<'a>(
         &self,
         parse: &LoadedParse,
         instances: impl Iterator<Item = &'a Instance>,
@@ -138,7 +138,7 @@ impl InstanceService {
         let view = |instance: &Instance| {
             let (name, given) =
                 (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
-            view_of(instance.clone(), name, given)
+            to_view(instance.clone(), name, given)
         };
         Ok(instances.map(view).collect())
     }
@@ -146,9 +146,9 @@ impl InstanceService {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
-        let (parse, instance) = self.known_instance(scene_id, id).await?;
+        let (parse, instance) = self.find_instance(scene_id, id).await?;
         let name = self.parsed_scenes.names_of(&parse.id).await?.remove(&id.0);
-        Ok(view_of(instance, name, parse.renamed.get(&id.0).cloned()))
+        Ok(to_view(instance, name, parse.renamed.get(&id.0).cloned()))
     }
 
     /// Returns an evidence picture.
@@ -162,7 +162,7 @@ impl InstanceService {
         view: u32,
         picture: ViewPicture,
     ) -> Result<EvidenceFile, Error> {
-        let (parse, instance) = self.known_instance(scene_id, id).await?;
+        let (parse, instance) = self.find_instance(scene_id, id).await?;
         let views = instance.views.len();
         if view as usize >= views {
             return Err(Error::ViewNotFound { id, view, views });
@@ -178,7 +178,7 @@ impl InstanceService {
     }
 
     /// Returns an instance of a scene's current parse, with the parse.
-    async fn known_instance(
+    async fn find_instance(
         &self,
         scene_id: &str,
         id: InstanceId,

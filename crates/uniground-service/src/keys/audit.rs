@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::{sleep, timeout};
 use uniground_models::with_causes;
-use uniground_storage::{AuditWriter, StoreError, now, page};
+use uniground_storage::{AuditWriter, StoreError, now, split_page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{AuditEntry, AuditList};
 
@@ -32,7 +32,7 @@ pub struct PendingAudit {
 
 impl PendingAudit {
     /// Records the status of the answer. Waits until the entry is written, for at most `MAX_WAIT`.
-    pub async fn answered(mut self, status: u16) {
+    pub async fn record_status(mut self, status: u16) {
         if let Some((caller, done)) = self.open.take() {
             let written = self
                 .keys
@@ -63,7 +63,7 @@ const MAX_WAIT: Duration = Duration::from_secs(2);
 /// The maximum number of queued entries.
 const MAX_QUEUED: usize = 4096;
 /// The maximum number of entries written in one transaction.
-const MAX_TOGETHER: usize = 256;
+const ENTRIES_PER_TRANSACTION: usize = 256;
 /// Attempts to write entries while the database is busy, and the pause between attempts.
 const ATTEMPTS: u32 = 5;
 const RETRY_AFTER: Duration = Duration::from_millis(200);
@@ -112,7 +112,7 @@ async fn write_entries(
     dropped: Arc<DroppedEntries>,
 ) {
     let mut pending = Vec::new();
-    while queue.recv_many(&mut pending, MAX_TOGETHER).await > 0 {
+    while queue.recv_many(&mut pending, ENTRIES_PER_TRANSACTION).await > 0 {
         let (entries, callers): (Vec<_>, Vec<_>) =
             pending.drain(..).map(|pending| (pending.entry, pending.written)).unzip();
         if let Err(error) = write(&writer, &entries).await {
@@ -155,7 +155,7 @@ impl DroppedEntries {
 impl Keyring {
     /// Starts the audit entry of a request.
     #[must_use]
-    pub fn noting(&self, caller: Caller, done: AuditedRequest) -> PendingAudit {
+    pub fn begin_audit(&self, caller: Caller, done: AuditedRequest) -> PendingAudit {
         PendingAudit { keys: self.clone(), open: Some((caller, done)) }
     }
 
@@ -172,7 +172,7 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, Error> {
         let (entries, next_cursor) =
-            page(self.keys.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
+            split_page(self.keys.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
         Ok(AuditList { entries, next_cursor })
     }
 }
@@ -208,11 +208,11 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_somebody_did_who_left_is_written_down_all_the_same() {
+    async fn requests_of_disconnected_clients_are_audited() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder).await;
-        keys.noting(Caller::operator(), done("/answered")).answered(204).await;
-        drop(keys.noting(Caller::operator(), done("/left")));
+        keys.begin_audit(Caller::operator(), done("/answered")).record_status(204).await;
+        drop(keys.begin_audit(Caller::operator(), done("/left")));
         let entries = entries(&keys, 2).await;
         let written: Vec<(&str, u16)> =
             entries.iter().map(|entry| (entry.path.as_str(), entry.status)).collect();
@@ -220,14 +220,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn entries_of_a_flood_are_written_or_counted() {
+    async fn under_load_audit_entries_are_written_or_counted_as_dropped() {
         const FLOOD: usize = MAX_QUEUED + 100;
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
-        let keys = keyring(&folder).await.counted_by(metrics.clone());
+        let keys = keyring(&folder).await.with_metrics(metrics.clone());
         // The test has one thread, so the writer does not run in between.
         for _ in 0..FLOOD {
-            drop(keys.noting(Caller::operator(), done("/flood")));
+            drop(keys.begin_audit(Caller::operator(), done("/flood")));
         }
         assert!(
             metrics.text().contains("uniground_audit_entries_dropped_total 100"),
@@ -235,16 +235,16 @@ mod tests {
             metrics.text()
         );
         assert_eq!(entries(&keys, MAX_QUEUED).await.len(), MAX_QUEUED);
-        keys.noting(Caller::operator(), done("/later")).answered(200).await;
+        keys.begin_audit(Caller::operator(), done("/later")).record_status(200).await;
         assert_eq!(entries(&keys, MAX_QUEUED + 1).await[0].path, "/later");
     }
 
     #[tokio::test]
-    async fn entries_that_the_database_refuses_are_counted() {
+    async fn entries_that_the_database_rejects_are_counted_as_dropped() {
         let folder = tempfile::tempdir().unwrap();
         let metrics = Arc::<Metrics>::default();
         let store = store(&folder).await;
-        let keys = Keyring::open(&store, None).await.unwrap().counted_by(metrics.clone());
+        let keys = Keyring::open(&store, None).await.unwrap().with_metrics(metrics.clone());
         store.close().await;
         let refused = keys.entry(&Caller::operator(), done("/refused"));
         let _ = keys.audit_log.push(refused).await;

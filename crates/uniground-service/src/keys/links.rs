@@ -6,7 +6,7 @@
 //! HMAC = HMAC-SHA-256 of both and the path, hex
 //! ```
 
-use super::{Caller, KeyRejection, Keyring, equal, hex};
+use super::{Caller, KeyRejection, Keyring, equal_in_constant_time, hex};
 use crate::error::Error;
 use hmac::{Hmac, KeyInit, Mac};
 use jiff::Timestamp;
@@ -16,8 +16,8 @@ use uniground_types::links::{Link, LinkList, LinkRequest};
 
 /// The name of the query parameter.
 pub const PARAMETER: &str = "link";
-const MOST_PATHS: usize = 500;
-const LONGEST_PATH: usize = 500;
+const MAX_PATHS: usize = 500;
+const MAX_PATH_CHARS: usize = 500;
 const SECONDS: std::ops::RangeInclusive<u32> = 10..=86_400;
 /// The suffix that stands for everything below a path.
 const ALL: &str = "/*";
@@ -74,13 +74,13 @@ impl Keyring {
                 format!("must be {} to {}", SECONDS.start(), SECONDS.end()),
             ));
         }
-        if !(1..=MOST_PATHS).contains(&paths.len()) {
-            return Err(Error::invalid("/paths", format!("must be 1 to {MOST_PATHS} paths")));
+        if !(1..=MAX_PATHS).contains(&paths.len()) {
+            return Err(Error::invalid("/paths", format!("must be 1 to {MAX_PATHS} paths")));
         }
         let expires = now.as_second() + i64::from(expires_in_s);
         let maker = match caller.key_id() {
             Some(id) => id,
-            None if self.is_wanted() => OWN,
+            None if self.has_keys() => OWN,
             None => NONE,
         };
         let link = |(index, path): (usize, String)| {
@@ -92,12 +92,12 @@ impl Keyring {
                 !folder.is_empty() && !folder.contains('*') && (is_one || !is_all)
             });
             if !is_path
-                || path.len() > LONGEST_PATH
+                || path.len() > MAX_PATH_CHARS
                 || path.contains(['?', '#'])
                 || !path.is_ascii()
             {
                 let detail = format!(
-                    "must be a path below /v1/ without a query, at most {LONGEST_PATH} characters"
+                    "must be a path below /v1/ without a query, at most {MAX_PATH_CHARS} characters"
                 );
                 return Err(Error::invalid(format!("/paths/{index}"), detail));
             }
@@ -141,18 +141,20 @@ impl Keyring {
         let folders =
             path.match_indices('/').skip(3).map(|(at, _)| format!("{}{ALL}", &path[..at]));
         let signer = self.signer(maker);
-        let is_signed = |path: String| equal(&self.link_secret.sign(&path, expires, &signer), mac);
+        let is_signed = |path: String| {
+            equal_in_constant_time(&self.link_secret.sign(&path, expires, &signer), mac)
+        };
         if !std::iter::once(path.to_owned()).chain(folders).any(is_signed) {
             return Err(KeyRejection::BadLink);
         }
         if expires <= now.as_second() {
-            return Err(KeyRejection::LinkOver);
+            return Err(KeyRejection::LinkExpired);
         }
         let caller = match maker {
-            NONE if self.is_wanted() => return Err(KeyRejection::NoKey),
+            NONE if self.has_keys() => return Err(KeyRejection::NoKey),
             OWN if self.own.is_none() => return Err(KeyRejection::BadLink),
             OWN | NONE => Caller::operator(),
-            id => self.caller_of(Some(id))?,
+            id => self.resolve_caller(Some(id))?,
         };
         Ok(Caller { scope: Scope::Read, ..caller })
     }
@@ -172,7 +174,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_link_opens_its_path_until_it_is_over() {
+    async fn a_link_opens_only_its_path_until_it_expires() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(
             Utf8Path::from_path(folder.path()).unwrap(),
@@ -211,7 +213,7 @@ mod tests {
             reader,
             "no more than reading, whoever made it"
         );
-        assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(KeyRejection::LinkOver));
+        assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(KeyRejection::LinkExpired));
         for below in [cloud.clone(), format!("{SCENE}/instances/3/views/0.jpg")] {
             assert_eq!(opens(&links[1].token, &below, now), reader);
         }
@@ -237,7 +239,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_signed_before_there_were_keys_opens_nothing_after() {
+    async fn links_signed_before_keys_existed_are_invalid_afterwards() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(
             Utf8Path::from_path(folder.path()).unwrap(),
@@ -261,7 +263,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn only_paths_of_one_thing_get_links() {
+    async fn links_are_created_only_for_resource_paths() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(
             Utf8Path::from_path(folder.path()).unwrap(),

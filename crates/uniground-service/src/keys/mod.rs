@@ -22,7 +22,7 @@ use std::collections::HashMap;
 use std::num::NonZeroU32;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
-use uniground_storage::{IdGenerator, KeyRepository, KeyRow, LockTable, Store, now, page};
+use uniground_storage::{IdGenerator, KeyRepository, KeyRow, LockTable, Store, now, split_page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
 use uniground_types::numbers::zero_or_more;
@@ -56,7 +56,7 @@ impl Caller {
 
     /// Qualifies a name that this caller chose, so that it never equals a name that another caller
     /// chose. A caller cannot reach what another one created.
-    pub(super) fn own(&self, name: String) -> String {
+    pub(super) fn qualify_name(&self, name: String) -> String {
         match self.key_id() {
             Some(id) => format!("{id}:{name}"),
             None => name,
@@ -91,11 +91,11 @@ pub enum KeyRejection {
     /// A link that this server did not sign, or that is for another path.
     BadLink,
     /// A link that has expired.
-    LinkOver,
+    LinkExpired,
 }
 
 impl KnownKey {
-    fn of(row: KeyRow) -> Arc<Self> {
+    fn from_row(row: KeyRow) -> Arc<Self> {
         let per_minute = row.requests_per_minute.and_then(NonZeroU32::new);
         let limit = per_minute.map(|n| {
             RateLimiter::direct(Quota::per_minute(n))
@@ -108,7 +108,7 @@ impl KnownKey {
     ///
     /// # Errors
     /// The seconds to wait, and the state of the limit.
-    fn count(&self) -> Result<Option<RateLimitStatus>, (u64, RateLimitStatus)> {
+    fn count_request(&self) -> Result<Option<RateLimitStatus>, (u64, RateLimitStatus)> {
         let Some(limit) = &self.limit else { return Ok(None) };
         let per_minute = self.row.requests_per_minute.unwrap_or(1);
         let whole = |wait: Duration| wait.as_secs() + u64::from(wait.subsec_nanos() > 0);
@@ -135,7 +135,7 @@ impl KnownKey {
     }
 
     /// Returns why the key is refused, if it is.
-    pub(super) fn refusal(&self, now: Timestamp) -> Option<KeyRejection> {
+    pub(super) fn rejection(&self, now: Timestamp) -> Option<KeyRejection> {
         match &self.row.revoked_at {
             Some(_) => Some(KeyRejection::Revoked),
             None => self.is_expired(now).then_some(KeyRejection::Expired),
@@ -168,9 +168,9 @@ impl Keyring {
             .all_keys()
             .await?
             .into_iter()
-            .map(|row| (row.prefix.clone(), KnownKey::of(row)))
+            .map(|row| (row.prefix.clone(), KnownKey::from_row(row)))
             .collect();
-        let own = own.map(|key| hash_of(key).into());
+        let own = own.map(|key| hash_secret(key).into());
         let audit_log = AuditLog::start(store.keys.audit_writer(), Arc::default());
         Ok(Self {
             keys: store.keys.clone(),
@@ -185,7 +185,7 @@ impl Keyring {
 
     /// Counts dropped audit entries in these metrics.
     #[must_use]
-    pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
+    pub fn with_metrics(self, metrics: Arc<Metrics>) -> Self {
         let audit_log = AuditLog::start(self.keys.audit_writer(), metrics);
         Self { audit_log, ..self }
     }
@@ -200,7 +200,7 @@ impl Keyring {
         let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
         for row in rows {
             if known.get(&row.prefix).is_none_or(|key| key.row.revoked_at != row.revoked_at) {
-                known.insert(row.prefix.clone(), KnownKey::of(row));
+                known.insert(row.prefix.clone(), KnownKey::from_row(row));
             }
         }
         Ok(())
@@ -215,7 +215,7 @@ impl Keyring {
     /// Returns whether callers must present a key. True for good once the first key exists:
     /// revoking the last key does not open the server to everyone.
     #[must_use]
-    pub fn is_wanted(&self) -> bool {
+    pub fn has_keys(&self) -> bool {
         self.own.is_some() || !self.known.read().unwrap_or_else(PoisonError::into_inner).is_empty()
     }
 
@@ -224,27 +224,27 @@ impl Keyring {
     /// # Errors
     /// Why the key is rejected.
     pub fn caller(&self, presented: Option<&str>) -> Result<Caller, KeyRejection> {
-        if !self.is_wanted() {
+        if !self.has_keys() {
             return Ok(Caller::operator());
         }
         let presented = presented.ok_or(KeyRejection::NoKey)?;
-        let hash = hash_of(presented);
+        let hash = hash_secret(presented);
         // Stored keys are checked first, even if the same secret is also the server's own key:
         // their limits apply, and they can be revoked.
-        let found = presented.get(..PREFIX_CHARS).and_then(|prefix| self.by_prefix(prefix));
-        if let Some(key) = found.filter(|key| equal(&key.row.hash, &hash)) {
-            return match key.refusal(Timestamp::now()) {
+        let found = presented.get(..PREFIX_CHARS).and_then(|prefix| self.find_by_prefix(prefix));
+        if let Some(key) = found.filter(|key| equal_in_constant_time(&key.row.hash, &hash)) {
+            return match key.rejection(Timestamp::now()) {
                 Some(denied) => Err(denied),
                 None => Ok(Caller { scope: key.row.scope, key: Some(key) }),
             };
         }
-        match self.own.as_ref().is_some_and(|own| equal(own, &hash)) {
+        match self.own.as_ref().is_some_and(|own| equal_in_constant_time(own, &hash)) {
             true => Ok(Caller::operator()),
             false => Err(KeyRejection::UnknownKey),
         }
     }
 
-    fn by_prefix(&self, prefix: &str) -> Option<Arc<KnownKey>> {
+    fn find_by_prefix(&self, prefix: &str) -> Option<Arc<KnownKey>> {
         self.known.read().unwrap_or_else(PoisonError::into_inner).get(prefix).cloned()
     }
 
@@ -253,12 +253,12 @@ impl Keyring {
     ///
     /// # Errors
     /// Why the key is refused.
-    pub(super) fn caller_of(&self, key_id: Option<&str>) -> Result<Caller, KeyRejection> {
+    pub(super) fn resolve_caller(&self, key_id: Option<&str>) -> Result<Caller, KeyRejection> {
         let Some(id) = key_id else { return Ok(Caller::operator()) };
         let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
         let key =
             known.values().find(|key| key.row.id == id).cloned().ok_or(KeyRejection::UnknownKey)?;
-        match key.refusal(Timestamp::now()) {
+        match key.rejection(Timestamp::now()) {
             Some(denied) => Err(denied),
             None => Ok(Caller { scope: key.row.scope, key: Some(key) }),
         }
@@ -268,11 +268,11 @@ impl Keyring {
     ///
     /// # Errors
     /// The seconds to wait, and the state of the limit.
-    pub async fn count(
+    pub async fn count_request(
         &self,
         key: &KnownKey,
     ) -> Result<Option<RateLimitStatus>, (u64, RateLimitStatus)> {
-        let Some(here) = key.count()? else { return Ok(None) };
+        let Some(here) = key.count_request()? else { return Ok(None) };
         if !self.locks.is_shared() {
             return Ok(Some(here));
         }
@@ -329,7 +329,7 @@ impl Keyring {
             id: self.ids.new_id(),
             name,
             prefix: secret[..PREFIX_CHARS].to_owned(),
-            hash: hash_of(&secret),
+            hash: hash_secret(&secret),
             scope,
             expires_at,
             requests_per_minute,
@@ -342,12 +342,11 @@ impl Keyring {
         // A separate task: it finishes even if the client disconnects, so that a stored key is
         // always known in memory.
         let (keys, new) = (self.clone(), row.clone());
-        let inserted =
-            tokio::spawn(
-                async move { keys.keys.insert_key(&new).await.inspect(|()| keys.put(new)) },
-            );
+        let inserted = tokio::spawn(async move {
+            keys.keys.insert_key(&new).await.inspect(|()| keys.cache_key(new))
+        });
         inserted.await??;
-        Ok(CreatedKey { key: told(row, 0.0), secret })
+        Ok(CreatedKey { key: to_api_key(row, 0.0), secret })
     }
 
     /// Lists keys, newest first.
@@ -356,10 +355,10 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn list(&self, limit: u32, cursor: Option<&str>) -> Result<KeyList, Error> {
         let (rows, next_cursor) =
-            page(self.keys.keys(limit + 1, cursor).await?, limit, |row| &row.id);
+            split_page(self.keys.keys(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut keys = Vec::with_capacity(rows.len());
         for row in rows {
-            keys.push(self.present(row).await?);
+            keys.push(self.to_key(row).await?);
         }
         Ok(KeyList { keys, next_cursor })
     }
@@ -374,27 +373,27 @@ impl Keyring {
             keys.keys
                 .revoke_key(&key_id)
                 .await
-                .inspect(|row| row.iter().for_each(|row| keys.put(row.clone())))
+                .inspect(|row| row.iter().for_each(|row| keys.cache_key(row.clone())))
         });
         let row = revoked.await??.ok_or_else(|| Error::KeyNotFound { id: id.into() })?;
-        self.present(row).await
+        self.to_key(row).await
     }
 
-    fn put(&self, row: KeyRow) {
+    fn cache_key(&self, row: KeyRow) {
         self.known
             .write()
             .unwrap_or_else(PoisonError::into_inner)
-            .insert(row.prefix.clone(), KnownKey::of(row));
+            .insert(row.prefix.clone(), KnownKey::from_row(row));
     }
 
-    async fn present(&self, row: KeyRow) -> Result<Key, Error> {
-        let spent_today_usd = self.keys.spent_by_key(&row.id, &now()[..10]).await?;
-        Ok(told(row, spent_today_usd))
+    async fn to_key(&self, row: KeyRow) -> Result<Key, Error> {
+        let spent_today_usd = self.keys.spending_of_key(&row.id, &now()[..10]).await?;
+        Ok(to_api_key(row, spent_today_usd))
     }
 }
 
 /// Converts a key to the form that administrators see.
-fn told(row: KeyRow, spent_today_usd: f64) -> Key {
+fn to_api_key(row: KeyRow, spent_today_usd: f64) -> Key {
     let KeyRow {
         id,
         name,
@@ -457,7 +456,7 @@ fn new_secret() -> Result<String, Error> {
     Ok(format!("ug_{}_{}", hex(name), URL_SAFE_NO_PAD.encode(secret)))
 }
 
-fn hash_of(secret: &str) -> String {
+fn hash_secret(secret: &str) -> String {
     hex(&Sha256::digest(secret))
 }
 
@@ -466,7 +465,7 @@ fn hex(bytes: &[u8]) -> String {
 }
 
 /// Compares hashes in constant time: the duration does not reveal where they differ.
-fn equal(a: &str, b: &str) -> bool {
+fn equal_in_constant_time(a: &str, b: &str) -> bool {
     a.len() == b.len()
         && a.bytes().zip(b.bytes()).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
 }
@@ -499,7 +498,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn only_the_key_itself_is_known_until_it_is_revoked() {
+    async fn a_key_authenticates_until_it_is_revoked() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder, None).await;
         assert_eq!(keys.caller(None).unwrap().scope, Scope::Admin, "nobody has made a key yet");
@@ -539,7 +538,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_key_expires_and_has_a_rate() {
+    async fn keys_expire_and_are_rate_limited() {
         let folder = tempfile::tempdir().unwrap();
         let keys = keyring(&folder, None).await;
         let late =
@@ -550,14 +549,14 @@ mod tests {
             ..row_of(&keys, wanted(Scope::Read)).await
         };
         assert_eq!(
-            KnownKey::of(row.clone()).refusal(Timestamp::now()),
+            KnownKey::from_row(row.clone()).rejection(Timestamp::now()),
             Some(KeyRejection::Expired)
         );
         (row.expires_at, row.requests_per_minute) = (None, Some(2));
-        let key = KnownKey::of(row);
-        assert_eq!(key.count().unwrap().unwrap().left, 1);
-        assert_eq!(key.count().unwrap().unwrap().left, 0);
-        let (wait, allowance) = key.count().unwrap_err();
+        let key = KnownKey::from_row(row);
+        assert_eq!(key.count_request().unwrap().unwrap().left, 1);
+        assert_eq!(key.count_request().unwrap().unwrap().left, 0);
+        let (wait, allowance) = key.count_request().unwrap_err();
         assert!((1..=30).contains(&wait) && allowance.left == 0, "{wait} {allowance:?}");
     }
 

@@ -148,8 +148,10 @@ impl NamingService {
         JobContext { payload, progress, .. }: JobContext<Payload>,
     ) -> Result<String, Error> {
         let vlm = self.vlm.clone().ok_or(Error::VlmNotConfigured)?;
-        let caller =
-            self.keyring.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
+        let caller = self
+            .keyring
+            .resolve_caller(payload.key_id.as_deref())
+            .map_err(|_| Error::KeyRefused)?;
         self.check_paid(&caller)?;
         let (_, parse_id) = self.scene_lookup.ready_scene(&payload.scene_id).await?;
         let source = StoredScene::new(
@@ -167,7 +169,9 @@ impl NamingService {
         let sheets: Vec<&[InstanceId]> = unnamed.chunks(naming::PER_SHEET).collect();
         for (number, ids) in sheets.iter().enumerate() {
             // Stops once the key has been revoked or has expired.
-            self.keyring.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
+            self.keyring
+                .resolve_caller(payload.key_id.as_deref())
+                .map_err(|_| Error::KeyRefused)?;
             progress
                 .report("naming", number as f32 / sheets.len() as f32)
                 .map_err(ParseError::from)?;
@@ -206,7 +210,7 @@ impl NamingService {
                 ids.iter().filter(|id| !shown.contains(&id.0)).map(|id| (id.0, String::new())),
             );
         }
-        self.parsed_scenes.keep_names(&source.parse.id, &names).await?;
+        self.parsed_scenes.store_names(&source.parse.id, &names).await?;
         Ok(names)
     }
 }

@@ -47,7 +47,7 @@ const POINTS: usize = 8_000_000;
 const OCCUPANCY_BYTES: usize = 128 << 20;
 /// The number of folders with computed points that are cached. They were computed since the
 /// start, and each is as large as the scene's cloud.
-const MADE: usize = 16;
+const MAX_CACHED_POINTS: usize = 16;
 /// The bytes of drawn pictures of instances that stay in memory.
 const DRAWN_BYTES: usize = 64 << 20;
 /// The number of files whose verified state is remembered.
@@ -76,7 +76,7 @@ impl Default for ParseCache {
             render_scenes: LruCache::new(POINTS),
             occupancies: LruCache::new(OCCUPANCY_BYTES),
             sound: LruCache::new(FILES),
-            points: LruCache::new(MADE),
+            points: LruCache::new(MAX_CACHED_POINTS),
             drawn: LruCache::new(DRAWN_BYTES),
         }
     }
@@ -84,12 +84,12 @@ impl Default for ParseCache {
 
 impl ParseCache {
     /// Returns a parse, unless it has changed since it was loaded.
-    pub fn loaded(&self, id: &str, changes: i64) -> Option<Arc<LoadedParse>> {
+    pub fn get(&self, id: &str, changes: i64) -> Option<Arc<LoadedParse>> {
         self.loaded.get(id).filter(|(of, _)| *of == changes).map(|(_, parse)| parse)
     }
 
     /// Caches a parse that was loaded after this number of changes.
-    pub fn keep(&self, parse: &Arc<LoadedParse>, changes: i64) {
+    pub fn insert(&self, parse: &Arc<LoadedParse>, changes: i64) {
         self.loaded.put(parse.id.clone(), (changes, parse.clone()), 1);
     }
 

@@ -35,7 +35,7 @@ pub enum ParseFile {
 
 impl ParseFile {
     #[must_use]
-    pub fn of(self, parse: &Utf8Path) -> Utf8PathBuf {
+    pub fn path_in(self, parse: &Utf8Path) -> Utf8PathBuf {
         parse.join(match self {
             Self::Cloud => "cloud.ply",
             Self::Instances => "instances.ply",
@@ -80,7 +80,7 @@ pub fn read_photograph(
     frame: FrameIndex,
 ) -> Option<RgbImage> {
     let kept = photograph(parse, frame);
-    let picture = match if_kept(blobs.file(parse, &kept)) {
+    let picture = match none_if_missing(blobs.pin_file(parse, &kept)) {
         Ok(Some(file)) if file.exists() => fs::read(&file)
             .map_err(|error| error.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()))
@@ -88,7 +88,7 @@ pub fn read_photograph(
         Ok(_) => {
             let frames = read_frames(blobs, parse, content).ok()??;
             let frame = frames.into_iter().find(|of| of.index == frame)?;
-            let colour = blobs.file(content, &frame.colour).map_err(|error| error.to_string());
+            let colour = blobs.pin_file(content, &frame.colour).map_err(|error| error.to_string());
             colour.and_then(|_colour| frame.decode_colour().map_err(|error| error.to_string()))
         }
         Err(error) => Err(error.to_string()),
@@ -124,8 +124,10 @@ fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Re
 /// # Errors
 /// Unreadable files.
 pub fn read_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<Embeddings>, Error> {
-    let Some(rows) = read(blobs, parse, ParseFile::Embeddings.of(parse))? else { return Ok(None) };
-    Ok(Some(Embeddings::read(&rows, &fs::read(blobs.file(parse, NORMS.into())?)?)?))
+    let Some(rows) = read(blobs, parse, ParseFile::Embeddings.path_in(parse))? else {
+        return Ok(None);
+    };
+    Ok(Some(Embeddings::read(&rows, &fs::read(blobs.pin_file(parse, NORMS.into())?)?)?))
 }
 
 /// Reads the encoder's embeddings of whole frames. Also returns `None` for parses of versions that
@@ -139,7 +141,7 @@ pub fn read_frame_embeddings(
 ) -> Result<Option<FrameEmbeddings>, Error> {
     let [rows, frames] = FRAME_EMBEDDINGS;
     let Some(rows) = read(blobs, parse, rows)? else { return Ok(None) };
-    Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.file(parse, frames.into())?)?)?))
+    Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.pin_file(parse, frames.into())?)?)?))
 }
 
 /// Reads a file of a published folder. Returns `None` if the folder was published without it.
@@ -152,10 +154,10 @@ pub fn read(
     folder: &Utf8Path,
     file: impl AsRef<Utf8Path>,
 ) -> io::Result<Option<Vec<u8>>> {
-    if_kept(blobs.file(folder, file.as_ref()).and_then(fs::read))
+    none_if_missing(blobs.pin_file(folder, file.as_ref()).and_then(fs::read))
 }
 
-fn if_kept<T>(got: io::Result<T>) -> io::Result<Option<T>> {
+fn none_if_missing<T>(got: io::Result<T>) -> io::Result<Option<T>> {
     match got {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         got => got.map(Some),
@@ -179,7 +181,7 @@ pub fn write(
         Ok(write_even_points(
             &parsed.cloud,
             &parsed.instance_of_point,
-            File::create(ParseFile::Points.of(parse))?,
+            File::create(ParseFile::Points.path_in(parse))?,
         )?)
     };
     let (points, rest) = rayon::join(points, || write_rest(scan, content, parse, writing));
@@ -211,11 +213,11 @@ fn write_rest(
     writing: &Progress,
 ) -> Result<(), Error> {
     let parsed = &scan.scene;
-    write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.of(parse))?)?;
-    write_instances_ply(parsed, File::create(ParseFile::Instances.of(parse))?)?;
+    write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.path_in(parse))?)?;
+    write_instances_ply(parsed, File::create(ParseFile::Instances.path_in(parse))?)?;
     write_frames(&scan.frames, content, parse)?;
     if let Some(embeddings) = &parsed.embeddings {
-        embeddings.write_rows(File::create(ParseFile::Embeddings.of(parse))?)?;
+        embeddings.write_rows(File::create(ParseFile::Embeddings.path_in(parse))?)?;
         embeddings.write_norms(File::create(parse.join(NORMS))?)?;
     }
     if let Some(seen) = &parsed.frame_embeddings {
@@ -225,7 +227,7 @@ fn write_rest(
     }
     writing.report("draw_report", 0.5).map_err(ParseError::from)?;
     fs::write(
-        ParseFile::Thumbnail.of(parse),
+        ParseFile::Thumbnail.path_in(parse),
         report_pictures::thumbnail(
             &RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances),
             &parsed.extent,

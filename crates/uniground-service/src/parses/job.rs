@@ -64,7 +64,7 @@ const READING: [&str; 3] = ["up", "metres_per_unit", "levelling"];
 
 /// Returns the requested settings. Where they do not say how files are read, that is taken from an
 /// earlier job.
-pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Value> {
+pub(super) fn with_import_settings_of(payload: &str, asked: Option<Value>) -> Option<Value> {
     let told: Option<Value> = serde_json::from_str(payload).ok();
     let Some(told) = told.as_ref().and_then(|told| told.pointer("/settings/import")) else {
         return asked;
@@ -135,27 +135,27 @@ impl ParseRunner {
     /// Waits until the object store is available again. Returns `false` if that takes too long or
     /// the job is cancelled.
     async fn wait_for_object_store(&self, progress: &Progress) -> bool {
-        const PATIENCE: Duration = Duration::from_mins(10);
-        const LOOK_EVERY: Duration = Duration::from_secs(2);
+        const OBJECT_STORE_TIMEOUT: Duration = Duration::from_mins(10);
+        const POLL_INTERVAL: Duration = Duration::from_secs(2);
         let back = async {
             while self.health_probe.health().await.blobs.is_some() {
-                sleep(LOOK_EVERY).await;
+                sleep(POLL_INTERVAL).await;
             }
         };
         tokio::select! {
-            back = timeout(PATIENCE, back) => back.is_ok(),
+            back = timeout(OBJECT_STORE_TIMEOUT, back) => back.is_ok(),
             _ = until_cancelled(progress) => false,
         }
     }
 
     async fn run_parse(
         &self,
-        JobContext { hold, payload, progress, .. }: &JobContext<Payload>,
+        JobContext { lease, payload, progress, .. }: &JobContext<Payload>,
     ) -> Result<String, Error> {
         let (Payload { scene_id, settings }, job_id, progress) =
-            (payload, hold.job_id.as_str(), progress.clone());
+            (payload, lease.job_id.as_str(), progress.clone());
         let scene = self.scene_lookup.scene_row(scene_id).await?;
-        if self.take_stored_parse(&scene, settings, job_id).await? {
+        if self.reuse_stored_parse(&scene, settings, job_id).await? {
             return Ok(STORED_PARSE_USED.into());
         }
         let (blobs, content, hash) = (
@@ -164,7 +164,7 @@ impl ParseRunner {
             scene.content_hash.clone(),
         );
         // Pinned from the import until the pictures of the report are done.
-        let content = Arc::new(spawn_blocking(move || blobs.whole(&content)).await??);
+        let content = Arc::new(spawn_blocking(move || blobs.pin_folder(&content)).await??);
         // All stages depend on the import of the content. The stages of a grown scan depend on the
         // import of its first upload.
         let grown_from = first_upload(&content).await?;
@@ -182,7 +182,7 @@ impl ParseRunner {
             (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
         let work = move || {
             let _entered = entered.enter();
-            let folder = blobs.use_checkpoints(&hash)?;
+            let folder = blobs.open_checkpoints(&hash)?;
             let checkpoints = Checkpoints::kept_in(&folder, &origin);
             let imported = share_of_import(&chosen(job_settings.models, &models));
             let scan = if let Some(scan) =
@@ -206,20 +206,20 @@ impl ParseRunner {
                 )?)
             })
         };
-        let stages = self.blobs.keep_stages(&scene.content_hash);
+        let stages = self.blobs.upload_stages(&scene.content_hash);
         let cut = spawn_blocking(work).await?;
         stages.finish().await;
         let mut scan = cut?;
         // The lock makes corrections wait from here on. They then apply to the parse that is being
         // written.
-        let turn = match grown_from {
+        let parse_lock = match grown_from {
             Some(_) if self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some() => {
-                Some(self.scene_lookup.turn_at_parse(scene_id).await?)
+                Some(self.scene_lookup.lock_current_parse(scene_id).await?)
             }
             _ => None,
         };
-        let previous = match &turn {
-            Some((parse_id, _turn)) => Some(self.previous_parse(parse_id.clone()).await?),
+        let previous = match &parse_lock {
+            Some((parse_id, _lock)) => Some(self.previous_parse(parse_id.clone()).await?),
             None => None,
         };
         let (blobs, pool, id, how) = (
@@ -259,7 +259,7 @@ impl ParseRunner {
                 report: &parsed.report,
                 extent: &parsed.extent,
                 instances: &parsed.instances,
-                hold,
+                lease,
                 continued: inherited.as_ref().map(|inherited| ContinuedParse {
                     scene_id,
                     from_parse: &inherited.parse_id,
@@ -273,16 +273,17 @@ impl ParseRunner {
         } else {
             // Another job stored the same parse in the meantime, or the scene was deleted.
             self.blobs.discard(self.blobs.parse(&id)).await?;
-            if !self.take_stored_parse(&scene, settings, job_id).await? {
+            if !self.reuse_stored_parse(&scene, settings, job_id).await? {
                 return Err(Error::SceneNotFound { id: scene_id.clone() });
             }
         }
-        drop(turn);
+        drop(parse_lock);
         let report = &parsed.report;
         let computed = report.stages.iter().filter(|stage| !stage.reused);
-        self.metrics
-            .questions
-            .parsed(start.elapsed(), computed.map(|stage| (stage.stage.as_str(), stage.seconds)));
+        self.metrics.questions.record_parse(
+            start.elapsed(),
+            computed.map(|stage| (stage.stage.as_str(), stage.seconds)),
+        );
         Ok(format!(
             "{} instances from {} points and {} frames",
             report.instances, report.points, report.frames_used
@@ -313,14 +314,14 @@ impl ParseRunner {
 
     /// Assigns a stored parse of the same content and settings to the scene. Returns `false` if
     /// there is none.
-    async fn take_stored_parse(
+    async fn reuse_stored_parse(
         &self,
         scene: &SceneRow,
         settings: &ParseSettings,
         job_id: &str,
     ) -> Result<bool, Error> {
         // The lock keeps the parse until the scene refers to it.
-        let _references = self.service_locks.parse_references().await?;
+        let _references = self.service_locks.lock_parse_references().await?;
         let Some(parse_id) = self.parsed_scenes.stored_parse(&scene.content_hash, settings).await?
         else {
             return Ok(false);
@@ -342,14 +343,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn how_files_are_read_stays_unless_somebody_says_otherwise() {
+    fn import_settings_are_kept_unless_overridden() {
         let payload = r#"{"scene_id": "s", "settings": {"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off", "fusion": {"voxel_m": 0.03}}}}"#;
         let kept = json!({"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off"}});
-        assert_eq!(with_reading_of(payload, None), Some(kept));
+        assert_eq!(with_import_settings_of(payload, None), Some(kept));
         let asked = json!({"import": {"up": null, "levelling": "auto"}, "parsing": {}});
         let expected = json!({"import": {"up": null, "metres_per_unit": 0.01, "levelling": "auto"}, "parsing": {}});
-        assert_eq!(with_reading_of(payload, Some(asked)), Some(expected));
-        assert_eq!(with_reading_of("of another version", None), None);
-        assert_eq!(with_reading_of(payload, Some(json!([1]))), Some(json!([1])));
+        assert_eq!(with_import_settings_of(payload, Some(asked)), Some(expected));
+        assert_eq!(with_import_settings_of("of another version", None), None);
+        assert_eq!(with_import_settings_of(payload, Some(json!([1]))), Some(json!([1])));
     }
 }

@@ -32,9 +32,9 @@ use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 /// A file that a caller downloads.
 pub enum FileDownload {
-    Here(PinnedPath),
+    Local(PinnedPath),
     /// A URL of the object store that works for a limited time.
-    There(String),
+    Redirect(String),
 }
 
 /// Starts parses and serves their files and reports.
@@ -71,8 +71,8 @@ impl ParseService {
     ) -> Result<Job, Error> {
         let scene = self.scene_lookup.scene_row(scene_id).await?;
         // A stored parse stays until the scene refers to it.
-        let _references = self.service_locks.parse_references().await?;
-        let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
+        let _references = self.service_locks.lock_parse_references().await?;
+        let wanted = self.prepare_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
             self.capacity.check_disk(0)?;
         }
@@ -83,20 +83,20 @@ impl ParseService {
     }
 
     /// Prepares a scene's parse, before it is recorded.
-    pub(super) async fn wanted_parse(
+    pub(super) async fn prepare_parse(
         &self,
         scene_id: &str,
         content_hash: &str,
         settings: &ParseSettings,
         caller: &Caller,
-    ) -> Result<WantedParse, Error> {
+    ) -> Result<PreparedParse, Error> {
         let payload = Payload { scene_id: scene_id.to_owned(), settings: settings.clone() };
         let mut job = JobRequest::new(&payload, caller.key_id())?;
         let stored = self.parsed_scenes.stored_parse(content_hash, settings).await?;
         if let Some(id) = &stored {
             job = job.with_result(id.clone(), job::STORED_PARSE_USED);
         }
-        Ok(WantedParse { job, stored })
+        Ok(PreparedParse { job, stored })
     }
 
     /// Parses a scene again, with a preset in which single values are replaced.
@@ -119,7 +119,7 @@ impl ParseService {
             None => None,
         };
         let overrides = match told {
-            Some(job) => job::with_reading_of(&job.payload, overrides),
+            Some(job) => job::with_import_settings_of(&job.payload, overrides),
             None => overrides,
         };
         let settings = ParseSettings::from_request(preset, overrides)?;
@@ -138,11 +138,11 @@ impl ParseService {
         {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
-        match self.parsed_scenes.link_to(&parse_id, file).await? {
-            Some(link) => Ok(FileDownload::There(link)),
-            None => Ok(FileDownload::Here(
+        match self.parsed_scenes.public_link(&parse_id, file).await? {
+            Some(link) => Ok(FileDownload::Redirect(link)),
+            None => Ok(FileDownload::Local(
                 self.parsed_scenes
-                    .sound_file(&parse_id, file.of(&self.blobs.parse(&parse_id)))
+                    .check_and_pin_file(&parse_id, file.path_in(&self.blobs.parse(&parse_id)))
                     .await?,
             )),
         }
@@ -150,7 +150,7 @@ impl ParseService {
 }
 
 /// Returns the names that people have given, by instance id. The last name counts.
-fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
+fn corrected_names(corrections: &[Correction]) -> BTreeMap<u32, String> {
     let name = |correction: &Correction| match (&correction.change, correction.made) {
         (Change::Rename { instance_id, name }, _) => Some((instance_id.0, name.clone())),
         (Change::Merge { name: Some(name), .. }, Some(made)) => Some((made.0, name.clone())),
@@ -164,7 +164,7 @@ fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
 }
 
 /// A requested parse: to be computed, or already stored.
-pub(super) struct WantedParse {
+pub(super) struct PreparedParse {
     pub(super) job: JobRequest<ParseJob>,
     pub(super) stored: Option<String>,
 }
@@ -181,7 +181,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn settings_and_models_make_the_hash() {
+    fn settings_hash_covers_settings_and_models() {
         let models = |encoder: &str| ParseModels { masks: "m".into(), encoder: encoder.into() };
         let (default, paper) = (
             ParseSettings::default(),

@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::parses::job::{ParseJob, Payload};
-use crate::parses::{LoadedParse, ParseCache, ParseFile, files, renamed, settings_hash};
+use crate::parses::{LoadedParse, ParseCache, ParseFile, corrected_names, files, settings_hash};
 use crate::{QuestionPermits, ServiceLocks, Vlm};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
@@ -41,13 +41,13 @@ pub struct ParsedScenes {
 
 impl ParsedScenes {
     /// Returns a link to a parse's file in the object store, if callers are sent there.
-    pub(crate) async fn link_to(
+    pub(crate) async fn public_link(
         &self,
         parse_id: &str,
         file: ParseFile,
     ) -> Result<Option<String>, Error> {
         let (blobs, folder) = (self.blobs.clone(), self.blobs.parse(parse_id));
-        Ok(spawn_blocking(move || blobs.link(&folder, &file.of(&folder))).await??)
+        Ok(spawn_blocking(move || blobs.link(&folder, &file.path_in(&folder))).await??)
     }
 
     /// Returns the parse of a content with these settings and the models they choose, if it exists
@@ -58,10 +58,10 @@ impl ParsedScenes {
         settings: &ParseSettings,
     ) -> Result<Option<String>, Error> {
         let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
-        let Some(parse) = self.parse_repository.parse_of(content_hash, &hash).await? else {
+        let Some(parse) = self.parse_repository.find_parse(content_hash, &hash).await? else {
             return Ok(None);
         };
-        let wrong = self.look_at_parse(&parse.id, CheckDepth::Names).await?;
+        let wrong = self.check_parse_files(&parse.id, CheckDepth::Names).await?;
         if wrong.is_empty() {
             return Ok(Some(parse.id));
         }
@@ -99,14 +99,14 @@ impl ParsedScenes {
     ///
     /// # Errors
     /// [`Error::ParseDamaged`] if it is lost or damaged. A new parse is then started.
-    pub(crate) async fn sound_file(
+    pub(crate) async fn check_and_pin_file(
         &self,
         parse_id: &str,
         file: Utf8PathBuf,
     ) -> Result<PinnedPath, Error> {
         let (service, id) = (self.clone(), parse_id.to_owned());
         match spawn_blocking(move || service.check_file(&id, &file)).await? {
-            Err(error) => Err(self.after_damage(error).await),
+            Err(error) => Err(self.retire_if_damaged(error).await),
             checked => checked,
         }
     }
@@ -125,13 +125,15 @@ impl ParsedScenes {
         };
         let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
         let folder = self.blobs.parse(parse_id);
-        let kept = self.blobs.file(&folder, file).map_err(of)?;
+        let kept = self.blobs.pin_file(&folder, file).map_err(of)?;
         let now = stamp(file).map_err(of)?;
         if self.parse_cache.sound.get(file.as_str()) == Some(now) {
             return Ok(kept);
         }
         let name = file.strip_prefix(&folder).unwrap_or(file);
-        if let Some(DamagedFile { file, what }) = self.blobs.look_at(&folder, name).map_err(of)? {
+        if let Some(DamagedFile { file, what }) =
+            self.blobs.check_file(&folder, name).map_err(of)?
+        {
             return Err(damaged(format!("{file}: {what}")));
         }
         self.parse_cache.sound.put(file.to_string(), stamp(file).map_err(of)?, 1);
@@ -139,7 +141,7 @@ impl ParsedScenes {
     }
 
     /// Starts a new parse if the error reports a damaged one. Returns the error.
-    pub(crate) async fn after_damage(&self, error: Error) -> Error {
+    pub(crate) async fn retire_if_damaged(&self, error: Error) -> Error {
         match &error {
             Error::ParseDamaged { parse_id, .. } => {
                 self.retire_parse(parse_id).await.err().unwrap_or(error)
@@ -152,18 +154,21 @@ impl ParsedScenes {
     pub(crate) async fn loaded_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
         // The number of changes is read before the parse. A change in between causes one more load.
         let changes = self.changes_of_parse(parse_id).await?;
-        if let Some(parse) = self.parse_cache.loaded(parse_id, changes) {
+        if let Some(parse) = self.parse_cache.get(parse_id, changes) {
             return Ok(parse);
         }
         let parse = Arc::new(self.read_parse(parse_id).await?);
-        self.parse_cache.keep(&parse, changes);
+        self.parse_cache.insert(&parse, changes);
         Ok(parse)
     }
 
     /// Returns a parse without caching it. Scanning many scenes must not evict the parses that
     /// questions use.
-    pub(crate) async fn passing_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
-        match self.parse_cache.loaded(parse_id, self.changes_of_parse(parse_id).await?) {
+    pub(crate) async fn load_parse_uncached(
+        &self,
+        parse_id: &str,
+    ) -> Result<Arc<LoadedParse>, Error> {
+        match self.parse_cache.get(parse_id, self.changes_of_parse(parse_id).await?) {
             Some(parse) => Ok(parse),
             None => Ok(Arc::new(self.read_parse(parse_id).await?)),
         }
@@ -180,7 +185,7 @@ impl ParsedScenes {
         let row = self.parse_repository.parse(parse_id).await?.ok_or_else(gone)?;
         let ParseRecord { models, extent, import, .. } = row.record();
         let mut instances = self.parse_repository.instances(parse_id).await?;
-        let named_by = self.give_names(parse_id, &mut instances).await?;
+        let named_by = self.apply_name_index(parse_id, &mut instances).await?;
         let corrections = self.correction_repository.corrections(parse_id).await?;
         let (blobs, folder) = (self.blobs.clone(), self.blobs.parse(parse_id));
         let (id, content, masks, encoder) =
@@ -208,7 +213,7 @@ impl ParsedScenes {
                 content,
                 embeddings,
                 frame_embeddings: files::read_frame_embeddings(&blobs, &folder)?,
-                renamed: renamed(&corrections),
+                renamed: corrected_names(&corrections),
                 extent: extent
                     .or_else(around)
                     .ok_or_else(|| Error::SceneNotFound { id: id.clone() })?,
@@ -225,13 +230,13 @@ impl ParsedScenes {
     }
 
     /// Returns what is wrong with a parse's files.
-    pub(crate) async fn look_at_parse(
+    pub(crate) async fn check_parse_files(
         &self,
         parse_id: &str,
         closely: CheckDepth,
     ) -> Result<Vec<DamagedFile>, Error> {
         let (blobs, place) = (self.blobs.clone(), self.blobs.parse(parse_id));
-        Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
+        Ok(spawn_blocking(move || blobs.check_folder(&place, closely)).await??)
     }
 
     /// Returns the names that the configured model gave to the instances of a parse.
@@ -247,7 +252,7 @@ impl ParsedScenes {
 
     /// Sets the instances' names from the parse's index, if a model has named all of them. Returns
     /// that model and the version of the question.
-    pub(crate) async fn give_names(
+    pub(crate) async fn apply_name_index(
         &self,
         parse_id: &str,
         instances: &mut [Instance],
@@ -268,14 +273,14 @@ impl ParsedScenes {
     }
 
     /// Stores names that the configured model gave. Existing names stay.
-    pub(crate) async fn keep_names(
+    pub(crate) async fn store_names(
         &self,
         parse_id: &str,
         names: &BTreeMap<u32, String>,
     ) -> Result<(), Error> {
         if let Some(vlm) = &self.vlm {
             self.name_repository
-                .keep_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
+                .insert_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names)
                 .await?;
         }
         Ok(())

@@ -45,8 +45,9 @@ impl ParseRunner {
         let loaded = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let (blobs, folder, content) =
             (self.blobs.clone(), self.blobs.parse(&parse_id), loaded.content.clone());
-        let brought =
-            spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
+        let brought = spawn_blocking(move || {
+            Ok::<_, Error>((blobs.pin_folder(&folder)?, blobs.pin_folder(&content)?))
+        });
         let (folder, content) = brought.await??;
         Ok(PreviousParse {
             found: self.parse_repository.instances(&parse_id).await?,
@@ -76,7 +77,7 @@ impl PreviousParse {
                 parse_id = self.parse_id,
                 "files of the previous parse could not be read; matching instances by their boxes"
             );
-            let same = identical(&self.found, &scan.scene.instances);
+            let same = identical_instances(&self.found, &scan.scene.instances);
             scan.scene = continued(&self.found, scan.scene.clone(), &same);
             let corrections = carried(&self.corrections, &mut scan.scene, settings);
             return Ok(InheritedState {
@@ -96,8 +97,8 @@ impl PreviousParse {
         let is_new =
             |frame: &&FrameRef| frames_before.iter().all(|before| before.index != frame.index);
         let new_frames: Vec<FrameRef> = scan.frames.iter().filter(is_new).cloned().collect();
-        let owner_before = owned(&self.shown, &of_point, &cloud);
-        let owner_now = owned(&now, &scan.scene.instance_of_point, &scan.scene.cloud);
+        let owner_before = point_owners(&self.shown, &of_point, &cloud);
+        let owner_now = point_owners(&now, &scan.scene.instance_of_point, &scan.scene.cloud);
         let stayed =
             self.shown.iter().zip(&now).filter(|(before, now)| before.is_shown() && now.is_shown());
         let stayed: Vec<(InstanceId, InstanceId)> =
@@ -124,15 +125,15 @@ impl PreviousParse {
     }
 
     fn points(&self) -> Option<(PointCloud, Vec<InstanceId>)> {
-        let cloud = uniground_ingest::read_cloud(&ParseFile::Cloud.of(&self.folder)).ok()?;
-        let file = File::open(ParseFile::Instances.of(&self.folder)).ok()?;
+        let cloud = uniground_ingest::read_cloud(&ParseFile::Cloud.path_in(&self.folder)).ok()?;
+        let file = File::open(ParseFile::Instances.path_in(&self.folder)).ok()?;
         let of_point = read_instance_of_point(BufReader::new(file)).ok()?;
         (of_point.len() == cloud.len()).then_some((cloud, of_point))
     }
 }
 
 /// Returns pairs of instances whose boxes, point counts and levels are identical to the bit.
-fn identical(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, InstanceId)> {
+fn identical_instances(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, InstanceId)> {
     let is_same = |a: &Instance, b: &Instance| {
         !a.gone && a.raw_box == b.raw_box && a.point_count == b.point_count && a.level == b.level
     };
@@ -142,7 +143,11 @@ fn identical(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, Instance
 }
 
 /// Returns the owner of each point, with corrections applied.
-fn owned(instances: &[Instance], of_point: &[InstanceId], cloud: &PointCloud) -> Vec<InstanceId> {
+fn point_owners(
+    instances: &[Instance],
+    of_point: &[InstanceId],
+    cloud: &PointCloud,
+) -> Vec<InstanceId> {
     let owners = Owners::of(of_point, instances);
     of_point
         .iter()

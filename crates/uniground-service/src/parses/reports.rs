@@ -12,7 +12,7 @@ impl ParseService {
     pub async fn scene_report(&self, scene_id: &str) -> Result<SceneReport, Error> {
         let (row, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let Scene { id, parse_version, import, report, settings, models, .. } =
-            self.scene_lookup.present(row).await?;
+            self.scene_lookup.to_scene(row).await?;
         let pictures =
             report_files::index(self.blobs.clone(), self.blobs.parse(&parse_id)).await?.into_iter();
         let link = |Entry { name, title }| ReportPictureLink {
@@ -42,7 +42,10 @@ impl ParseService {
             return Err(Error::ReportPictureNotFound { name: name.into() });
         }
         self.parsed_scenes
-            .sound_file(&parse_id, report_files::picture(&self.blobs.parse(&parse_id), name))
+            .check_and_pin_file(
+                &parse_id,
+                report_files::picture(&self.blobs.parse(&parse_id), name),
+            )
             .await
     }
 }

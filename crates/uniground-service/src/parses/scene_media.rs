@@ -38,22 +38,22 @@ impl MediaService {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`].
     pub async fn points(&self, scene_id: &str) -> Result<FileDownload, Error> {
         let (_, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
-        if let Some(link) = self.parsed_scenes.link_to(&parse_id, ParseFile::Points).await? {
-            return Ok(FileDownload::There(link));
+        if let Some(link) = self.parsed_scenes.public_link(&parse_id, ParseFile::Points).await? {
+            return Ok(FileDownload::Redirect(link));
         }
-        let (scene, file) = self.kept(scene_id, ParseFile::Points).await?;
+        let (scene, file) = self.pin_parse_file(scene_id, ParseFile::Points).await?;
         if let Some(file) = file {
-            return Ok(FileDownload::Here(file));
+            return Ok(FileDownload::Local(file));
         }
         let made = self.draw(scene, |service, scene| {
             if let Some(made) = service.parse_cache.points.get(&scene.parse.id) {
                 return Ok(made);
             }
-            let made = Arc::new(scene.even_points()?);
+            let made = Arc::new(scene.write_even_sample()?);
             service.parse_cache.points.put(scene.parse.id.clone(), made.clone(), 1);
             Ok(made)
         });
-        Ok(FileDownload::Here(made.await?.path().join(POINTS).into()))
+        Ok(FileDownload::Local(made.await?.path().join(POINTS).into()))
     }
 
     /// Returns a small picture of the room of a scene's current parse.
@@ -61,7 +61,7 @@ impl MediaService {
     /// # Errors
     /// Those of [`points`](Self::points).
     pub async fn thumbnail(&self, scene_id: &str) -> Result<EvidenceFile, Error> {
-        let (scene, file) = self.kept(scene_id, ParseFile::Thumbnail).await?;
+        let (scene, file) = self.pin_parse_file(scene_id, ParseFile::Thumbnail).await?;
         if let Some(file) = file {
             return Ok(EvidenceFile::Stored(file));
         }
@@ -78,21 +78,21 @@ impl MediaService {
         scene: Arc<StoredScene>,
         work: impl FnOnce(&Self, &StoredScene) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
-        let turn = self.drawing_lock.clone().lock_owned().await;
+        let drawing_lock = self.drawing_lock.clone().lock_owned().await;
         let service = self.clone();
         let done = spawn_blocking(move || {
-            let _turn = turn;
+            let _drawing_lock = drawing_lock;
             work(&service, &scene)
         });
         match done.await? {
-            Err(error) => Err(self.parsed_scenes.after_damage(error).await),
+            Err(error) => Err(self.parsed_scenes.retire_if_damaged(error).await),
             done => done,
         }
     }
 
     /// Returns a file of a scene's current parse. Returns `None` for parses of versions that did
     /// not store it.
-    async fn kept(
+    async fn pin_parse_file(
         &self,
         scene_id: &str,
         file: ParseFile,
@@ -102,19 +102,19 @@ impl MediaService {
             self.parsed_scenes.clone(),
             self.parsed_scenes.loaded_parse(&parse_id).await?,
         );
-        let file = self.if_kept(&scene, file.of(&scene.folder())).await?;
+        let file = self.pin_if_published(&scene, file.path_in(&scene.folder())).await?;
         Ok((scene, file))
     }
 
-    async fn if_kept(
+    async fn pin_if_published(
         &self,
         scene: &StoredScene,
         path: Utf8PathBuf,
     ) -> Result<Option<PinnedPath>, Error> {
         let (blobs, folder, file) = (self.blobs.clone(), scene.folder(), path.clone());
-        let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
+        let is_kept = spawn_blocking(move || blobs.has_file(&folder, &file)).await??;
         Ok(if is_kept {
-            Some(self.parsed_scenes.sound_file(&scene.parse.id, path).await?)
+            Some(self.parsed_scenes.check_and_pin_file(&scene.parse.id, path).await?)
         } else {
             None
         })
@@ -133,7 +133,7 @@ impl MediaService {
         picture: Picture,
     ) -> Result<Option<EvidenceFile>, Error> {
         let file = view(&scene.folder(), instance.id, at, picture);
-        if let Some(file) = self.if_kept(&scene, file.clone()).await? {
+        if let Some(file) = self.pin_if_published(&scene, file.clone()).await? {
             return Ok(Some(EvidenceFile::Stored(file)));
         }
         // Pictures of merged instances are not cached: a merge may be undone, and its id may be
@@ -151,8 +151,8 @@ impl MediaService {
             }
             let (parse, folder) = (&scene.parse, scene.folder());
             let kept = photograph(&folder, seen.frame);
-            let _kept = match service.blobs.holds(&folder, &kept)? {
-                true => Some(scene.check(&kept)?),
+            let _kept = match service.blobs.has_file(&folder, &kept)? {
+                true => Some(scene.pin_checked_file(&kept)?),
                 false => None,
             };
             let photograph = read_photograph(&service.blobs, &folder, &parse.content, seen.frame);
@@ -212,7 +212,7 @@ impl MediaService {
                 .into_iter()
                 .find(|frame| frame.index.0 == index)
                 .ok_or(Error::FrameNotFound { index })?;
-            let colour = blobs.file(&content, &frame.colour)?;
+            let colour = blobs.pin_file(&content, &frame.colour)?;
             Ok::<_, Error>((frame, colour))
         });
         let (frame, colour) = found.await??;
@@ -232,13 +232,13 @@ const POINTS: &str = "points.bin";
 impl StoredScene {
     /// Returns the instance of each point, as stage 1 found it.
     pub fn instance_of_point(&self) -> Result<Vec<InstanceId>, Error> {
-        let file = ParseFile::Instances.of(&self.folder());
-        let file = self.check(&file)?;
+        let file = ParseFile::Instances.path_in(&self.folder());
+        let file = self.pin_checked_file(&file)?;
         Ok(read_instance_of_point(BufReader::new(File::open(&file)?))?)
     }
 
     /// Computes the file of evenly sampled points for a parse of an earlier version without one.
-    fn even_points(&self) -> Result<Scratch, Error> {
+    fn write_even_sample(&self) -> Result<Scratch, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
         let scratch = self.scratch()?;
         write_even_points(

@@ -25,7 +25,7 @@ use uniground_types::placement::SceneToFrame;
 /// The timeout of a comparison of two scans.
 const COMPARISON_TIMEOUT: Duration = Duration::from_mins(1);
 /// The smallest share of the first scan's points that must lie on the second.
-const LEAST_OVERLAP: f32 = 0.2;
+const MIN_OVERLAP: f32 = 0.2;
 
 /// Compares two states of a room.
 #[derive(Clone)]
@@ -100,7 +100,7 @@ impl ChangeService {
             .map_err(|_| Error::TooMany { what: "comparisons of scans", most: MAX_COMPARISONS })?;
         let (from_row, from) = self.stored_scene(scene_id).await?;
         let (to_row, to) = self.stored_scene(to_id).await?;
-        let guess = in_one_map(&from_row, &to_row);
+        let guess = transform_between_maps(&from_row, &to_row);
         let (caller_left, deadline) =
             (CancellationToken::new(), Instant::now() + COMPARISON_TIMEOUT);
         let _caller = caller_left.clone().drop_guard();
@@ -110,14 +110,14 @@ impl ChangeService {
         );
         let compared = spawn_blocking(move || {
             let _permit = permit;
-            compared(&from, &to, &guess, refine, &progress)
+            compare_scenes(&from, &to, &guess, refine, &progress)
         });
         let (alignment, changes) = match compared.await? {
             Ok(compared) => compared,
             Err(Error::Parse(ParseError::Cancelled(_))) => {
                 return Err(Error::ComparisonTimedOut { seconds: COMPARISON_TIMEOUT.as_secs() });
             }
-            Err(error) => return Err(self.parsed_scenes.after_damage(error).await),
+            Err(error) => return Err(self.parsed_scenes.retire_if_damaged(error).await),
         };
         Ok(SceneChanges {
             from: version(&from_row),
@@ -148,7 +148,7 @@ fn version(scene: &SceneRow) -> SceneVersion {
 
 /// Returns the transform from one scene to another by their poses in the same map. Returns the
 /// identity if they share no map: both scans are then assumed to use the same world coordinates.
-fn in_one_map(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
+fn transform_between_maps(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
     let (Some(from_place), Some(to_place)) = (&from.scene_to_map, &to.scene_to_map) else {
         return Isometry3::identity();
     };
@@ -171,17 +171,17 @@ fn in_one_map(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
     )
 }
 
-fn compared(
+fn compare_scenes(
     from: &StoredScene,
     to: &StoredScene,
     guess: &Isometry3<f32>,
     refine: bool,
     progress: &Progress,
 ) -> Result<(ScanAlignment, Changes), Error> {
-    let (before, after) = (ComparedParse::of(from)?, ComparedParse::of(to)?);
+    let (before, after) = (ComparedParse::from_scene(from)?, ComparedParse::from_scene(to)?);
     let aligned = align(&before.scene.cloud, &after.scene.cloud, guess, refine, progress);
     let Alignment { place, overlap, rms_m } = aligned.map_err(ParseError::from)?;
-    if overlap < LEAST_OVERLAP {
+    if overlap < MIN_OVERLAP {
         return Err(Error::ScansApart { overlap });
     }
     let (positions_before, positions_after) =
@@ -190,8 +190,14 @@ fn compared(
         Counterparts::nearest(positions_before, positions_after, &place, SAME_PLACE_M, progress);
     let counterparts = counterparts.map_err(ParseError::from)?;
     let same = pairs(&before.owner_of_point, &after.owner_of_point, &counterparts);
-    let changes =
-        compare(&before.look(from), &after.look(to), &same, &counterparts, &place, progress)?;
+    let changes = compare(
+        &before.as_room_state(from),
+        &after.as_room_state(to),
+        &same,
+        &counterparts,
+        &place,
+        progress,
+    )?;
     let turn = place.rotation.cast::<f64>();
     let alignment = ScanAlignment {
         rotation: [turn.i, turn.j, turn.k, turn.w],
@@ -213,7 +219,7 @@ struct ComparedParse {
 }
 
 impl ComparedParse {
-    fn of(scene: &StoredScene) -> Result<Self, Error> {
+    fn from_scene(scene: &StoredScene) -> Result<Self, Error> {
         let (render_scene, of_point) = (scene.render_scene()?, scene.instance_of_point()?);
         let owners = Owners::of(&of_point, scene.instances());
         let owned = of_point
@@ -222,12 +228,12 @@ impl ComparedParse {
             .map(|(found, p)| owners.of_point(*found, p));
         let owner_of_point = owned.collect();
         let blobs = scene.blobs();
-        let scan = blobs.whole(&scene.parse.content)?;
+        let scan = blobs.pin_folder(&scene.parse.content)?;
         let frames = read_frames(blobs, &scene.folder(), &scene.parse.content)?.unwrap_or_default();
         Ok(Self { scene: render_scene, owner_of_point, frames, _scan: scan })
     }
 
-    fn look<'a>(&'a self, scene: &'a StoredScene) -> RoomState<'a> {
+    fn as_room_state<'a>(&'a self, scene: &'a StoredScene) -> RoomState<'a> {
         RoomState {
             cloud: &self.scene.cloud,
             owner_of_point: &self.owner_of_point,

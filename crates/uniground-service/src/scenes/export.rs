@@ -53,7 +53,7 @@ impl ExportService {
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
             frame: CoordinateFrame::default(),
             instances: match format {
-                ExportFormat::Json => self.instance_service.shown_instances(&parse).await?,
+                ExportFormat::Json => self.instance_service.visible_instances(&parse).await?,
                 ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => Vec::new(),
             },
         };
@@ -63,7 +63,7 @@ impl ExportService {
             let bytes = match format {
                 ExportFormat::Json => serde_json::to_vec(&listed)?,
                 ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => {
-                    scene.written(&listed.name, format, points as usize)?
+                    scene.write_export(&listed.name, format, points as usize)?
                 }
             };
             let fingerprint =
@@ -75,7 +75,12 @@ impl ExportService {
 }
 
 impl StoredScene {
-    fn written(&self, title: &str, format: ExportFormat, points: usize) -> Result<Vec<u8>, Error> {
+    fn write_export(
+        &self,
+        title: &str,
+        format: ExportFormat,
+        points: usize,
+    ) -> Result<Vec<u8>, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
         let export = Export::new(title, &render_scene.cloud, &of_point, self.instances(), points);
         let mut file = Cursor::new(Vec::new());
@@ -91,9 +96,9 @@ impl StoredScene {
 
 /// Returns a scene's name as a file name that is valid on every system.
 fn file_name(scene: &str, format: ExportFormat) -> String {
-    const LONGEST: usize = 80;
+    const MAX_CHARS: usize = 80;
     let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-    let name: String = scene.chars().take(LONGEST).map(safe).collect();
+    let name: String = scene.chars().take(MAX_CHARS).map(safe).collect();
     // Strips what would make the file hidden, leave only an extension, or look like an option.
     let name = name.trim_matches(['.', '_', '-']);
     format!("{}.{}", if name.is_empty() { "scene" } else { name }, format.extension())
@@ -104,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_name_of_a_scene_makes_a_name_of_a_file() {
+    fn every_scene_name_yields_a_valid_file_name() {
         for (name, expected) in [
             ("living room", "living_room.glb"),
             ("../../etc/passwd", "etc_passwd.glb"),

@@ -78,7 +78,7 @@ impl GrowthService {
         let NewFrames { file_name, world, idempotency_key, announced_bytes } = new;
         let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let parse = self.parsed_scenes.loaded_parse(&parse_id).await?;
-        let to_scene = match CoordinateFrameView::of(world, &scene, parse.source_to_scene)? {
+        let to_scene = match CoordinateFrameView::resolve(world, &scene, parse.source_to_scene)? {
             // The poses are in the coordinates of the uploaded files. Every parse of the scan
             // determines their transform anew.
             Some(_) if world == FrameChoice::Source => None,
@@ -90,17 +90,17 @@ impl GrowthService {
         let received =
             self.import_service.receive(body, file_name.as_deref().unwrap_or_default()).await?;
         drop(place);
-        let key = idempotency_key.map(|key| caller.own(key));
+        let key = idempotency_key.map(|key| caller.qualify_name(key));
         let part = ScanPart { hash: received.hash.clone(), to_scene };
-        let request = hash_of(&("frames", scene_id, &part))?;
+        let request = hash_json(&("frames", scene_id, &part))?;
         // One at a time: each growth starts from the content that the previous one stored.
-        let _turn = self.growth_lock.lock().await;
+        let _lock = self.growth_lock.lock().await;
         if let Some(key) = &key
             && let Some((scene, before)) =
                 self.scene_repository.scene_of_idempotency_key(key).await?
         {
             return match before.is_some_and(|before| before == request) {
-                true => self.grown_before(scene).await,
+                true => self.growth_under_key(scene).await,
                 false => Err(Error::IdempotencyKeyReused),
             };
         }
@@ -109,24 +109,24 @@ impl GrowthService {
         let to_scene = parse_to_scene(part.to_scene, parse.source_to_scene);
         let cloud = self
             .parsed_scenes
-            .sound_file(&parse_id, ParseFile::Cloud.of(&self.blobs.parse(&parse_id)))
+            .check_and_pin_file(&parse_id, ParseFile::Cloud.path_in(&self.blobs.parse(&parse_id)))
             .await?;
         let bytes = received.bytes;
         let laid = self
-            .lay_beside(scene, received, part, |folder| Task::CheckFit {
+            .publish_combined_content(scene, received, part, |folder| Task::CheckFit {
                 folder,
                 cloud: cloud.to_path_buf(),
                 to_scene,
             })
             .await?;
-        let references = self.service_locks.content_references().await?;
+        let references = self.service_locks.lock_content_references().await?;
         let settings = self
             .parse_repository
             .parse(&parse_id)
             .await?
             .map(|parse| parse.record().settings)
             .unwrap_or_default();
-        let wanted = self.parse_service.wanted_parse(scene_id, &laid, &settings, caller).await?;
+        let wanted = self.parse_service.prepare_parse(scene_id, &laid, &settings, caller).await?;
         let grow = self.scene_repository.grow_scene(SceneGrowth {
             scene_id,
             from_content: &from_content,
@@ -138,24 +138,24 @@ impl GrowthService {
         let grew = self.jobs.enqueue(&wanted.job, grow).await?;
         drop(references);
         match grew {
-            GrowthOutcome::Now(row, job) => {
-                Ok((self.scene_lookup.present(row).await?, self.jobs.to_job(*job)))
+            GrowthOutcome::Grown(row, job) => {
+                Ok((self.scene_lookup.to_scene(row).await?, self.jobs.to_job(*job)))
             }
-            GrowthOutcome::Before(row) => self.grown_before(row).await,
+            GrowthOutcome::AlreadyGrown(row) => self.growth_under_key(row).await,
             GrowthOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
             GrowthOutcome::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),
         }
     }
 
-    async fn grown_before(&self, scene: SceneRow) -> Result<(Scene, Job), Error> {
+    async fn growth_under_key(&self, scene: SceneRow) -> Result<(Scene, Job), Error> {
         let not_ready = || Error::SceneNotReady { id: scene.id.clone(), job_id: None };
-        let job = self.scene_lookup.job_of(&scene).await?.ok_or_else(not_ready)?;
-        Ok((self.scene_lookup.present(scene).await?, job))
+        let job = self.scene_lookup.current_job(&scene).await?.ok_or_else(not_ready)?;
+        Ok((self.scene_lookup.to_scene(scene).await?, job))
     }
 
     /// Publishes the scene's content and the received part together as one new content, if both
     /// checks pass. Returns the hash of the new content.
-    async fn lay_beside(
+    async fn publish_combined_content(
         &self,
         scene: SceneRow,
         received: ReceivedArchive,
@@ -165,7 +165,7 @@ impl GrowthService {
         let blobs = self.blobs.clone();
         let content_hash = scene.content_hash.clone();
         let prepared = spawn_blocking(move || {
-            let content = blobs.whole(&blobs.content(&content_hash))?;
+            let content = blobs.pin_folder(&blobs.content(&content_hash))?;
             let so_far = GrownScan::read(&content)?;
             let parts = so_far.as_ref().map_or(1, |grown| grown.parts.len());
             if parts > MOST_PARTS {
@@ -177,7 +177,7 @@ impl GrowthService {
             Ok((content, so_far, scratch, folder))
         });
         let (content, so_far, scratch, folder) = prepared.await??;
-        self.reader.check(received.unpacking(&folder, &self.limits.unpack)).await?;
+        self.reader.check(received.unpack_task(&folder, &self.limits.unpack)).await?;
         self.reader.check(fits(folder)).await?;
         let blobs = self.blobs.clone();
         let publish = move || {
@@ -189,7 +189,7 @@ impl GrowthService {
             } else {
                 part_folder(Utf8Path::new(""), 0)
             };
-            let mut sums = blobs.share(&content, &scratch, &below)?;
+            let mut sums = blobs.link_files(&content, &scratch, &below)?;
             grown.parts.push(part);
             let list = scratch.path().join(uniground_ingest::GROWN);
             // This file is a hard link to the previous list. The previous list must never change.
@@ -200,17 +200,20 @@ impl GrowthService {
             grown.write(scratch.path())?;
             // The content of a grown scene belongs to that scene alone: its instance ids depend on
             // its history. The scene's id is part of the hash for this reason.
-            let hash = hash_of(&(&scene.id, &scene.content_hash, &grown))?;
-            blobs.publish_knowing(scratch, &blobs.content(&hash), &sums)?;
-            blobs.inherit_checkpoints(&scene.content_hash, &hash)?;
+            let hash = hash_json(&(&scene.id, &scene.content_hash, &grown))?;
+            blobs.publish_with_checksums(scratch, &blobs.content(&hash), &sums)?;
+            blobs.copy_checkpoints(&scene.content_hash, &hash)?;
             Ok(hash)
         };
         spawn_blocking(publish).await?
     }
 }
 
-fn parse_to_scene(told: Option<SourceToScene>, source: Option<SourceToScene>) -> SourceToScene {
-    told.or(source).unwrap_or(SourceToScene::IDENTITY)
+fn parse_to_scene(
+    requested: Option<SourceToScene>,
+    source: Option<SourceToScene>,
+) -> SourceToScene {
+    requested.or(source).unwrap_or(SourceToScene::IDENTITY)
 }
 
 /// Returns the transform from another coordinate frame to the scene's.
@@ -226,7 +229,7 @@ fn inverse(from_scene: &SceneToFrame) -> SourceToScene {
     SourceToScene { rotation, translation_m: origin, metres_per_unit: 1.0 / from_scene.scale }
 }
 
-fn hash_of(what: &impl serde::Serialize) -> Result<String, Error> {
+fn hash_json(what: &impl serde::Serialize) -> Result<String, Error> {
     let digest = Sha256::digest(serde_json::to_vec(what)?);
     Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
 }
@@ -237,7 +240,7 @@ mod tests {
     use uniground_types::placement::SceneToMap;
 
     #[test]
-    fn frames_told_in_a_map_are_led_back_to_the_scene() {
+    fn frames_in_map_coordinates_are_transformed_to_the_scene() {
         let s = std::f64::consts::FRAC_1_SQRT_2;
         let map = SceneToFrame::to_map(&SceneToMap {
             rotation: [0.0, 0.0, s, s],

@@ -35,7 +35,7 @@ impl ImportService {
         let root = self.import_root.clone().ok_or(Error::ImportNotAllowed)?;
         check_metres_per_unit("/metres_per_unit", metres_per_unit)?;
         let (found, below) =
-            spawn_blocking(move || found(&root, &path).map(|found| (found, root))).await??;
+            spawn_blocking(move || resolve_path(&root, &path).map(|found| (found, root))).await??;
         let mut settings = ParseSettings::from_request(preset, None)?;
         settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
         let new = |file_name, announced_bytes| NewScene {
@@ -55,7 +55,8 @@ impl ImportService {
                 // archive is never stored on disk a second time.
                 let (sender, receiver) = mpsc::channel(CHUNKS);
                 let packing = spawn_blocking(move || {
-                    packed(&path, &below, &sender).map_err(|error| told(&error, &below))
+                    pack_into_body(&path, &below, &sender)
+                        .map_err(|error| message_without_path(&error, &below))
                 });
                 let next = |mut receiver: mpsc::Receiver<io::Result<Bytes>>| async {
                     receiver.recv().await.map(|chunk| (chunk, receiver))
@@ -83,7 +84,7 @@ enum ScanOnDisk {
 }
 
 /// Returns the file or folder at a path below `root`.
-fn found(root: &Utf8Path, path: &str) -> Result<ScanOnDisk, Error> {
+fn resolve_path(root: &Utf8Path, path: &str) -> Result<ScanOnDisk, Error> {
     let not_found = || Error::ImportNotFound { path: path.to_owned() };
     let root = root.canonicalize_utf8()?;
     // The error is the same for every path outside the folder. It does not reveal what exists
@@ -111,7 +112,7 @@ fn found(root: &Utf8Path, path: &str) -> Result<ScanOnDisk, Error> {
 }
 
 /// Packs a folder into a request body. Links that lead out of the root are not followed.
-fn packed(
+fn pack_into_body(
     folder: &Utf8Path,
     root: &Utf8Path,
     to: &mpsc::Sender<io::Result<Bytes>>,
@@ -143,6 +144,6 @@ impl Write for ArchiveWriter<'_> {
 }
 
 /// Returns the error's message without the server's path.
-fn told(error: &PackingError, root: &Utf8Path) -> String {
+fn message_without_path(error: &PackingError, root: &Utf8Path) -> String {
     error.to_string().replace(root.as_str(), "").trim_start_matches('/').to_owned()
 }

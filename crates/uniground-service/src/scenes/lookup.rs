@@ -39,7 +39,7 @@ impl SceneLookup {
     /// # Errors
     /// [`Error::SceneNotFound`].
     pub async fn scene(&self, id: &str) -> Result<Scene, Error> {
-        self.present(self.scene_row(id).await?).await
+        self.to_scene(self.scene_row(id).await?).await
     }
 
     pub(crate) async fn scene_row(&self, id: &str) -> Result<SceneRow, Error> {
@@ -55,15 +55,15 @@ impl SceneLookup {
         }
     }
 
-    pub(crate) async fn job_of(&self, row: &SceneRow) -> Result<Option<Job>, Error> {
+    pub(crate) async fn current_job(&self, row: &SceneRow) -> Result<Option<Job>, Error> {
         match &row.job_id {
             Some(id) => Ok(Some(self.jobs.get(id).await?)),
             None => Ok(None),
         }
     }
 
-    pub(crate) async fn present(&self, row: SceneRow) -> Result<Scene, Error> {
-        let job = self.job_of(&row).await?;
+    pub(crate) async fn to_scene(&self, row: SceneRow) -> Result<Scene, Error> {
+        let job = self.current_job(&row).await?;
         let parse = match &row.parse_id {
             Some(id) => self.parse_repository.parse(id).await?,
             None => None,
@@ -130,12 +130,15 @@ impl SceneLookup {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub(crate) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, NamedLock), Error> {
+    pub(crate) async fn lock_current_parse(
+        &self,
+        scene_id: &str,
+    ) -> Result<(String, NamedLock), Error> {
         loop {
             let (_, parse_id) = self.ready_scene(scene_id).await?;
-            let turn = self.service_locks.correcting(&parse_id).await?;
+            let lock = self.service_locks.lock_parse_data(&parse_id).await?;
             if self.ready_scene(scene_id).await?.1 == parse_id {
-                return Ok((parse_id, turn));
+                return Ok((parse_id, lock));
             }
         }
     }

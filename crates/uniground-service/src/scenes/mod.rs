@@ -17,7 +17,7 @@ pub use lookup::SceneLookup;
 pub(super) use pieces::BodyPieces;
 pub use uploads::ImportService;
 pub use uploads::NewScene;
-pub(super) use uploads::{ReceivedArchive, SceneToMake, check_name, what_comes};
+pub(super) use uploads::{ReceivedArchive, SceneToMake, check_name, detect_format};
 
 use super::Caller;
 use crate::error::Error;
@@ -29,7 +29,7 @@ use tokio::task::spawn_blocking;
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
     AnswerRepository, OrphanRepository, Reserve, SceneFilter, SceneRepository, SceneRowChange,
-    Scratch, page,
+    Scratch, split_page,
 };
 use uniground_types::labels::{Labels, check_labels};
 use uniground_types::placement::SceneToMap;
@@ -61,10 +61,11 @@ impl SceneService {
         labels: Labels,
     ) -> Result<SceneList, Error> {
         let filter = SceneFilter { ids: None, labels };
-        let (rows, next_cursor) =
-            page(self.scene_repository.scenes(limit + 1, cursor, &filter).await?, limit, |row| {
-                &row.id
-            });
+        let (rows, next_cursor) = split_page(
+            self.scene_repository.scenes(limit + 1, cursor, &filter).await?,
+            limit,
+            |row| &row.id,
+        );
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
             // Lists leave out the settings and the report of a parse. Callers get them from the
@@ -72,7 +73,7 @@ impl SceneService {
             scenes.push(Scene {
                 settings: None,
                 report: None,
-                ..self.scene_lookup.present(row).await?
+                ..self.scene_lookup.to_scene(row).await?
             });
         }
         Ok(SceneList { scenes, next_cursor })
@@ -98,7 +99,7 @@ impl SceneService {
             .change_scene(id, change)
             .await?
             .ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
-        self.scene_lookup.present(row).await
+        self.scene_lookup.to_scene(row).await
     }
 
     /// Deletes a scene with its answers. Its parse and files are deleted too if no other scene
@@ -136,7 +137,7 @@ impl SceneService {
             }
             self.transcripts.discard_transcripts(&answers).await?;
         }
-        let _references = self.service_locks.content_references().await?;
+        let _references = self.service_locks.lock_content_references().await?;
         let left_over = self
             .scene_repository
             .delete_scene(id)

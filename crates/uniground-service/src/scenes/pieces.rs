@@ -20,7 +20,7 @@ pub struct BodyPieces<S> {
 
 impl<E, S: Stream<Item = Result<Bytes, E>> + Unpin> BodyPieces<S> {
     /// Wraps a body of at most `most` bytes. The error for a larger body reports `max_bytes`.
-    pub fn of(body: S, most: u64, max_bytes: u64) -> Self {
+    pub fn new(body: S, most: u64, max_bytes: u64) -> Self {
         Self { body, most, max_bytes, received: 0, end: None }
     }
 

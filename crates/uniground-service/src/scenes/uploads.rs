@@ -83,7 +83,7 @@ struct ArchiveReceiver {
 }
 
 impl ArchiveReceiver {
-    fn take(&mut self, chunk: &[u8]) {
+    fn append(&mut self, chunk: &[u8]) {
         let missing = ArchiveFormat::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
         self.head.extend_from_slice(&chunk[..missing]);
         self.bytes += chunk.len() as u64;
@@ -96,21 +96,21 @@ impl ArchiveReceiver {
         file: Option<NamedTempFile>,
         file_name: &str,
     ) -> Result<ReceivedArchive, Error> {
-        what_comes(&self.head, file_name)?;
+        detect_format(&self.head, file_name)?;
         let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(ReceivedArchive { path, file, file_name: file_name.to_owned(), hash, bytes: self.bytes })
     }
 }
 
 /// Detects the archive's format from its first bytes and file name.
-pub fn what_comes(head: &[u8], file_name: &str) -> Result<ArchiveFormat, Error> {
+pub fn detect_format(head: &[u8], file_name: &str) -> Result<ArchiveFormat, Error> {
     ArchiveFormat::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
 }
 
 impl ReceivedArchive {
     /// Returns the task that unpacks the archive into an existing empty folder and checks that it
     /// is a scan.
-    pub fn unpacking(&self, into: &Utf8Path, limits: &UnpackLimits) -> Task {
+    pub fn unpack_task(&self, into: &Utf8Path, limits: &UnpackLimits) -> Task {
         Task::Unpack {
             archive: self.path.clone(),
             file_name: self.file_name.clone(),
@@ -126,7 +126,7 @@ impl ReceivedArchive {
         loop {
             match file.read(&mut chunk) {
                 Ok(0) => return receiving.finish(path, None, file_name),
-                Ok(read) => receiving.take(&chunk[..read]),
+                Ok(read) => receiving.append(&chunk[..read]),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(error.into()),
             }
@@ -173,7 +173,7 @@ impl ImportService {
         let place = self.upload_permits.clone().try_acquire_owned();
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         let NewScene { name, file_name, parse, idempotency_key, announced_bytes } = new;
-        let idempotency_key = idempotency_key.map(|key| caller.own(key));
+        let idempotency_key = idempotency_key.map(|key| caller.qualify_name(key));
         if let Some(name) = &name {
             check_name("/name", name)?;
         }
@@ -206,7 +206,7 @@ impl ImportService {
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
         let SceneToMake { name, parse, idempotency_key, made_before } = asked;
-        let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
+        let request = request_digest(&received.hash, name.as_deref(), parse.as_ref())?;
         if let Some((scene, before)) = made_before {
             // Earlier versions stored no request digest. Their keys are accepted without
             // comparison.
@@ -225,12 +225,12 @@ impl ImportService {
             (None, Some(unpacked)) => unpacked.name.clone(),
             (None, None) => self.archive_name(&received.hash).await?,
         };
-        let mut references = self.service_locks.content_references().await?;
+        let mut references = self.service_locks.lock_content_references().await?;
         if unpacked.is_none() && !self.has_content(&received.hash).await? {
             // Its last scene was deleted in the meantime.
             drop(references);
             unpacked = Some(self.unpack(received.clone()).await?);
-            references = self.service_locks.content_references().await?;
+            references = self.service_locks.lock_content_references().await?;
         }
         // Checked again under the lock: concurrent uploads together must not exceed the quota.
         self.check_quota(caller).await?;
@@ -241,7 +241,7 @@ impl ImportService {
         let id = self.ids.new_id();
         let wanted = match &parse {
             Some(settings) => {
-                Some(self.parse_service.wanted_parse(&id, &received.hash, settings, caller).await?)
+                Some(self.parse_service.prepare_parse(&id, &received.hash, settings, caller).await?)
             }
             None => None,
         };
@@ -261,9 +261,9 @@ impl ImportService {
         drop(references);
         match inserted {
             InsertOutcome::New(row, job) => {
-                Ok((self.scene_lookup.present(row).await?, job.map(|job| self.jobs.to_job(*job))))
+                Ok((self.scene_lookup.to_scene(row).await?, job.map(|job| self.jobs.to_job(*job))))
             }
-            InsertOutcome::MadeBefore(row) => self.made_before(row, parse, caller).await,
+            InsertOutcome::AlreadyExists(row) => self.made_before(row, parse, caller).await,
             InsertOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
         }
     }
@@ -280,7 +280,8 @@ impl ImportService {
     ) -> Result<(), Error> {
         let Some(key) = &caller.key else { return Ok(()) };
         let Some(most) = key.row.max_scenes else { return Ok(()) };
-        let scenes = self.key_repository.scenes_of_key(&key.row.id).await?.saturating_add(coming);
+        let scenes =
+            self.key_repository.count_scenes_of_key(&key.row.id).await?.saturating_add(coming);
         if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
@@ -292,7 +293,7 @@ impl ImportService {
         parse: Option<ParseSettings>,
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
-        let job = match (self.scene_lookup.job_of(&row).await?, parse) {
+        let job = match (self.scene_lookup.current_job(&row).await?, parse) {
             (None, Some(settings)) if row.parse_id.is_none() => {
                 Some(self.parse_service.start_parse(&row.id, &settings, caller).await?)
             }
@@ -307,7 +308,8 @@ impl ImportService {
             return Ok(false);
         }
         let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
-        let wrong = spawn_blocking(move || blobs.look(&content, CheckDepth::Names)).await??;
+        let wrong =
+            spawn_blocking(move || blobs.check_folder(&content, CheckDepth::Names)).await??;
         if !wrong.is_empty() {
             tracing::warn!(
                 hash,
@@ -328,11 +330,11 @@ impl ImportService {
         let tmp = self.blobs.tmp().to_owned();
         let mut file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
         let mut receiving = ArchiveReceiver::default();
-        let mut pieces = BodyPieces::of(body, max_bytes, max_bytes);
+        let mut pieces = BodyPieces::new(body, max_bytes, max_bytes);
         while let Some(piece) = pieces.next().await? {
             let written = spawn_blocking(move || {
                 for chunk in piece {
-                    receiving.take(&chunk);
+                    receiving.append(&chunk);
                     file.write_all(&chunk)?;
                 }
                 Ok::<_, io::Error>((file, receiving))
@@ -341,7 +343,7 @@ impl ImportService {
             // The format is checked early. The client need not send a whole video before it is
             // rejected.
             if receiving.head.len() == ArchiveFormat::HEAD_BYTES {
-                what_comes(&receiving.head, file_name)?;
+                detect_format(&receiving.head, file_name)?;
             }
         }
         let path = Utf8Path::from_path(file.path())
@@ -356,7 +358,7 @@ impl ImportService {
         let blobs = self.blobs.clone();
         let folder = spawn_blocking(move || blobs.scratch()).await??;
         let name =
-            self.checked_name(received.unpacking(folder.path(), &self.limits.unpack)).await?;
+            self.check_scan_name(received.unpack_task(folder.path(), &self.limits.unpack)).await?;
         let blobs = self.blobs.clone();
         spawn_blocking(move || {
             if let Some(file) = &received.file {
@@ -371,7 +373,7 @@ impl ImportService {
     }
 
     /// Checks a scan and returns its name.
-    async fn checked_name(&self, check: Task) -> Result<String, Error> {
+    async fn check_scan_name(&self, check: Task) -> Result<String, Error> {
         Ok(match self.reader.check(check).await? {
             TaskOutcome::Scan { name } => name_or_scene(name),
             TaskOutcome::Fits | TaskOutcome::Imported { .. } => name_or_scene(None),
@@ -381,20 +383,20 @@ impl ImportService {
     /// Returns the name of a stored archive.
     async fn archive_name(&self, hash: &str) -> Result<String, Error> {
         let (blobs, content) = (self.blobs.clone(), self.blobs.content(hash));
-        let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else {
+        let Ok(scan) = spawn_blocking(move || blobs.pin_folder(&content)).await? else {
             return Ok(name_or_scene(None));
         };
         // If the content was removed in the meantime, it is unpacked again, and the scene gets the
         // default name.
         Ok(self
-            .checked_name(Task::Inspect { folder: scan.to_path_buf() })
+            .check_scan_name(Task::Inspect { folder: scan.to_path_buf() })
             .await
             .unwrap_or_else(|_| name_or_scene(None)))
     }
 }
 
 /// Returns the digest of a request, which is compared when its idempotency key is used again.
-fn request_of(
+fn request_digest(
     hash: &str,
     name: Option<&str>,
     parse: Option<&ParseSettings>,

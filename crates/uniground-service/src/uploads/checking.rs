@@ -51,15 +51,15 @@ pub struct ChecksumCheck {
 }
 
 impl ChecksumCheck {
-    pub fn of(Checksum { algorithm, sum }: Checksum) -> Self {
+    pub fn new(Checksum { algorithm, sum }: Checksum) -> Self {
         Self { hasher: algorithm.hasher(), sum }
     }
 
-    pub fn take(&mut self, chunks: &[Bytes]) {
+    pub fn update(&mut self, chunks: &[Bytes]) {
         chunks.iter().for_each(|chunk| self.hasher.update(chunk));
     }
 
-    pub fn holds(self) -> bool {
+    pub fn matches(self) -> bool {
         *self.hasher.finalize() == *self.sum
     }
 }

@@ -22,21 +22,21 @@ impl UploadService {
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn make_left_uploads(&self) -> Result<(), Error> {
-        for id in self.upload_repository.unmade_uploads().await? {
-            let Ok(_turn) = self.service_locks.at_upload(&id).await else { continue };
+    pub async fn complete_pending_uploads(&self) -> Result<(), Error> {
+        for id in self.upload_repository.complete_uploads_without_scene().await? {
+            let Ok(_lock) = self.service_locks.lock_upload(&id).await else { continue };
             let Some(row) =
                 self.upload_repository.upload(&id).await?.filter(|row| row.came_of.is_none())
             else {
                 continue;
             };
-            let row = self.as_on_disk(row).await?;
+            let row = self.with_stored_size(row).await?;
             if row.received < row.length {
                 continue;
             }
-            let made = match self.keyring.caller_of(row.key_id.as_deref()) {
-                Ok(caller) => self.make_upload(row, &caller).await,
-                Err(_) => self.refuse_upload(&id, Error::KeyRefused).await,
+            let made = match self.keyring.resolve_caller(row.key_id.as_deref()) {
+                Ok(caller) => self.complete_upload(row, &caller).await,
+                Err(_) => self.reject_upload(&id, Error::KeyRefused).await,
             };
             if let Err(error) = made {
                 tracing::debug!(
@@ -51,7 +51,7 @@ impl UploadService {
 
     /// Creates a scene from a complete upload, or records why it cannot become one. Deletes the
     /// uploaded file afterwards.
-    pub(super) async fn make_upload(
+    pub(super) async fn complete_upload(
         &self,
         row: UploadRow,
         caller: &Caller,
@@ -65,11 +65,11 @@ impl UploadService {
                 .await
             }
             Err(error) if is_transient(&error) => Err(error),
-            Err(error) => self.refuse_upload(&row.id, error).await,
+            Err(error) => self.reject_upload(&row.id, error).await,
         }
     }
 
-    pub(super) async fn refuse_upload(&self, id: &str, error: Error) -> Result<UploadRow, Error> {
+    pub(super) async fn reject_upload(&self, id: &str, error: Error) -> Result<UploadRow, Error> {
         let problem = (self.explain)(error);
         self.end_upload(id, UploadResult::Nothing(Some(problem))).await
     }
@@ -92,8 +92,9 @@ impl UploadService {
         let received = Arc::new(spawn_blocking(move || ReceivedArchive::read(path, &name)).await??);
         // The idempotency key makes sure of one scene, even if a server was killed after creating
         // the scene and before recording it.
-        let key = caller
-            .own(wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)));
+        let key = caller.qualify_name(
+            wanted.idempotency_key.clone().unwrap_or_else(|| format!("upload {}", row.id)),
+        );
         let made_before = self.scene_repository.scene_of_idempotency_key(&key).await?;
         if made_before.is_none() {
             self.capacity.check_disk(0)?;
@@ -117,7 +118,7 @@ fn is_transient(error: &Error) -> bool {
 }
 
 /// Describes errors for services without an HTTP layer.
-pub fn unexplained(error: Error) -> Problem {
+pub fn default_problem(error: Error) -> Problem {
     Problem {
         kind: "about:blank".into(),
         title: "Error".into(),

@@ -14,7 +14,7 @@ pub use checking::{Checksum, ChecksumAlgorithm};
 pub use making::Explain;
 pub use parts::UploadPart;
 
-pub(super) use making::unexplained;
+pub(super) use making::default_problem;
 
 use super::scenes::check_name;
 use super::{Caller, ParseJob};
@@ -39,7 +39,7 @@ pub struct NewUpload {
 }
 
 /// The maximum number of unfinished uploads of one key.
-const MOST_OF_A_KEY: u32 = 32;
+const MAX_UPLOADS_OF_KEY: u32 = 32;
 
 /// Resumable uploads.
 #[derive(Clone)]
@@ -79,11 +79,11 @@ impl UploadService {
             self.jobs.check_queue_capacity::<ParseJob>(caller.key_id()).await?;
         }
         // Checked under a lock: concurrent starts together must not exceed the limits.
-        let _beginning = self.service_locks.beginning_uploads().await?;
+        let _beginning = self.service_locks.lock_upload_start().await?;
         let since = self.oldest_upload().map_or_else(String::new, |oldest| oldest.to_string());
         let unfinished = self.upload_repository.unfinished_uploads(&since, caller.key_id()).await?;
         let most = match &caller.key {
-            Some(_) if unfinished.of_key >= MOST_OF_A_KEY => Some(MOST_OF_A_KEY),
+            Some(_) if unfinished.of_key >= MAX_UPLOADS_OF_KEY => Some(MAX_UPLOADS_OF_KEY),
             _ => (unfinished.uploads >= self.limits.max_unfinished_uploads)
                 .then_some(self.limits.max_unfinished_uploads),
         };
@@ -94,7 +94,7 @@ impl UploadService {
         self.capacity.check_disk(length.saturating_add(unfinished.announced_bytes))?;
         self.import_service.check_quota_beside(unfinished.of_key, caller).await?;
         let row = self.upload_repository.insert_upload(&wanted, length, caller.key_id()).await?;
-        Ok(self.present_upload(row))
+        Ok(self.to_upload(row))
     }
 
     /// Returns the largest size of an upload in bytes.
@@ -108,7 +108,7 @@ impl UploadService {
     /// # Errors
     /// [`Error::UploadNotFound`], [`Error::UploadExpired`].
     pub async fn upload(&self, id: &str, caller: &Caller) -> Result<Upload, Error> {
-        Ok(self.present_upload(self.upload_row(id, caller).await?))
+        Ok(self.to_upload(self.upload_row(id, caller).await?))
     }
 
     /// Returns the note that the client stored with the upload.
@@ -125,7 +125,7 @@ impl UploadService {
     /// [`Error::UploadNotFound`], [`Error::UploadExpired`], [`Error::UploadBusy`].
     pub async fn delete_upload(&self, id: &str, caller: &Caller) -> Result<(), Error> {
         self.upload_row(id, caller).await?;
-        let _turn = self.service_locks.at_upload(id).await?;
+        let _lock = self.service_locks.lock_upload(id).await?;
         if !self.upload_repository.delete_upload(id).await? {
             return Err(Error::UploadNotFound { id: id.into() });
         }
@@ -146,12 +146,12 @@ impl UploadService {
         {
             return Err(Error::UploadExpired { id: id.into() });
         }
-        self.as_on_disk(row).await
+        self.with_stored_size(row).await
     }
 
     /// Lowers the offset to the bytes that are on disk. The offset becomes zero if the file is
     /// missing, as after restoring a backup.
-    async fn as_on_disk(&self, row: UploadRow) -> Result<UploadRow, Error> {
+    async fn with_stored_size(&self, row: UploadRow) -> Result<UploadRow, Error> {
         if row.came_of.is_some() || row.received == 0 {
             return Ok(row);
         }
@@ -167,7 +167,7 @@ impl UploadService {
         (days > 0).then(|| Timestamp::now().checked_sub(hours(days)).unwrap_or(Timestamp::MIN))
     }
 
-    fn present_upload(&self, row: UploadRow) -> Upload {
+    fn to_upload(&self, row: UploadRow) -> Upload {
         let days = self.limits.retention.uploads_days;
         let expires_at = row.updated_at.parse::<Timestamp>().ok().filter(|_| days > 0);
         let expires_at =

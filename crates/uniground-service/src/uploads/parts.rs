@@ -2,7 +2,7 @@
 
 use super::checking::{Checksum, ChecksumCheck};
 use crate::error::Error;
-use crate::scenes::{BodyPieces, what_comes};
+use crate::scenes::{BodyPieces, detect_format};
 use crate::{Caller, MAX_UPLOADS, UploadService};
 use bytes::Bytes;
 use futures::Stream;
@@ -67,7 +67,7 @@ impl UploadService {
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         // Checked before the lock: other callers must not learn that the upload is busy.
         self.upload_row(id, caller).await?;
-        let _turn = self.service_locks.at_upload(id).await?;
+        let _lock = self.service_locks.lock_upload(id).await?;
         let mut row = self.upload_row(id, caller).await?;
         if part.offset != row.received {
             return Err(Error::WrongOffset { offset: row.received });
@@ -77,20 +77,20 @@ impl UploadService {
         }
         if row.came_of.is_none() && row.received < row.length {
             self.capacity.check_disk(part.announced_bytes)?;
-            row = match self.take_part(row, part).await {
-                Err(error @ Error::NoScan { .. }) => self.refuse_upload(id, error).await?,
+            row = match self.receive_part(row, part).await {
+                Err(error @ Error::NoScan { .. }) => self.reject_upload(id, error).await?,
                 taken => taken?,
             };
         }
         drop(place);
         if row.came_of.is_none() && row.received == row.length {
-            row = self.make_upload(row, caller).await?;
+            row = self.complete_upload(row, caller).await?;
         }
-        Ok(self.present_upload(row))
+        Ok(self.to_upload(row))
     }
 
     /// Receives a part up to its end or to the point where it breaks off.
-    async fn take_part<E, S>(
+    async fn receive_part<E, S>(
         &self,
         mut row: UploadRow,
         part: UploadPart<S>,
@@ -100,8 +100,8 @@ impl UploadService {
     {
         let (blobs, id, received) = (self.blobs.clone(), row.id.clone(), row.received);
         let mut file = spawn_blocking(move || blobs.open_upload(&id, received)).await??;
-        let mut pieces = BodyPieces::of(part.body, row.length - row.received, row.length);
-        let mut checking = part.checksum.map(ChecksumCheck::of);
+        let mut pieces = BodyPieces::new(part.body, row.length - row.received, row.length);
+        let mut checking = part.checksum.map(ChecksumCheck::new);
         let end = loop {
             let piece = match pieces.next().await {
                 Ok(Some(piece)) => piece,
@@ -109,26 +109,26 @@ impl UploadService {
                 Err(error) => break Err(error),
             };
             let written = spawn_blocking(move || {
-                checking.iter_mut().for_each(|checking| checking.take(&piece));
+                checking.iter_mut().for_each(|checking| checking.update(&piece));
                 file.write(&piece).map(|()| (file, checking))
             });
             (file, checking) = written.await??;
             // The first bytes are saved at once, so that an invalid file is rejected before the
             // client sends all of it.
             let is_beginning = row.received < HEAD_BYTES && file.bytes() >= HEAD_BYTES;
-            if checking.is_none() && (is_beginning || file.unsaved() >= SAVE_BYTES) {
+            if checking.is_none() && (is_beginning || file.unsaved_bytes() >= SAVE_BYTES) {
                 (row, file) = self.save_part(row, file).await?;
             }
         };
         if let Some(checking) = checking {
             // A part that broke off cannot be checked.
             end?;
-            return match checking.holds() {
+            return match checking.matches() {
                 true => Ok(self.save_part(row, file).await?.0),
                 false => Err(Error::ChecksumMismatch),
             };
         }
-        if file.unsaved() > 0 {
+        if file.unsaved_bytes() > 0 {
             row = self.save_part(row, file).await?.0;
         }
         end.map(|()| row)
@@ -142,13 +142,13 @@ impl UploadService {
     ) -> Result<(UploadRow, GrowingFile), Error> {
         let (file, head) = spawn_blocking(move || {
             file.save()?;
-            file.head(ArchiveFormat::HEAD_BYTES).map(|head| (file, head))
+            file.read_head(ArchiveFormat::HEAD_BYTES).map(|head| (file, head))
         })
         .await??;
         let noted = self.upload_repository.note_received(&row.id, file.bytes()).await?;
         let noted = noted.ok_or_else(|| Error::UploadNotFound { id: row.id.clone() })?;
         if row.received < HEAD_BYTES && noted.received >= HEAD_BYTES {
-            what_comes(&head, file_name(&noted))?;
+            detect_format(&head, file_name(&noted))?;
         }
         Ok((noted, file))
     }

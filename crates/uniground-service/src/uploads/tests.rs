@@ -15,14 +15,14 @@ use uniground_storage::{BlobHome, Location, Store};
 use uniground_types::stats::Retention;
 
 /// An upload service without workers, over its own folder.
-struct Rested {
+struct UploadFixture {
     data: TempDir,
     store: Store,
     service: std::sync::Arc<UploadService>,
 }
 
-impl Rested {
-    async fn over(data: TempDir) -> Self {
+impl UploadFixture {
+    async fn with_data(data: TempDir) -> Self {
         let store = Store::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &Location::Folder,
@@ -39,23 +39,23 @@ impl Rested {
             max_concurrent_questions: 1,
             retention: Retention::default(),
         };
-        let dependencies = Dependencies::at_rest(store.clone(), limits).await.unwrap();
+        let dependencies = Dependencies::offline(store.clone(), limits).await.unwrap();
         let service = Services::new(dependencies).uploads;
         Self { data, store, service }
     }
 
     async fn new() -> Self {
-        Self::over(tempfile::tempdir().unwrap()).await
+        Self::with_data(tempfile::tempdir().unwrap()).await
     }
 
-    async fn again(self) -> Self {
+    async fn restart(self) -> Self {
         self.store.close().await;
         let Self { data, store, service } = self;
         drop((store, service));
-        Self::over(data).await
+        Self::with_data(data).await
     }
 
-    async fn begun(&self, length: usize) -> String {
+    async fn start_upload(&self, length: usize) -> String {
         let new = NewUpload { length: length as u64, wanted: SceneRequest::default() };
         self.service.begin_upload(new, &Caller::operator()).await.unwrap().id
     }
@@ -103,7 +103,7 @@ fn archive(length: usize) -> Vec<u8> {
 
 /// What happens to a part in transit.
 #[derive(Debug, Clone, Copy)]
-enum Fate {
+enum PartDelivery {
     Arrives,
     BreaksOff,
     Checked,
@@ -125,125 +125,127 @@ proptest! {
     /// Whatever happens to the parts, the stored bytes equal the sent bytes, and the offset never
     /// exceeds them.
     #[test]
-    fn parts_broken_anywhere_come_to_the_same_bytes(
+    fn interrupted_parts_reassemble_to_the_same_bytes(
         length in 4usize..60_000,
         parts in prop::collection::vec((0usize..20_000, prop::sample::select(vec![
-            Fate::Arrives, Fate::BreaksOff, Fate::Checked, Fate::Damaged, Fate::CheckedAndCut, Fate::Misplaced, Fate::TooLong, Fate::Killed,
+            PartDelivery::Arrives, PartDelivery::BreaksOff, PartDelivery::Checked, PartDelivery::Damaged, PartDelivery::CheckedAndCut, PartDelivery::Misplaced, PartDelivery::TooLong, PartDelivery::Killed,
         ])), 0..12),
     ) {
         let bytes = archive(length);
         Runtime::new().unwrap().block_on(async {
-            let mut rested = Rested::new().await;
+            let mut fixture = UploadFixture::new().await;
             // One byte more than is sent, so that the upload never completes and no scene is
             // created.
-            let id = rested.begun(length + 1).await;
+            let id = fixture.start_upload(length + 1).await;
             let mut there = 0;
             for (size, fate) in parts {
                 let piece = &bytes[there..(there + size).min(length)];
                 let sent = match fate {
-                    Fate::Arrives => rested.append(&id, part(there, None, body(piece, None))).await.map(|_| piece.len()),
-                    Fate::Checked => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, None))).await.map(|_| piece.len()),
-                    Fate::BreaksOff => {
-                        let broken = rested.append(&id, part(there, None, body(piece, Some(())))).await;
+                    PartDelivery::Arrives => fixture.append(&id, part(there, None, body(piece, None))).await.map(|_| piece.len()),
+                    PartDelivery::Checked => fixture.append(&id, part(there, Some(sum_of(piece)), body(piece, None))).await.map(|_| piece.len()),
+                    PartDelivery::BreaksOff => {
+                        let broken = fixture.append(&id, part(there, None, body(piece, Some(())))).await;
                         prop_assert!(matches!(broken, Err(Error::UploadInterrupted { .. })), "{broken:?}");
                         Ok(piece.len())
                     }
-                    Fate::Damaged => rested.append(&id, part(there, Some(sum_of(b"others")), body(piece, None))).await.map(|_| 0),
-                    Fate::CheckedAndCut => rested.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
-                    Fate::Misplaced => rested.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
-                    Fate::TooLong => {
+                    PartDelivery::Damaged => fixture.append(&id, part(there, Some(sum_of(b"others")), body(piece, None))).await.map(|_| 0),
+                    PartDelivery::CheckedAndCut => fixture.append(&id, part(there, Some(sum_of(piece)), body(piece, Some(())))).await.map(|_| 0),
+                    PartDelivery::Misplaced => fixture.append(&id, part(there + 1, None, body(piece, None))).await.map(|_| 0),
+                    PartDelivery::TooLong => {
                         let long = UploadPart { announced_bytes: length as u64 + 2, ..part(there, None, body(piece, None)) };
-                        rested.append(&id, long).await.map(|_| 0)
+                        fixture.append(&id, long).await.map(|_| 0)
                     }
-                    Fate::Killed => {
-                        let path = rested.store.blobs.upload(&id);
+                    PartDelivery::Killed => {
+                        let path = fixture.store.blobs.upload(&id);
                         fs::OpenOptions::new().create(true).append(true).open(path).unwrap().write_all(b"never noted").unwrap();
-                        rested = rested.again().await;
+                        fixture = fixture.restart().await;
                         Ok(0)
                     }
                 };
-                let is_refused = matches!(fate, Fate::Damaged | Fate::CheckedAndCut | Fate::Misplaced | Fate::TooLong);
+                let is_refused = matches!(fate, PartDelivery::Damaged | PartDelivery::CheckedAndCut | PartDelivery::Misplaced | PartDelivery::TooLong);
                 prop_assert_eq!(sent.is_err(), is_refused, "{:?}: {:?}", fate, sent);
                 there += sent.unwrap_or(0);
-                prop_assert_eq!(rested.offset(&id).await, there, "{:?}", fate);
+                prop_assert_eq!(fixture.offset(&id).await, there, "{:?}", fate);
             }
-            rested.append(&id, part(there, None, body(&bytes[there..], None))).await.unwrap();
-            prop_assert_eq!(rested.offset(&id).await, length);
-            prop_assert!(fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes);
+            fixture.append(&id, part(there, None, body(&bytes[there..], None))).await.unwrap();
+            prop_assert_eq!(fixture.offset(&id).await, length);
+            prop_assert!(fs::read(fixture.store.blobs.upload(&id)).unwrap() == bytes);
             Ok(())
         })?;
     }
 }
 
 #[tokio::test]
-async fn two_senders_at_once_are_told_apart() {
-    let rested = Rested::new().await;
-    let (bytes, id) = (archive(3000), rested.begun(3001).await);
+async fn concurrent_senders_never_mix_bytes() {
+    let fixture = UploadFixture::new().await;
+    let (bytes, id) = (archive(3000), fixture.start_upload(3001).await);
     let (mut sender, receiver) = futures::channel::mpsc::channel(0);
-    let service = rested.service.clone();
+    let service = fixture.service.clone();
     let first = tokio::spawn({
         let id = id.clone();
         async move { service.append(&id, part(0, None, receiver), Caller::operator()).await }
     });
     // Returns once the first part has been taken. From then on the upload is busy.
     sender.send(Ok::<_, Infallible>(Bytes::from(bytes[..1000].to_vec()))).await.unwrap();
-    let second = rested.append(&id, part(0, None, body(&bytes[..0], None))).await;
+    let second = fixture.append(&id, part(0, None, body(&bytes[..0], None))).await;
     assert!(matches!(second, Err(Error::UploadBusy { .. })), "{second:?}");
     assert!(matches!(
-        rested.service.delete_upload(&id, &Caller::operator()).await,
+        fixture.service.delete_upload(&id, &Caller::operator()).await,
         Err(Error::UploadBusy { .. })
     ));
     sender.send(Ok(Bytes::from(bytes[1000..2000].to_vec()))).await.unwrap();
     drop(sender);
     assert_eq!(first.await.unwrap().unwrap().offset, 2000);
     assert_eq!(
-        rested.append(&id, part(2000, None, body(&bytes[2000..], None))).await.unwrap().offset,
+        fixture.append(&id, part(2000, None, body(&bytes[2000..], None))).await.unwrap().offset,
         3000
     );
-    assert!(fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes);
-    rested.service.delete_upload(&id, &Caller::operator()).await.unwrap();
+    assert!(fs::read(fixture.store.blobs.upload(&id)).unwrap() == bytes);
+    fixture.service.delete_upload(&id, &Caller::operator()).await.unwrap();
     assert!(matches!(
-        rested.service.upload(&id, &Caller::operator()).await,
+        fixture.service.upload(&id, &Caller::operator()).await,
         Err(Error::UploadNotFound { .. })
     ));
 }
 
 /// Bytes beyond the announced length are rejected. The bytes that fit are stored.
 #[tokio::test]
-async fn a_body_that_does_not_end_is_cut() {
-    let rested = Rested::new().await;
-    let (bytes, id) = (archive(30_000), rested.begun(20_000).await);
-    let long = rested.append(&id, part(0, None, body(&bytes, None))).await;
+async fn an_endless_body_is_cut_at_the_limit() {
+    let fixture = UploadFixture::new().await;
+    let (bytes, id) = (archive(30_000), fixture.start_upload(20_000).await);
+    let long = fixture.append(&id, part(0, None, body(&bytes, None))).await;
     assert!(matches!(long, Err(Error::UploadTooLarge { max_bytes: 20_000 })), "{long:?}");
-    let there = rested.offset(&id).await;
-    assert!(there <= 20_000 && fs::read(rested.store.blobs.upload(&id)).unwrap() == bytes[..there]);
+    let there = fixture.offset(&id).await;
+    assert!(
+        there <= 20_000 && fs::read(fixture.store.blobs.upload(&id)).unwrap() == bytes[..there]
+    );
 }
 
 /// A backup contains the record but not the file. A file without a record is an orphan.
 #[tokio::test]
-async fn a_record_without_its_file_begins_anew() {
-    let rested = Rested::new().await;
-    let id = rested.begun(9000).await;
-    rested.append(&id, part(0, None, body(&archive(5000), None))).await.unwrap();
-    fs::remove_file(rested.store.blobs.upload(&id)).unwrap();
-    fs::write(rested.store.blobs.upload("stranger"), "x").unwrap();
-    let rested = rested.again().await;
-    assert_eq!(rested.offset(&id).await, 0);
-    assert!(!rested.store.blobs.upload("stranger").exists());
+async fn an_upload_whose_file_is_missing_restarts_at_zero() {
+    let fixture = UploadFixture::new().await;
+    let id = fixture.start_upload(9000).await;
+    fixture.append(&id, part(0, None, body(&archive(5000), None))).await.unwrap();
+    fs::remove_file(fixture.store.blobs.upload(&id)).unwrap();
+    fs::write(fixture.store.blobs.upload("stranger"), "x").unwrap();
+    let fixture = fixture.restart().await;
+    assert_eq!(fixture.offset(&id).await, 0);
+    assert!(!fixture.store.blobs.upload("stranger").exists());
     assert_eq!(
-        rested.append(&id, part(0, None, body(&archive(8000), None))).await.unwrap().offset,
+        fixture.append(&id, part(0, None, body(&archive(8000), None))).await.unwrap().offset,
         8000
     );
 }
 
 #[tokio::test]
-async fn what_is_no_scan_is_refused_by_its_first_bytes() {
-    let rested = Rested::new().await;
-    let id = rested.begun(1 << 30).await;
-    let upload = rested.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();
+async fn files_that_are_no_scan_are_rejected_by_their_first_bytes() {
+    let fixture = UploadFixture::new().await;
+    let id = fixture.start_upload(1 << 30).await;
+    let upload = fixture.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();
     assert_eq!(
         (upload.state, upload.problem.unwrap().code.as_str()),
         (UploadState::Refused, "archive_unreadable")
     );
-    assert!(!rested.store.blobs.upload(&id).exists());
+    assert!(!fixture.store.blobs.upload(&id).exists());
 }

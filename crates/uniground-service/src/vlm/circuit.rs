@@ -11,7 +11,7 @@ pub enum CallSignal {
     /// It answered.
     Up,
     /// It cannot be reached. One such call is enough to open the circuit.
-    Gone,
+    Unreachable,
     /// It reported that it cannot answer now. A few such calls in a row open the circuit.
     Failing,
     /// It answered, but not this question. Says nothing about other questions.
@@ -19,8 +19,8 @@ pub enum CallSignal {
 }
 
 /// The wait before the server is first tried again. Each later wait is twice as long.
-const FIRST_WAIT: Duration = Duration::from_secs(5);
-const LONGEST_WAIT: Duration = Duration::from_mins(2);
+const MIN_BACKOFF: Duration = Duration::from_secs(5);
+const MAX_BACKOFF: Duration = Duration::from_mins(2);
 /// Failed calls in a row after which a reachable server counts as down.
 const FAILURES: u32 = 5;
 
@@ -47,7 +47,7 @@ struct OpenCircuit {
 }
 
 /// A try that never ends blocks other tries no longer than this.
-const LONGEST_TRY: Duration = Duration::from_mins(10);
+const MAX_PROBE_DURATION: Duration = Duration::from_mins(10);
 
 impl CircuitBreaker {
     fn state(&self) -> MutexGuard<'_, CircuitState> {
@@ -64,15 +64,15 @@ impl CircuitBreaker {
         if now < open.until {
             return Err(open.until - now);
         }
-        if open.trying.is_some_and(|since| now.duration_since(since) < LONGEST_TRY) {
-            return Err(FIRST_WAIT);
+        if open.trying.is_some_and(|since| now.duration_since(since) < MAX_PROBE_DURATION) {
+            return Err(MIN_BACKOFF);
         }
         open.trying = Some(now);
         Ok(())
     }
 
     /// Records the outcome of a call, with a word for it.
-    pub fn note(&self, sign: CallSignal, word: &'static str, now: Instant) {
+    pub fn record(&self, sign: CallSignal, word: &'static str, now: Instant) {
         let mut state = self.state();
         if sign == CallSignal::Up {
             *state = CircuitState::default();
@@ -82,17 +82,17 @@ impl CircuitBreaker {
             state.failing.take().unwrap_or_else(|| (0, word, Timestamp::now().to_string()));
         state.failing = Some((calls + 1, word, since));
         state.down = match sign {
-            CallSignal::Gone | CallSignal::Failing => state.down + 1,
+            CallSignal::Unreachable | CallSignal::Failing => state.down + 1,
             // The server is up.
             CallSignal::Up | CallSignal::Unclear => 0,
         };
-        let is_down = sign == CallSignal::Gone || state.down >= FAILURES;
-        let wait = state.open.as_ref().map_or(FIRST_WAIT, |open| (open.wait * 2).min(LONGEST_WAIT));
+        let is_down = sign == CallSignal::Unreachable || state.down >= FAILURES;
+        let wait = state.open.as_ref().map_or(MIN_BACKOFF, |open| (open.wait * 2).min(MAX_BACKOFF));
         state.open = is_down.then(|| OpenCircuit { until: now + wait, wait, trying: None });
     }
 
     /// Records that a trying call was abandoned before its answer. The next call may try.
-    pub fn left(&self) {
+    pub fn release_probe(&self) {
         if let Some(open) = &mut self.state().open {
             open.trying = None;
         }
@@ -112,21 +112,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_server_that_is_gone_is_tried_now_and_then_by_one_at_a_time() {
+    fn an_open_circuit_admits_one_probe_at_a_time() {
         let (circuit, start) = (CircuitBreaker::default(), Instant::now());
         let after = |seconds| start + Duration::from_secs(seconds);
         assert!(circuit.admit(start).is_ok() && circuit.condition().is_ok());
-        circuit.note(CallSignal::Gone, "unreachable", start);
+        circuit.record(CallSignal::Unreachable, "unreachable", start);
         assert_eq!(circuit.admit(after(1)), Err(Duration::from_secs(4)));
         assert!(circuit.condition().unwrap_err().starts_with("unreachable since"));
         assert!(circuit.admit(after(5)).is_ok(), "one tries it");
         assert!(circuit.admit(after(5)).is_err(), "and nobody beside");
-        circuit.note(CallSignal::Gone, "unreachable", after(6));
+        circuit.record(CallSignal::Unreachable, "unreachable", after(6));
         assert_eq!(circuit.admit(after(6)), Err(Duration::from_secs(10)));
         assert!(circuit.admit(after(16)).is_ok());
-        circuit.left();
+        circuit.release_probe();
         assert!(circuit.admit(after(16)).is_ok(), "who tried it left");
-        circuit.note(CallSignal::Up, "answered", after(17));
+        circuit.record(CallSignal::Up, "answered", after(17));
         assert!(
             circuit.admit(after(17)).is_ok()
                 && circuit.admit(after(17)).is_ok()
@@ -135,12 +135,13 @@ mod tests {
     }
 
     #[test]
-    fn some_failures_are_none_and_a_question_that_is_refused_closes_nothing() {
+    fn failures_in_a_row_open_the_circuit() {
         let (circuit, now) = (CircuitBreaker::default(), Instant::now());
-        let failing =
-            |calls: u32| (0..calls).for_each(|_| circuit.note(CallSignal::Failing, "refused", now));
+        let failing = |calls: u32| {
+            (0..calls).for_each(|_| circuit.record(CallSignal::Failing, "refused", now))
+        };
         failing(FAILURES - 1);
-        circuit.note(CallSignal::Unclear, "refused", now);
+        circuit.record(CallSignal::Unclear, "refused", now);
         failing(FAILURES - 1);
         assert!(circuit.admit(now).is_ok(), "not in a row");
         failing(1);

@@ -30,10 +30,10 @@ const NOT_ASKED: &str = "not_asked";
 const ABANDONED: &str = "abandoned";
 
 /// How long a call waits for an unavailable database, and the interval between attempts.
-const DATABASE_IS_BACK: Duration = Duration::from_secs(30);
-const LOOK_AGAIN: Duration = Duration::from_secs(1);
+const DATABASE_RETRY_TIMEOUT: Duration = Duration::from_secs(30);
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
+fn outcome_name(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
     match answered {
         Ok(_) => ANSWERED,
         Err(ChatFailure { error, .. }) => match error {
@@ -48,11 +48,11 @@ fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
 }
 
 /// Returns what a call reveals about the model's server. Returns `None` if it never reached it.
-fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<CallSignal> {
+fn call_signal(answered: &Result<ChatReply, ChatFailure>) -> Option<CallSignal> {
     match answered {
         Ok(_) => Some(CallSignal::Up),
         Err(ChatFailure { error, .. }) => match error {
-            ChatError::Transport(_) => Some(CallSignal::Gone),
+            ChatError::Transport(_) => Some(CallSignal::Unreachable),
             ChatError::Refused { status: 429 | 500..=599, .. } => Some(CallSignal::Failing),
             ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(CallSignal::Unclear),
             ChatError::NotRecorded(_)
@@ -86,13 +86,13 @@ impl MeteredModel {
         store: &Store,
         metrics: Arc<Metrics>,
     ) -> Self {
-        metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
+        metrics.vlm.register(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
         let (spending, ids) = (store.spending.clone(), store.ids.clone());
         Self { model, spending, ids, metrics, circuit: Arc::default(), daily_usd, key: None }
     }
 
     /// Returns the same model for a caller, to whom the cost of calls is charged too.
-    pub fn of(&self, caller: &Caller) -> Self {
+    pub fn for_caller(&self, caller: &Caller) -> Self {
         Self { key: caller.key.clone(), ..self.clone() }
     }
 
@@ -126,7 +126,7 @@ impl MeteredModel {
         let reserved =
             reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
         if let Err(BudgetExceeded { whose, limit_usd, left_usd }) = reserved {
-            let of = if whose == BudgetOwner::OfKey { OF_KEY } else { OF_EVERYBODY };
+            let of = if whose == BudgetOwner::Key { OF_KEY } else { OF_EVERYBODY };
             call.open = None;
             return Err(never_asked(
                 OverBudget { of, limit_usd, left_usd, wanted_usd: thought_usd }.into(),
@@ -135,7 +135,7 @@ impl MeteredModel {
         call.open = call.open.take().map(|(id, _)| (id, thought_usd));
         let outcome = self.model.ask(request).await;
         call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
-        call.settle().await;
+        call.settle_reservation().await;
         outcome
     }
 
@@ -149,8 +149,8 @@ impl MeteredModel {
         let start = Instant::now();
         loop {
             match self.spending.reserve_spending(id, wish).await {
-                Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => {
-                    sleep(LOOK_AGAIN).await;
+                Err(error) if error.is_busy() && start.elapsed() < DATABASE_RETRY_TIMEOUT => {
+                    sleep(RETRY_INTERVAL).await;
                 }
                 reserved => return reserved,
             }
@@ -158,8 +158,8 @@ impl MeteredModel {
     }
 
     fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
-        self.metrics.vlm.called(outcome, attempts, start.elapsed());
-        self.metrics.vlm.paid(usd);
+        self.metrics.vlm.record_call(outcome, attempts, start.elapsed());
+        self.metrics.vlm.record_spending(usd);
     }
 }
 
@@ -178,7 +178,7 @@ impl ChatModel for MeteredModel {
     ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
             if let Err(wait) = self.circuit.admit(Instant::now()) {
-                self.metrics.vlm.called(NOT_ASKED, 0, Duration::ZERO);
+                self.metrics.vlm.record_call(NOT_ASKED, 0, Duration::ZERO);
                 let error = ChatError::Down { again_in_s: wait.as_secs().max(1) };
                 return Err(ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 });
             }
@@ -196,22 +196,22 @@ impl ChatModel for MeteredModel {
             let answered = self.ask_paid(request).instrument(span.clone()).await;
             counted.thought_usd = None;
             if let Err(ChatFailure { error: ChatError::OverBudget(_), .. }) = &answered {
-                self.circuit.left();
+                self.circuit.release_probe();
                 return answered;
             }
             let (attempts, usd) = match &answered {
                 Ok(reply) => {
-                    self.metrics.vlm.counted(reply.prompt_tokens, reply.completion_tokens);
+                    self.metrics.vlm.record_tokens(reply.prompt_tokens, reply.completion_tokens);
                     (reply.attempts, self.prices().paid_usd(request, &answered))
                 }
                 Err(failure) => (failure.attempts, self.prices().paid_usd(request, &answered)),
             };
-            let outcome = outcome_of(&answered);
+            let outcome = outcome_name(&answered);
             span.record("outcome", outcome).record("attempts", attempts);
             self.count(outcome, attempts, counted.start, usd);
-            match sign_of(&answered) {
-                Some(sign) => self.circuit.note(sign, outcome, Instant::now()),
-                None => self.circuit.left(),
+            match call_signal(&answered) {
+                Some(sign) => self.circuit.record(sign, outcome, Instant::now()),
+                None => self.circuit.release_probe(),
             }
             answered
         }
@@ -231,7 +231,7 @@ impl Drop for CallCounter<'_> {
     fn drop(&mut self) {
         if let Some(usd) = self.thought_usd {
             self.metered.count(ABANDONED, 1, self.start, usd);
-            self.metered.circuit.left();
+            self.metered.circuit.release_probe();
         }
     }
 }
@@ -244,9 +244,9 @@ struct OpenCall {
 }
 
 impl OpenCall {
-    async fn settle(&mut self) {
+    async fn settle_reservation(&mut self) {
         if let Some((id, usd)) = self.open.take() {
-            settle(&self.spending, &id, usd).await;
+            settle_reservation(&self.spending, &id, usd).await;
         }
     }
 }
@@ -255,14 +255,14 @@ impl Drop for OpenCall {
     fn drop(&mut self) {
         if let Some((id, usd)) = self.open.take() {
             let spending = self.spending.clone();
-            tokio::spawn(async move { settle(&spending, &id, usd).await });
+            tokio::spawn(async move { settle_reservation(&spending, &id, usd).await });
         }
     }
 }
 
 /// Settles a reservation. If that fails, the money stays reserved and counts as spent after the
 /// next start of the server.
-async fn settle(spending: &SpendingRepository, id: &str, usd: f64) {
+async fn settle_reservation(spending: &SpendingRepository, id: &str, usd: f64) {
     if let Err(error) = spending.settle_spending(id, usd).await {
         tracing::warn!(
             usd,

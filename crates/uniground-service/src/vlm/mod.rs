@@ -66,8 +66,12 @@ impl Vlm {
     }
 
     /// Records that a probe could not reach the server, so that no question has to find out.
-    pub fn found_gone(&self) {
-        self.model.circuit().note(circuit::CallSignal::Gone, "unreachable", Instant::now());
+    pub fn record_unreachable(&self) {
+        self.model.circuit().record(
+            circuit::CallSignal::Unreachable,
+            "unreachable",
+            Instant::now(),
+        );
     }
 
     pub(super) fn name(&self) -> &str {
@@ -80,7 +84,7 @@ impl Vlm {
 
     /// Returns the model for a caller.
     pub(super) fn model_for(&self, caller: &Caller) -> Arc<dyn ChatModel> {
-        Arc::new(self.model.of(caller))
+        Arc::new(self.model.for_caller(caller))
     }
 
     /// Returns whether the model answered its last call. Otherwise describes since when it has not.
@@ -97,7 +101,7 @@ impl Vlm {
     }
 
     /// Acquires a permit to wait for the model.
-    pub(super) fn place(&self) -> Result<OwnedSemaphorePermit, Error> {
+    pub(super) fn acquire_permit(&self) -> Result<OwnedSemaphorePermit, Error> {
         self.places.clone().try_acquire_owned().map_err(|_| Error::Overloaded)
     }
 
@@ -113,7 +117,7 @@ impl Vlm {
 
     /// Returns today's spending in US dollars, without calls in progress.
     pub(super) async fn spent_today_usd(&self) -> Result<f64, Error> {
-        Ok(self.spending.spent_on(&today()).await?)
+        Ok(self.spending.spending_on_day(&today()).await?)
     }
 
     /// Returns the budgets of a single question. The daily budgets of the server and of its keys

@@ -65,14 +65,14 @@ struct SealedManifest {
 }
 
 impl Manifest {
-    pub fn sealed(&self) -> io::Result<Vec<u8>> {
+    pub fn to_sealed_bytes(&self) -> io::Result<Vec<u8>> {
         let text = serde_json::to_string(self)?;
         let sha256 = hex(&Sha256::digest(&text));
         Ok(serde_json::to_vec(&SealedManifest { sha256, backup: RawValue::from_string(text)? })?)
     }
 
     /// Reads a manifest and checks it: checksums match, and no name leads out of the backup.
-    pub fn open(bytes: &[u8]) -> Result<Self, BackupError> {
+    pub fn from_sealed_bytes(bytes: &[u8]) -> Result<Self, BackupError> {
         let damaged = |what: &str| BackupError::Damaged { what: format!("{FILE}: {what}") };
         let SealedManifest { sha256, backup } =
             serde_json::from_slice(bytes).map_err(|_| damaged("it can not be read"))?;
@@ -138,18 +138,21 @@ mod tests {
     }
 
     #[test]
-    fn a_manifest_is_read_as_it_was_written() {
-        assert_eq!(Manifest::open(&manifest("p").sealed().unwrap()).unwrap(), manifest("p"));
+    fn a_manifest_round_trips() {
+        assert_eq!(
+            Manifest::from_sealed_bytes(&manifest("p").to_sealed_bytes().unwrap()).unwrap(),
+            manifest("p")
+        );
     }
 
     #[test]
-    fn whatever_byte_is_flipped_it_is_refused() {
-        let whole = manifest("p").sealed().unwrap();
+    fn a_manifest_with_any_flipped_byte_is_rejected() {
+        let whole = manifest("p").to_sealed_bytes().unwrap();
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
             bytes[at] ^= 1;
             assert!(
-                Manifest::open(&bytes).is_err(),
+                Manifest::from_sealed_bytes(&bytes).is_err(),
                 "byte {at}: {}",
                 String::from_utf8_lossy(&bytes)
             );
@@ -157,11 +160,11 @@ mod tests {
     }
 
     #[test]
-    fn names_lead_nowhere_else() {
+    fn manifest_names_cannot_leave_the_backup() {
         for name in ["..", ".", "", "a/b", "/a", "../a", "a/"] {
             assert!(
                 matches!(
-                    Manifest::open(&manifest(name).sealed().unwrap()),
+                    Manifest::from_sealed_bytes(&manifest(name).to_sealed_bytes().unwrap()),
                     Err(BackupError::Damaged { .. })
                 ),
                 "{name}"

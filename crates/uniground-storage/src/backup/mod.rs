@@ -56,7 +56,7 @@ pub enum BackupError {
     )]
     Newer { program: String },
     #[error("the data folder changes faster than it can be copied")]
-    Restless,
+    ChangesTooFast,
     #[error("{file}")]
     File { file: Utf8PathBuf, source: io::Error },
 }
@@ -116,19 +116,21 @@ pub async fn back_up(
 ) -> Result<BackupReport, BackupError> {
     let (path, opened) = (data_dir.to_owned(), target);
     let opening = spawn_blocking(move || {
-        let (id, engine) = DataFolder::identity(&path)?;
+        let (id, engine) = DataFolder::read_identity(&path)?;
         if engine != Engine::Sqlite {
-            return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() }.into());
+            return Err(StoreError::RequiresSqlite { kept_in: engine.name() }.into());
         }
-        let source = Blobs::look_only(&path)?;
+        let source = Blobs::open_read_only(&path)?;
         Ok::<_, BackupError>((id, source, BackupSink::open(opened, &path)?))
     });
     let (id, source, mut sink) = opening.await.map_err(io::Error::other)??;
     let mut progress = BackupProgress::default();
     for _ in 0..ROUNDS {
-        let snapshot =
-            Snapshot::take(&data_dir.join(super::data_folder::DATABASE), sink.room_for_database())
-                .await?;
+        let snapshot = Snapshot::take(
+            &data_dir.join(super::data_folder::DATABASE),
+            sink.database_snapshot_path(),
+        )
+        .await?;
         let wanted = snapshot.folders(&source).await?;
         let (missed_before, blobs) = (progress.missing.clone(), source.clone());
         (sink, progress) = spawn_blocking(move || copy(&blobs, wanted, sink, progress))
@@ -142,7 +144,7 @@ pub async fn back_up(
                 .map_err(io::Error::other)?;
         }
     }
-    Err(BackupError::Restless)
+    Err(BackupError::ChangesTooFast)
 }
 
 /// Copies the folders that a snapshot refers to and the backup does not have.
@@ -160,7 +162,7 @@ fn copy(
             progress.kept.insert(name, kept);
             continue;
         }
-        match sink.put(kind, &name.1, &source.place(kind, &name.1)) {
+        match sink.add_folder(kind, &name.1, &source.folder_path(kind, &name.1)) {
             Ok((kept, is_new)) => {
                 progress.new_folders += u64::from(is_new);
                 progress.new_bytes += if is_new { kept.bytes } else { 0 };
@@ -168,8 +170,8 @@ fn copy(
             }
             // A model's prompt and reply have a retention time of their own: they may be removed
             // before their answer.
-            Err(CopyFailure::Gone) if kind == "answers" => {}
-            Err(CopyFailure::Gone) => drop(progress.missing.insert(name, "missing".into())),
+            Err(CopyFailure::Missing) if kind == "answers" => {}
+            Err(CopyFailure::Missing) => drop(progress.missing.insert(name, "missing".into())),
             Err(CopyFailure::Damaged(what)) => drop(progress.missing.insert(name, what)),
             Err(CopyFailure::NotWritten(error)) => return Err(error.into()),
         }
@@ -185,7 +187,7 @@ fn finish(
     progress: BackupProgress,
 ) -> Result<BackupReport, BackupError> {
     let BackupProgress { kept, missing, new_folders, new_bytes } = progress;
-    let database = sink.put_database(&snapshot.file)?;
+    let database = sink.add_database(&snapshot.file)?;
     let left_out: Vec<(String, String)> = missing
         .into_iter()
         .map(|((kind, name), what)| (format!("blobs/{kind}/{name}"), what))

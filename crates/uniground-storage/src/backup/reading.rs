@@ -1,6 +1,6 @@
 //! Reads published folders, and checks every file against its checksum.
 
-use super::super::blobs::checksums::{SUMS, files_below};
+use super::super::blobs::checksums::{SUMS, list_files};
 use super::manifest::hex;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
@@ -12,7 +12,7 @@ use std::io::{self, Read};
 #[derive(Debug)]
 pub enum CopyFailure {
     /// It does not exist, or was removed meanwhile.
-    Gone,
+    Missing,
     /// Which file is damaged, and how.
     Damaged(String),
     /// The target could not be written.
@@ -28,17 +28,17 @@ pub struct CopiedFolder {
 }
 
 /// Returns the stored checksums of a folder, or `None` for folders from before there were any.
-pub fn sums_of(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
+pub fn read_checksum_file(folder: &Utf8Path) -> Result<Option<String>, CopyFailure> {
     match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => Ok(Some(sums)),
         Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => Ok(None),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(CopyFailure::Gone),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Err(CopyFailure::Missing),
         Err(error) => Err(CopyFailure::Damaged(format!("{SUMS}: {error}"))),
     }
 }
 
 /// Parses a list of checksums into files and their checksums.
-pub fn listed(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailure> {
+pub fn parse_checksums(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailure> {
     let entries = sums
         .lines()
         .filter_map(|line| line.split_once("  "))
@@ -59,11 +59,11 @@ pub fn read_folder(
     folder: &Utf8Path,
     mut take: impl FnMut(&Utf8Path, u64, &mut dyn Read) -> io::Result<()>,
 ) -> Result<CopiedFolder, CopyFailure> {
-    let known = sums_of(folder)?;
+    let known = read_checksum_file(folder)?;
     let files: Vec<(Utf8PathBuf, Option<String>)> = if let Some(sums) = &known {
-        listed(sums)?.into_iter().map(|(file, sum)| (file, Some(sum.to_owned()))).collect()
+        parse_checksums(sums)?.into_iter().map(|(file, sum)| (file, Some(sum.to_owned()))).collect()
     } else {
-        let files = files_below(folder).map_err(|error| lost_or(folder, &error))?;
+        let files = list_files(folder).map_err(|error| to_copy_failure(folder, &error))?;
         files.into_iter().map(|file| (file, None)).collect()
     };
     let (mut sums, mut bytes) = (String::new(), 0);
@@ -71,7 +71,7 @@ pub fn read_folder(
         let (sum, length) =
             read_file(&folder.join(file), |length, reader| take(file, length, reader)).map_err(
                 |unsound| match unsound {
-                    CopyFailure::Gone if folder.is_dir() => {
+                    CopyFailure::Missing if folder.is_dir() => {
                         CopyFailure::Damaged(format!("{file} missing"))
                     }
                     CopyFailure::Damaged(what) => CopyFailure::Damaged(format!("{file} {what}")),
@@ -94,7 +94,7 @@ pub fn read_file(
 ) -> Result<(String, u64), CopyFailure> {
     let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
     let (length, file) = opened.map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => CopyFailure::Gone,
+        io::ErrorKind::NotFound => CopyFailure::Missing,
         _ => CopyFailure::Damaged(error.to_string()),
     })?;
     let mut summing = HashingReader { file, hasher: Sha256::new(), failed: None };
@@ -107,9 +107,9 @@ pub fn read_file(
     }
 }
 
-fn lost_or(folder: &Utf8Path, error: &io::Error) -> CopyFailure {
+fn to_copy_failure(folder: &Utf8Path, error: &io::Error) -> CopyFailure {
     match error.kind() {
-        io::ErrorKind::NotFound if !folder.is_dir() => CopyFailure::Gone,
+        io::ErrorKind::NotFound if !folder.is_dir() => CopyFailure::Missing,
         _ => CopyFailure::Damaged(error.to_string()),
     }
 }
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_read_whole_or_told_to_be_unsound() {
+    fn a_folder_is_read_completely_or_reported_as_damaged() {
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();
         fs::create_dir(folder.join("views")).unwrap();

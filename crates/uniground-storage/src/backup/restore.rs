@@ -2,12 +2,12 @@
 
 use super::BackupError;
 use super::manifest::{self, BackupFolder, Manifest, hex};
-use super::reading::{CopiedFolder, CopyFailure, read_file, read_folder, sums_of};
+use super::reading::{CopiedFolder, CopyFailure, read_checksum_file, read_file, read_folder};
 use super::sink::copy_folder;
 use super::snapshot::rename_folder;
 use crate::StoreError;
 use crate::blobs::checksums::sync_everything;
-use crate::data_folder::{DATABASE, LOCK, is_harmless, mark};
+use crate::data_folder::{DATABASE, LOCK, is_harmless, write_marker};
 use crate::database::Engine;
 use crate::migrations::MIGRATIONS;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
@@ -29,7 +29,7 @@ pub enum BackupSource {
 impl BackupSource {
     /// Interprets a path on the command line.
     #[must_use]
-    pub fn of(path: &Utf8Path) -> Self {
+    pub fn from_path(path: &Utf8Path) -> Self {
         match path.as_str() {
             "-" => Self::Stdin,
             _ if path.is_dir() => Self::Folder(path.to_owned()),
@@ -60,9 +60,9 @@ const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// What a caller needs from a backup.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum ManifestRequest {
-    Everything,
+    Full,
     /// Only to check it.
-    Word,
+    CheckOnly,
 }
 
 /// How a backup's folders are read.
@@ -72,7 +72,7 @@ enum FolderTransfer {
     /// It was unpacked to a temporary folder, so it can be moved.
     Move,
     /// Folders are checked and stay where they are.
-    Look,
+    CheckOnly,
 }
 
 /// Restores a backup to a data folder. Every byte is checked before anything is moved into place.
@@ -88,15 +88,15 @@ pub async fn restore(
         spawn_blocking(move || RestoreTarget::open(path)).await.map_err(io::Error::other)??;
     // Dropping it removes everything that is unfinished.
     let gathering = spawn_blocking(move || {
-        let gathered = gather(&source, &place.staging(), ManifestRequest::Everything)?;
+        let gathered = stage_backup(&source, &place.staging(), ManifestRequest::Full)?;
         Ok::<_, BackupError>((place, gathered))
     });
     let (place, manifest) = gathering.await.map_err(io::Error::other)??;
     let id = Uuid::new_v4().to_string();
     rename_folder(&place.staging().join(NEW).join(DATABASE), &id).await?;
     spawn_blocking(move || {
-        place.settle(&id)?;
-        Ok(RestoreReport::of(manifest))
+        place.move_into_place(&id)?;
+        Ok(RestoreReport::from_manifest(manifest))
     })
     .await
     .map_err(io::Error::other)?
@@ -110,13 +110,17 @@ pub async fn check(source: BackupSource) -> Result<RestoreReport, BackupError> {
     let looking = spawn_blocking(move || {
         let scratch = tempfile::tempdir()?;
         let staging = Utf8PathBuf::try_from(scratch.path().to_owned()).map_err(io::Error::other)?;
-        Ok(RestoreReport::of(gather(&source, &staging, ManifestRequest::Word)?))
+        Ok(RestoreReport::from_manifest(stage_backup(
+            &source,
+            &staging,
+            ManifestRequest::CheckOnly,
+        )?))
     });
     looking.await.map_err(io::Error::other)?
 }
 
 impl RestoreReport {
-    fn of(manifest: Manifest) -> Self {
+    fn from_manifest(manifest: Manifest) -> Self {
         let Manifest { program, taken_at, database, scenes, answers, folders, left_out, .. } =
             manifest;
         Self {
@@ -178,13 +182,13 @@ impl RestoreTarget {
     }
 
     /// Moves everything into place. The marker, by which a server knows the folder, comes last.
-    fn settle(&self, id: &str) -> io::Result<()> {
+    fn move_into_place(&self, id: &str) -> io::Result<()> {
         let new = self.staging().join(NEW);
         sync_everything(&self.data_dir)?;
         for part in ["blobs", DATABASE] {
             fs::rename(new.join(part), self.data_dir.join(part))?;
         }
-        mark(&self.data_dir, id, Engine::Sqlite)
+        write_marker(&self.data_dir, id, Engine::Sqlite)
     }
 }
 
@@ -202,7 +206,7 @@ impl Drop for RestoreTarget {
 }
 
 /// Copies or moves the content of a backup to a staging folder, and checks it.
-fn gather(
+fn stage_backup(
     source: &BackupSource,
     staging: &Utf8Path,
     wanted: ManifestRequest,
@@ -221,9 +225,9 @@ fn gather(
             (unpacked.as_path(), FolderTransfer::Move)
         }
     };
-    let take = if wanted == ManifestRequest::Word { FolderTransfer::Look } else { take };
+    let take = if wanted == ManifestRequest::CheckOnly { FolderTransfer::CheckOnly } else { take };
     let manifest = match fs::read(folder.join(manifest::FILE)) {
-        Ok(bytes) => Manifest::open(&bytes)?,
+        Ok(bytes) => Manifest::from_sealed_bytes(&bytes)?,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             return Err(BackupError::Unknown { why: format!("it has no {}", manifest::FILE) });
         }
@@ -234,14 +238,14 @@ fn gather(
     }
     let new = staging.join(NEW);
     fs::create_dir_all(new.join("blobs"))?;
-    bring_database(&manifest, folder, &new.join(DATABASE))?;
+    restore_database(&manifest, folder, &new.join(DATABASE))?;
     for kept in &manifest.folders {
-        bring_folder(kept, folder, &new, take)?;
+        restore_folder(kept, folder, &new, take)?;
     }
     Ok(manifest)
 }
 
-fn bring_database(
+fn restore_database(
     manifest: &Manifest,
     folder: &Utf8Path,
     to: &Utf8Path,
@@ -253,11 +257,11 @@ fn bring_database(
     match copied {
         Ok((sum, _)) if sum == *sha256 => Ok(()),
         Ok(_) => Err(damaged(file, "damaged")),
-        Err(unsound) => Err(unsound_error(file, unsound)),
+        Err(unsound) => Err(to_backup_error(file, unsound)),
     }
 }
 
-fn bring_folder(
+fn restore_folder(
     kept: &BackupFolder,
     folder: &Utf8Path,
     new: &Utf8Path,
@@ -265,22 +269,22 @@ fn bring_folder(
 ) -> Result<(), BackupError> {
     let below = format!("blobs/{}/{}", kept.kind, kept.name);
     let (from, to) = (folder.join(&below), new.join(&below));
-    let sums = sums_of(&from).map_err(|unsound| unsound_error(&below, unsound))?;
+    let sums = read_checksum_file(&from).map_err(|unsound| to_backup_error(&below, unsound))?;
     if sums.is_none_or(|sums| hex(&Sha256::digest(sums)) != kept.sha256) {
         return Err(damaged(&below, ".sha256sums damaged"));
     }
     let read: Result<CopiedFolder, CopyFailure> = match take {
         FolderTransfer::Copy => copy_folder(&from, &to),
-        FolderTransfer::Move | FolderTransfer::Look => {
+        FolderTransfer::Move | FolderTransfer::CheckOnly => {
             read_folder(&from, |_, _, reader| io::copy(reader, &mut io::sink()).map(drop))
         }
     };
-    read.map_err(|unsound| unsound_error(&below, unsound))?;
+    read.map_err(|unsound| to_backup_error(&below, unsound))?;
     if take == FolderTransfer::Move {
         fs::create_dir_all(to.parent().unwrap_or(new))?;
         fs::rename(&from, &to)?;
     }
-    if take == FolderTransfer::Look {
+    if take == FolderTransfer::CheckOnly {
         return Ok(());
     }
     // Keep the original time, so that retention counts from it.
@@ -292,9 +296,9 @@ fn damaged(place: &str, what: &str) -> BackupError {
     BackupError::Damaged { what: format!("{place}: {what}") }
 }
 
-fn unsound_error(place: &str, unsound: CopyFailure) -> BackupError {
+fn to_backup_error(place: &str, unsound: CopyFailure) -> BackupError {
     match unsound {
-        CopyFailure::Gone => damaged(place, "missing"),
+        CopyFailure::Missing => damaged(place, "missing"),
         CopyFailure::Damaged(what) => damaged(place, &what),
         CopyFailure::NotWritten(error) => error.into(),
     }

@@ -1,7 +1,9 @@
 //! The target of a backup: a folder that is updated, or an archive that is written sequentially.
 
 use super::manifest::{self, BackupFolder, DatabaseEntry, Manifest, hex};
-use super::reading::{CopiedFolder, CopyFailure, listed, read_file, read_folder, sums_of};
+use super::reading::{
+    CopiedFolder, CopyFailure, parse_checksums, read_checksum_file, read_file, read_folder,
+};
 use super::{BackupError, KINDS};
 use crate::blobs::checksums::{SUMS, sync_everything};
 use crate::data_folder::write_synced;
@@ -27,7 +29,7 @@ pub enum BackupTarget {
 impl BackupTarget {
     /// Interprets a path on the command line.
     #[must_use]
-    pub fn of(path: &Utf8Path) -> Self {
+    pub fn from_path(path: &Utf8Path) -> Self {
         let packed = path.extension() == Some("zst");
         let name = if packed { path.with_extension("") } else { path.to_owned() };
         match name.extension() {
@@ -79,7 +81,7 @@ impl BackupSink {
     }
 
     /// Returns a file name for a snapshot of the database, where there is space for it.
-    pub fn room_for_database(&self) -> Utf8PathBuf {
+    pub fn database_snapshot_path(&self) -> Utf8PathBuf {
         match self {
             Self::Folder(sink) => sink.folder.join(UNFINISHED).join("database"),
             Self::Archive(sink) => {
@@ -90,7 +92,7 @@ impl BackupSink {
     }
 
     /// Adds a published folder. The flag says whether it is new in the backup.
-    pub fn put(
+    pub fn add_folder(
         &mut self,
         kind: &str,
         name: &str,
@@ -98,10 +100,10 @@ impl BackupSink {
     ) -> Result<(BackupFolder, bool), CopyFailure> {
         let published = fs::metadata(source)
             .and_then(|folder| folder.modified())
-            .map_err(|_| CopyFailure::Gone)?;
+            .map_err(|_| CopyFailure::Missing)?;
         let (whole, is_new) = match self {
-            Self::Folder(sink) => sink.put(kind, name, source)?,
-            Self::Archive(sink) => (sink.put(kind, name, source)?, true),
+            Self::Folder(sink) => sink.add_folder(kind, name, source)?,
+            Self::Archive(sink) => (sink.add_folder(kind, name, source)?, true),
         };
         let CopiedFolder { sums, files, bytes } = whole;
         let published_s = published.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
@@ -117,7 +119,7 @@ impl BackupSink {
     }
 
     /// Adds the final snapshot of the database.
-    pub fn put_database(&mut self, snapshot: &Utf8Path) -> Result<DatabaseEntry, BackupError> {
+    pub fn add_database(&mut self, snapshot: &Utf8Path) -> Result<DatabaseEntry, BackupError> {
         let unreadable = |_| BackupError::File {
             file: snapshot.to_owned(),
             source: io::Error::other("it can not be read"),
@@ -183,14 +185,14 @@ impl FolderSink {
         Ok(Self { folder, _lock: lock })
     }
 
-    fn put(
+    fn add_folder(
         &mut self,
         kind: &str,
         name: &str,
         source: &Utf8Path,
     ) -> Result<(CopiedFolder, bool), CopyFailure> {
         let place = self.folder.join("blobs").join(kind).join(name);
-        if let Some(whole) = same(source, &place)? {
+        if let Some(whole) = find_identical(source, &place)? {
             return Ok((whole, false));
         }
         let unfinished = self.folder.join(UNFINISHED).join(name);
@@ -209,7 +211,7 @@ impl FolderSink {
     fn finish(self, manifest: &Manifest) -> Result<(), BackupError> {
         fs::remove_dir_all(self.folder.join(UNFINISHED))?;
         sync_everything(&self.folder)?;
-        write_synced(&self.folder.join(manifest::FILE), &manifest.sealed()?)?;
+        write_synced(&self.folder.join(manifest::FILE), &manifest.to_sealed_bytes()?)?;
         // The previous manifest is gone: remove the folders that only it referred to.
         let kept: HashSet<(&str, &str)> =
             manifest.folders.iter().map(|kept| (kept.kind.as_str(), kept.name.as_str())).collect();
@@ -248,15 +250,18 @@ pub fn copy_folder(source: &Utf8Path, to: &Utf8Path) -> Result<CopiedFolder, Cop
 }
 
 /// Returns a folder that the backup has already, if it equals the source.
-fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<CopiedFolder>, CopyFailure> {
-    let Ok(Some(sums)) = sums_of(place) else { return Ok(None) };
+fn find_identical(
+    source: &Utf8Path,
+    place: &Utf8Path,
+) -> Result<Option<CopiedFolder>, CopyFailure> {
+    let Ok(Some(sums)) = read_checksum_file(place) else { return Ok(None) };
     // A folder from before checksums were stored got them when it was first copied. Its name
     // identifies its content, then as now.
-    if sums_of(source)?.is_some_and(|own| own != sums) {
+    if read_checksum_file(source)?.is_some_and(|own| own != sums) {
         return Ok(None);
     }
     let (mut files, mut bytes) = (0, 0);
-    for (file, _) in listed(&sums)? {
+    for (file, _) in parse_checksums(&sums)? {
         match (fs::metadata(place.join(&file)), fs::metadata(source.join(&file))) {
             (Ok(copy), Ok(own)) if copy.len() == own.len() => {
                 (files, bytes) = (files + 1, bytes + copy.len());
@@ -269,17 +274,17 @@ fn same(source: &Utf8Path, place: &Utf8Path) -> Result<Option<CopiedFolder>, Cop
 
 /// A stream that must be finished explicitly.
 trait Finish: Write + Send {
-    fn done(self: Box<Self>) -> io::Result<()>;
+    fn finish_stream(self: Box<Self>) -> io::Result<()>;
 }
 
 impl<W: Write + Send> Finish for BufWriter<W> {
-    fn done(mut self: Box<Self>) -> io::Result<()> {
+    fn finish_stream(mut self: Box<Self>) -> io::Result<()> {
         self.flush()
     }
 }
 
 impl Finish for zstd::Encoder<'static, File> {
-    fn done(self: Box<Self>) -> io::Result<()> {
+    fn finish_stream(self: Box<Self>) -> io::Result<()> {
         self.finish()?.flush()
     }
 }
@@ -316,7 +321,7 @@ impl ArchiveSink {
         self.archive.append_data(&mut header, path, reader)
     }
 
-    fn put(
+    fn add_folder(
         &mut self,
         kind: &str,
         name: &str,
@@ -338,14 +343,14 @@ impl ArchiveSink {
     }
 
     fn finish(mut self, manifest: &Manifest) -> Result<(), BackupError> {
-        let manifest = manifest.sealed()?;
+        let manifest = manifest.to_sealed_bytes()?;
         self.append(
             manifest::FILE,
             manifest.len() as u64,
             SystemTime::now(),
             &mut manifest.as_slice(),
         )?;
-        self.archive.into_inner()?.done()?;
+        self.archive.into_inner()?.finish_stream()?;
         if let Some((unfinished, file)) = self.file {
             unfinished.as_file().sync_all()?;
             unfinished

@@ -10,7 +10,7 @@ use std::time::Duration;
 use std::{fs, io};
 
 /// Timeout for locks that a server holds.
-const PATIENCE: Duration = Duration::from_secs(30);
+const BUSY_TIMEOUT: Duration = Duration::from_secs(30);
 /// Names looked up in one query.
 const CHUNK: usize = 500;
 
@@ -121,5 +121,5 @@ async fn try_to_open_source(database: &Utf8Path) -> Result<SqliteConnection, Sto
 }
 
 fn read_only(database: &Utf8Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new().filename(database).read_only(true).busy_timeout(PATIENCE)
+    SqliteConnectOptions::new().filename(database).read_only(true).busy_timeout(BUSY_TIMEOUT)
 }

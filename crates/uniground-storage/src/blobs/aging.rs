@@ -18,7 +18,7 @@ impl Blobs {
     ///
     /// # Errors
     /// Errors of the file system; the object store cannot be used.
-    pub fn older_than(
+    pub fn list_folders_older_than(
         &self,
         kind: &'static str,
         age: Duration,
@@ -26,7 +26,7 @@ impl Blobs {
     ) -> io::Result<Vec<String>> {
         let is_old = |made: SystemTime| now.duration_since(made).unwrap_or_default() > age;
         if let Some(shared) = &self.shared {
-            let found = shared.objects.wait(shared.objects.folders(kind))?;
+            let found = shared.objects.block_on(shared.objects.folders(kind))?;
             return Ok(found
                 .into_iter()
                 .filter(|(_, found)| found.sealed.is_some_and(is_old))
@@ -35,7 +35,7 @@ impl Blobs {
         }
         let mut old = Vec::new();
         for name in self.names(kind)? {
-            match fs::metadata(self.place(kind, &name)).and_then(|folder| folder.modified()) {
+            match fs::metadata(self.folder_path(kind, &name)).and_then(|folder| folder.modified()) {
                 Ok(made) if is_old(made) => old.push(name),
                 Ok(_) => {}
                 // Another process removed it.
@@ -86,44 +86,44 @@ mod tests {
 
     const DAY: Duration = Duration::from_hours(24);
 
-    fn opened(data: &tempfile::TempDir) -> Blobs {
+    fn open_blobs(data: &tempfile::TempDir) -> Blobs {
         Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &super::super::BlobHome::Folder,
-            super::super::FileAccess::Used,
+            super::super::FileAccess::ReadWrite,
         )
         .unwrap()
     }
 
     #[test]
-    fn folders_are_as_old_as_their_last_change() {
+    fn folder_age_is_that_of_the_last_change() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         for id in ["a", "b"] {
             fs::create_dir(blobs.answer(id)).unwrap();
         }
         let now = SystemTime::now();
         File::open(blobs.answer("b")).unwrap().set_modified(now - DAY * 3).unwrap();
-        assert_eq!(blobs.older_than("answers", DAY, now).unwrap(), ["b"]);
-        let mut all = blobs.older_than("answers", DAY, now + DAY * 2).unwrap();
+        assert_eq!(blobs.list_folders_older_than("answers", DAY, now).unwrap(), ["b"]);
+        let mut all = blobs.list_folders_older_than("answers", DAY, now + DAY * 2).unwrap();
         all.sort();
         assert_eq!(all, ["a", "b"]);
     }
 
     /// Opening a log updates its time; starting a parse updates the time of the folder.
     #[test]
-    fn checkpoints_are_in_order_of_their_last_use() {
+    fn checkpoints_are_listed_by_last_use() {
         let data = tempfile::tempdir().unwrap();
-        let (blobs, now) = (opened(&data), SystemTime::now());
+        let (blobs, now) = (open_blobs(&data), SystemTime::now());
         for (hash, days) in [("first", 9), ("second", 5), ("third", 7)] {
-            let folder = blobs.use_checkpoints(hash).unwrap();
+            let folder = blobs.open_checkpoints(hash).unwrap();
             fs::write(folder.join("stage.log"), "four").unwrap();
             File::open(folder.join("stage.log")).unwrap().set_modified(now - DAY * 10).unwrap();
             File::open(folder).unwrap().set_modified(now - DAY * days).unwrap();
         }
         let order = || {
             blobs
-                .kept_checkpoints()
+                .list_checkpoints()
                 .unwrap()
                 .into_iter()
                 .map(|kept| (kept.hash, kept.bytes))
@@ -134,7 +134,7 @@ mod tests {
             [("first", 4), ("third", 4), ("second", 4)]
                 .map(|(hash, bytes)| (hash.to_owned(), bytes))
         );
-        blobs.use_checkpoints("first").unwrap();
+        blobs.open_checkpoints("first").unwrap();
         assert_eq!(order()[2].0, "first");
     }
 }

@@ -20,7 +20,7 @@ pub struct FolderCache {
     most: u64,
     tmp: Utf8PathBuf,
     runtime: Handle,
-    here: Mutex<CacheState>,
+    state: Mutex<CacheState>,
     /// Keeps other processes from using the same cache.
     _lock: Option<File>,
 }
@@ -38,7 +38,7 @@ struct CachedFolder {
     bytes: u64,
     used: u64,
     /// Every user of the folder holds a clone of this; a user that adds files also holds the lock.
-    turn: Arc<Mutex<()>>,
+    download_lock: Arc<Mutex<()>>,
 }
 
 /// Keeps a folder in the cache while it lives.
@@ -46,21 +46,23 @@ struct CachedFolder {
 pub struct FolderPin {
     cache: Arc<FolderCache>,
     place: Utf8PathBuf,
-    turn: Option<Arc<Mutex<()>>>,
+    download_lock: Option<Arc<Mutex<()>>>,
 }
 
 impl FolderPin {
     /// Locks the folder for adding files; blocks.
-    pub fn turn(&self) -> Option<MutexGuard<'_, ()>> {
-        self.turn.as_ref().map(|turn| turn.lock().unwrap_or_else(PoisonError::into_inner))
+    pub fn lock_for_download(&self) -> Option<MutexGuard<'_, ()>> {
+        self.download_lock
+            .as_ref()
+            .map(|download_lock| download_lock.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
 impl Drop for FolderPin {
     fn drop(&mut self) {
-        self.turn = None;
-        self.cache.forget_nothing(&self.place);
-        self.cache.make_room();
+        self.download_lock = None;
+        self.cache.drop_missing_entry(&self.place);
+        self.cache.evict_least_recently_used();
     }
 }
 
@@ -72,7 +74,7 @@ pub struct PinnedPath {
 }
 
 impl PinnedPath {
-    pub(super) fn held(path: Utf8PathBuf, held: FolderPin) -> Self {
+    pub(super) fn with_pin(path: Utf8PathBuf, held: FolderPin) -> Self {
         Self { path, _held: Some(held) }
     }
 }
@@ -109,61 +111,63 @@ impl FolderCache {
         lock: impl Into<Option<File>>,
     ) -> Arc<Self> {
         found.sort();
-        let mut here = CacheState::default();
+        let mut state = CacheState::default();
         for (_, place, bytes) in found {
-            here.touch(&place).bytes = bytes;
-            here.bytes += bytes;
+            state.touch(&place).bytes = bytes;
+            state.bytes += bytes;
         }
         let cache = Arc::new(Self {
             most,
             tmp: tmp.to_owned(),
             runtime,
-            here: Mutex::new(here),
+            state: Mutex::new(state),
             _lock: lock.into(),
         });
-        cache.make_room();
+        cache.evict_least_recently_used();
         cache
     }
 
-    fn here(&self) -> MutexGuard<'_, CacheState> {
-        self.here.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock_state(&self) -> MutexGuard<'_, CacheState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Pins a folder, if it exists.
-    pub fn hold(self: &Arc<Self>, place: &Utf8Path) -> FolderPin {
-        let turn = self.here().touch(place).turn.clone();
-        FolderPin { cache: self.clone(), place: place.to_owned(), turn: Some(turn) }
+    pub fn pin(self: &Arc<Self>, place: &Utf8Path) -> FolderPin {
+        let download_lock = self.lock_state().touch(place).download_lock.clone();
+        FolderPin {
+            cache: self.clone(),
+            place: place.to_owned(),
+            download_lock: Some(download_lock),
+        }
     }
 
     /// Drops the entry of a folder that turned out not to exist.
-    fn forget_nothing(&self, place: &Utf8Path) {
-        let mut here = self.here();
-        if here
-            .folders
-            .get(place)
-            .is_some_and(|folder| folder.bytes == 0 && Arc::strong_count(&folder.turn) == 1)
-        {
-            here.folders.remove(place);
+    fn drop_missing_entry(&self, place: &Utf8Path) {
+        let mut state = self.lock_state();
+        if state.folders.get(place).is_some_and(|folder| {
+            folder.bytes == 0 && Arc::strong_count(&folder.download_lock) == 1
+        }) {
+            state.folders.remove(place);
         }
     }
 
     /// Records that a folder has grown.
     pub fn add(&self, place: &Utf8Path, bytes: u64) {
-        let mut here = self.here();
-        here.touch(place).bytes += bytes;
-        here.bytes += bytes;
-        drop(here);
-        self.make_room();
+        let mut state = self.lock_state();
+        state.touch(place).bytes += bytes;
+        state.bytes += bytes;
+        drop(state);
+        self.evict_least_recently_used();
     }
 
     /// Moves the content of a pinned folder away, so that its user can download it again.
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn empty(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
-        let mut here = self.here();
-        let bytes = std::mem::take(&mut here.touch(place).bytes);
-        here.bytes -= bytes;
+    pub fn move_content_away(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
+        let mut state = self.lock_state();
+        let bytes = std::mem::take(&mut state.touch(place).bytes);
+        state.bytes -= bytes;
         self.move_away(place)
     }
 
@@ -172,10 +176,10 @@ impl FolderCache {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn take(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
-        let mut here = self.here();
-        if let Some(folder) = here.folders.remove(place) {
-            here.bytes -= folder.bytes;
+    pub fn move_folder_away(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
+        let mut state = self.lock_state();
+        if let Some(folder) = state.folders.remove(place) {
+            state.bytes -= folder.bytes;
         }
         self.move_away(place)
     }
@@ -192,23 +196,25 @@ impl FolderCache {
     /// Returns the bytes of all cached folders.
     #[cfg(test)]
     pub fn bytes(&self) -> u64 {
-        self.here().bytes
+        self.lock_state().bytes
     }
 
     /// Evicts the least recently used folders until the rest is within the limit.
-    fn make_room(&self) {
+    fn evict_least_recently_used(&self) {
         let mut aside = Vec::new();
-        let mut here = self.here();
-        while here.bytes > self.most {
-            let unused =
-                here.folders.iter().filter(|(_, folder)| Arc::strong_count(&folder.turn) == 1);
+        let mut state = self.lock_state();
+        while state.bytes > self.most {
+            let unused = state
+                .folders
+                .iter()
+                .filter(|(_, folder)| Arc::strong_count(&folder.download_lock) == 1);
             let Some(place) =
                 unused.min_by_key(|(_, folder)| folder.used).map(|(place, _)| place.clone())
             else {
                 break;
             };
-            let Some(folder) = here.folders.remove(&place) else { break };
-            here.bytes -= folder.bytes;
+            let Some(folder) = state.folders.remove(&place) else { break };
+            state.bytes -= folder.bytes;
             // The lock is held: no task can start to use the folder meanwhile.
             match self.move_away(&place) {
                 Ok(gone) => aside.extend(gone),
@@ -217,7 +223,7 @@ impl FolderCache {
                 }
             }
         }
-        drop(here);
+        drop(state);
         if !aside.is_empty() {
             let tmp = self.tmp.clone();
             self.runtime.spawn_blocking(move || {
@@ -252,14 +258,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_not_used_for_longest_goes_and_what_is_in_use_stays() {
+    async fn the_least_recently_used_folder_is_evicted_unless_pinned() {
         let root = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(root.path()).unwrap();
         let tmp = folder(root, "tmp");
         let [a, b, c, d] = ["a", "b", "c", "d"].map(|name| folder(root, name));
         let cache = FolderCache::new(20, &tmp, Handle::current(), Vec::new(), None);
         cache.add(&a, 10);
-        let in_use = cache.hold(&a);
+        let in_use = cache.pin(&a);
         cache.add(&b, 10);
         cache.add(&c, 10);
         assert_eq!(
@@ -267,8 +273,8 @@ mod tests {
             [true, false, true, true]
         );
         // All are in use: the cache exceeds its limit only as long as that lasts.
-        let also = cache.hold(&c);
-        let last = cache.hold(&d);
+        let also = cache.pin(&c);
+        let last = cache.pin(&d);
         cache.add(&d, 10);
         assert_eq!((a.exists(), c.exists(), d.exists(), cache.bytes()), (true, true, true, 30));
         drop(also);
@@ -278,7 +284,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_lies_there_already_goes_by_its_age() {
+    async fn existing_folders_are_evicted_by_age() {
         let root = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(root.path()).unwrap();
         let tmp = folder(root, "tmp");

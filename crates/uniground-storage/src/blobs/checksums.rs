@@ -37,9 +37,9 @@ pub type Sums = BTreeMap<Utf8PathBuf, String>;
 /// Writes the checksums of `folder` after the line `head`, and syncs everything to disk. Files with
 /// known checksums are not read again.
 pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
-    let files = files_below(folder)?;
+    let files = list_files(folder)?;
     if files.len() <= SYNC_ONE_BY_ONE {
-        fs::write(folder.join(SUMS), sums_of(folder, &files, known, head)?)?;
+        fs::write(folder.join(SUMS), compute_checksums(folder, &files, known, head)?)?;
         let folders: std::collections::BTreeSet<_> = files
             .iter()
             .filter_map(|file| file.parent())
@@ -52,7 +52,7 @@ pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
     // The disk writes while the checksums are computed; only the checksums themselves remain.
     let sums = std::thread::scope(|scope| {
         let synced = scope.spawn(|| sync_everything(folder));
-        let sums = sums_of(folder, &files, known, head)?;
+        let sums = compute_checksums(folder, &files, known, head)?;
         synced.join().map_err(|_| io::Error::other("the disk could not be waited for"))??;
         Ok::<_, io::Error>(sums)
     })?;
@@ -73,7 +73,7 @@ pub fn sync(
     File::open(folder)?.sync_all()
 }
 
-fn sums_of(
+fn compute_checksums(
     folder: &Utf8Path,
     files: &[Utf8PathBuf],
     known: &Sums,
@@ -82,7 +82,7 @@ fn sums_of(
     let mut sums = head.to_owned();
     for file in files {
         let sum =
-            known.get(file).map_or_else(|| hash_of(&folder.join(file)), |sum| Ok(sum.clone()))?;
+            known.get(file).map_or_else(|| hash_file(&folder.join(file)), |sum| Ok(sum.clone()))?;
         let _ = writeln!(sums, "{sum}  {file}");
     }
     Ok(sums)
@@ -101,8 +101,8 @@ pub fn sync_everything(_: &Utf8Path) -> io::Result<()> {
 
 /// Adds the files of a sealed folder to `to`, below `below`, as hard links where the disk supports
 /// them. Returns their checksums.
-pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<Sums> {
-    for file in files_below(sealed)? {
+pub fn link_files(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<Sums> {
+    for file in list_files(sealed)? {
         let (from, place) = (sealed.join(&file), to.join(below).join(&file));
         fs::create_dir_all(place.parent().unwrap_or(to))?;
         // Published files never change, so two names may share one file.
@@ -120,7 +120,7 @@ pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<S
 
 /// Checks a folder and returns its damaged files. A folder without checksums passes as long as it
 /// exists.
-pub fn look(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFile>> {
+pub fn check_folder(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFile>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => sums,
         // A folder from before checksums were stored.
@@ -128,7 +128,7 @@ pub fn look(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFil
             return Ok(Vec::new());
         }
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            return Ok(vec![damage("", "missing")]);
+            return Ok(vec![damaged_file("", "missing")]);
         }
         Err(error) => return Err(error),
     };
@@ -139,26 +139,26 @@ pub fn look(folder: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFil
         let path = folder.join(file);
         match closely {
             CheckDepth::Names if path.is_file() => {}
-            CheckDepth::Names => wrong.push(damage(file, "missing")),
-            CheckDepth::Bytes => match hash_of(&path) {
+            CheckDepth::Names => wrong.push(damaged_file(file, "missing")),
+            CheckDepth::Bytes => match hash_file(&path) {
                 Ok(found) if found == sum => {}
-                Ok(_) => wrong.push(damage(file, "damaged")),
+                Ok(_) => wrong.push(damaged_file(file, "damaged")),
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                    wrong.push(damage(file, "missing"));
+                    wrong.push(damaged_file(file, "missing"));
                 }
-                Err(error) => wrong.push(damage(file, &error.to_string())),
+                Err(error) => wrong.push(damaged_file(file, &error.to_string())),
             },
         }
     }
     if closely == CheckDepth::Bytes {
-        let orphan_folders = files_below(folder)?.into_iter().filter(|file| !known.contains(file));
-        wrong.extend(orphan_folders.map(|file| damage(file.as_str(), "stray")));
+        let orphan_folders = list_files(folder)?.into_iter().filter(|file| !known.contains(file));
+        wrong.extend(orphan_folders.map(|file| damaged_file(file.as_str(), "stray")));
     }
     Ok(wrong)
 }
 
 /// Checks one file of a folder. A file without a checksum passes.
-pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedFile>> {
+pub fn check_file(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedFile>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         sums => sums?,
@@ -168,12 +168,12 @@ pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedF
     else {
         return Ok(None);
     };
-    Ok((hash_of(&folder.join(file))? != sum).then(|| damage(file.as_str(), "damaged")))
+    Ok((hash_file(&folder.join(file))? != sum).then(|| damaged_file(file.as_str(), "damaged")))
 }
 
 /// Returns whether a folder was sealed with this file. Without a seal, returns whether the file
 /// exists.
-pub fn holds(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
+pub fn has_file(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
     match fs::read_to_string(folder.join(SUMS)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(folder.join(file).is_file()),
         sums => {
@@ -182,12 +182,12 @@ pub fn holds(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
     }
 }
 
-fn damage(file: &str, what: &str) -> DamagedFile {
+fn damaged_file(file: &str, what: &str) -> DamagedFile {
     DamagedFile { file: file.into(), what: what.to_owned() }
 }
 
 /// Returns the regular files below a folder, sorted, without the list of checksums.
-pub fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
+pub fn list_files(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
     let (mut files, mut folders) = (Vec::new(), vec![Utf8PathBuf::new()]);
     while let Some(below) = folders.pop() {
         for entry in folder.join(&below).read_dir_utf8()? {
@@ -204,7 +204,7 @@ pub fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
     Ok(files)
 }
 
-pub fn hash_of(file: &Utf8Path) -> io::Result<String> {
+pub fn hash_file(file: &Utf8Path) -> io::Result<String> {
     let (mut source, mut hasher, mut buffer) =
         (File::open(file)?, Sha256::new(), vec![0; 256 << 10]);
     loop {
@@ -221,7 +221,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_upload_may_bring_checksums_of_its_own() {
+    fn uploads_cannot_contain_a_checksum_file() {
         assert!(uniground_ingest::is_reserved(Utf8Path::new(SUMS)));
     }
 }

@@ -77,7 +77,7 @@ impl GrowingFile {
 
     /// Returns the bytes that a power failure would lose.
     #[must_use]
-    pub fn unsaved(&self) -> u64 {
+    pub fn unsaved_bytes(&self) -> u64 {
         self.bytes - self.saved
     }
 
@@ -106,7 +106,7 @@ impl GrowingFile {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn head(&self, most: usize) -> io::Result<Vec<u8>> {
+    pub fn read_head(&self, most: usize) -> io::Result<Vec<u8>> {
         let mut head = vec![0; most.min(usize::try_from(self.bytes).unwrap_or(most))];
         self.file.read_exact_at(&mut head, 0)?;
         Ok(head)

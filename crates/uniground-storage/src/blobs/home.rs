@@ -17,7 +17,7 @@ use std::{fmt, io};
 use tokio::task::spawn_blocking;
 
 /// The file in `blobs/` that marks it as a cache, and names the object store.
-pub const CACHE_OF: &str = "copies-of.json";
+pub const CACHE_MARKER: &str = "copies-of.json";
 
 /// Where folders are stored, as configured.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -63,8 +63,8 @@ pub enum BlobHome {
 /// Whether the opened store will access files, or rows only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileAccess {
-    Used,
-    Untouched,
+    ReadWrite,
+    RowsOnly,
 }
 
 /// The object store that a folder holds copies of.
@@ -81,8 +81,8 @@ impl Blobs {
         home: &BlobHome,
         files: FileAccess,
     ) -> Result<Self, StoreError> {
-        let blobs = Self::below(data_dir, WriteMode::Free);
-        let kept_in = kept_in(data_dir)?;
+        let blobs = Self::for_data_dir(data_dir, WriteMode::ReadWrite);
+        let kept_in = read_source_store(data_dir)?;
         if let (BlobHome::Folder, Some(CopiesOf { bucket, .. })) = (home, &kept_in) {
             return Err(StoreError::BlobsElsewhere { kept_in: bucket.clone() });
         }
@@ -96,32 +96,34 @@ impl Blobs {
         };
         let objects = bucket.objects(keys.as_ref(), *links, *grace)?;
         match files {
-            FileAccess::Used => blobs.copying(objects, &bucket.to_string(), kept_in, *cache_bytes),
-            FileAccess::Untouched => {
-                let id = objects.wait(objects.id())?;
-                Ok(Self { id: Some(id.into()), hands: WriteMode::Tied, ..blobs })
+            FileAccess::ReadWrite => {
+                blobs.with_object_store(objects, &bucket.to_string(), kept_in, *cache_bytes)
+            }
+            FileAccess::RowsOnly => {
+                let id = objects.block_on(objects.id())?;
+                Ok(Self { id: Some(id.into()), hands: WriteMode::ReadOnly, ..blobs })
             }
         }
     }
 
     /// Turns these folders into a cache of an object store, given its name and the store they
     /// cached before; blocks.
-    pub(super) fn copying(
+    pub(super) fn with_object_store(
         self,
         objects: Objects,
         bucket: &str,
         known: Option<CopiesOf>,
         cache_bytes: u64,
     ) -> Result<Self, StoreError> {
-        let id = objects.wait(objects.id())?;
-        let mark = self.root.join(CACHE_OF);
+        let id = objects.block_on(objects.id())?;
+        let mark = self.root.join(CACHE_MARKER);
         match known {
-            Some(known) if known.id != id => return Err(StoreError::NotTogether),
+            Some(known) if known.id != id => return Err(StoreError::StoresDoNotMatch),
             Some(_) => {}
             None => {
                 for kind in SEALED {
                     if !self.names(kind)?.is_empty() {
-                        return Err(StoreError::BlobsHere);
+                        return Err(StoreError::FolderHasOwnBlobs);
                     }
                 }
                 write_synced(
@@ -143,7 +145,7 @@ impl Blobs {
         let mut here = Vec::new();
         for kind in SEALED {
             for name in self.names(kind)? {
-                let place = self.place(kind, &name);
+                let place = self.folder_path(kind, &name);
                 let brought = fs::metadata(&place)?.modified().unwrap_or(SystemTime::UNIX_EPOCH);
                 let bytes = super::size_of(&place)?;
                 here.push((brought, place, bytes));
@@ -161,10 +163,12 @@ impl Blobs {
     ///
     /// # Errors
     /// [`StoreError::BlobsElsewhere`].
-    pub(crate) fn look_only(data_dir: &Utf8Path) -> Result<Self, StoreError> {
-        match kept_in(data_dir)? {
-            Some(CopiesOf { bucket, .. }) => Err(StoreError::OnlyOfFolder { kept_in: bucket }),
-            None => Ok(Self::below(data_dir, WriteMode::Tied)),
+    pub(crate) fn open_read_only(data_dir: &Utf8Path) -> Result<Self, StoreError> {
+        match read_source_store(data_dir)? {
+            Some(CopiesOf { bucket, .. }) => {
+                Err(StoreError::RequiresLocalFiles { kept_in: bucket })
+            }
+            None => Ok(Self::for_data_dir(data_dir, WriteMode::ReadOnly)),
         }
     }
 
@@ -180,21 +184,21 @@ impl Blobs {
 
     /// Returns whether the local folders are copies of an object store's.
     #[must_use]
-    pub fn are_copies(&self) -> bool {
+    pub fn is_cache(&self) -> bool {
         self.shared.is_some()
     }
 
     /// Moves copies away, off the async threads. Their originals stay unchanged.
-    pub(crate) async fn forget_copies(&self, places: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
+    pub(crate) async fn evict_copies(&self, places: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
         let blobs = self.clone();
         spawn_blocking(move || {
-            places.iter().filter_map(|place| blobs.take_away(place).transpose()).collect()
+            places.iter().filter_map(|place| blobs.move_to_tmp(place).transpose()).collect()
         })
         .await?
     }
 
     /// Returns whether any scan is stored.
-    pub(crate) async fn hold_scans(&self) -> io::Result<bool> {
+    pub(crate) async fn has_scans(&self) -> io::Result<bool> {
         match &self.shared {
             Some(shared) => shared.objects.has_any("contents").await,
             None => Ok(!self.names("contents")?.is_empty()),
@@ -202,17 +206,17 @@ impl Blobs {
     }
 
     /// Checks that the storage can be reached.
-    pub(crate) async fn reach(&self) -> io::Result<()> {
+    pub(crate) async fn check_reachable(&self) -> io::Result<()> {
         match &self.shared {
-            Some(shared) => shared.objects.reach().await,
+            Some(shared) => shared.objects.check_reachable().await,
             None => Ok(()),
         }
     }
 }
 
 /// Returns the object store that a data folder holds copies of, if any.
-pub(super) fn kept_in(data_dir: &Utf8Path) -> Result<Option<CopiesOf>, StoreError> {
-    match fs::read(data_dir.join("blobs").join(CACHE_OF)) {
+pub(super) fn read_source_store(data_dir: &Utf8Path) -> Result<Option<CopiesOf>, StoreError> {
+    match fs::read(data_dir.join("blobs").join(CACHE_MARKER)) {
         Ok(bytes) => Ok(Some(serde_json::from_slice(&bytes)?)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(error.into()),

@@ -15,7 +15,7 @@
 //!
 //! Published folders may be stored in an object store instead ([`objects`]). Local folders are then
 //! copies, which readers download ([`shared`]). Copies that are not in use are evicted when there
-//! are too many ([`cache`]). Readers ask for files with [`Blobs::file`] and [`Blobs::whole`],
+//! are too many ([`cache`]). Readers ask for files with [`Blobs::pin_file`] and [`Blobs::pin_folder`],
 //! wherever the files are stored.
 
 mod aging;
@@ -63,9 +63,9 @@ pub struct Blobs {
 /// Whether folders may be changed, or only read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum WriteMode {
-    Free,
+    ReadWrite,
     /// Nothing that exists is moved or removed.
-    Tied,
+    ReadOnly,
 }
 
 /// A temporary folder: one being written, or one being removed.
@@ -100,7 +100,7 @@ pub const KINDS: [&str; 4] = ["contents", "parses", "checkpoints", "answers"];
 /// Kinds of folders that never change once they are published.
 const SEALED: [&str; 3] = ["contents", "parses", "answers"];
 /// Folders that are removed from an object store concurrently.
-const AT_ONCE: usize = 16;
+const MAX_CONCURRENT_REMOVALS: usize = 16;
 
 /// A folder that is completely written, to disk or to the object store, but not published yet.
 #[derive(Debug)]
@@ -112,7 +112,7 @@ pub struct Prepared {
 
 impl Blobs {
     /// Creates a handle of the folders below `data_dir`, without an object store.
-    fn below(data_dir: &Utf8Path, hands: WriteMode) -> Self {
+    fn for_data_dir(data_dir: &Utf8Path, hands: WriteMode) -> Self {
         Self {
             root: data_dir.join("blobs"),
             tmp: data_dir.join("tmp"),
@@ -124,17 +124,17 @@ impl Blobs {
 
     /// Returns whether folders may be moved and removed.
     pub(super) fn is_writable(&self) -> bool {
-        self.hands == WriteMode::Free
+        self.hands == WriteMode::ReadWrite
     }
 
     /// Wraps a path under `tmp/` that is to be removed.
-    fn aside(&self, path: Utf8PathBuf) -> Scratch {
+    fn to_scratch(&self, path: Utf8PathBuf) -> Scratch {
         Scratch { path, tmp: self.tmp.clone(), beyond: None }
     }
 
     /// Returns what processes that are gone left under `tmp/`: everything that has not changed for
     /// this long. It is removed when the result is dropped.
-    pub(super) fn left_behind(&self, unchanged: Duration) -> io::Result<Vec<Scratch>> {
+    pub(super) fn list_leftovers(&self, unchanged: Duration) -> io::Result<Vec<Scratch>> {
         let mut left = Vec::new();
         for entry in self.tmp.read_dir_utf8()? {
             let entry = entry?;
@@ -142,7 +142,7 @@ impl Blobs {
             let age =
                 entry.metadata().and_then(|m| m.modified()).ok().and_then(|at| at.elapsed().ok());
             if unchanged.is_zero() || age.is_some_and(|age| age >= unchanged) {
-                left.push(self.aside(entry.into_path()));
+                left.push(self.to_scratch(entry.into_path()));
             }
         }
         Ok(left)
@@ -173,7 +173,7 @@ impl Blobs {
         for folder in KINDS.map(|kind| self.root.join(kind)).iter().chain([&self.root]) {
             for entry in folder.read_dir_utf8()? {
                 let entry = entry?;
-                if !entry.file_type()?.is_dir() && entry.file_name() != home::CACHE_OF {
+                if !entry.file_type()?.is_dir() && entry.file_name() != home::CACHE_MARKER {
                     orphan_folders.push(entry.into_path());
                 }
             }
@@ -181,13 +181,13 @@ impl Blobs {
         Ok(orphan_folders)
     }
 
-    pub(super) fn place(&self, kind: &str, name: &str) -> Utf8PathBuf {
+    pub(super) fn folder_path(&self, kind: &str, name: &str) -> Utf8PathBuf {
         self.root.join(kind).join(name)
     }
 
     #[must_use]
     pub fn content(&self, hash: &str) -> Utf8PathBuf {
-        self.place("contents", hash)
+        self.folder_path("contents", hash)
     }
 
     pub(super) fn is_content(&self, folder: &Utf8Path) -> bool {
@@ -197,18 +197,18 @@ impl Blobs {
     /// Returns the folder of finished stages of a content, which the next parse of it reuses.
     #[must_use]
     pub fn checkpoints(&self, hash: &str) -> Utf8PathBuf {
-        self.place("checkpoints", hash)
+        self.folder_path("checkpoints", hash)
     }
 
     #[must_use]
     pub fn parse(&self, id: &str) -> Utf8PathBuf {
-        self.place("parses", id)
+        self.folder_path("parses", id)
     }
 
     /// Returns the folder with a model's prompt and reply for an answer.
     #[must_use]
     pub fn answer(&self, id: &str) -> Utf8PathBuf {
-        self.place("answers", id)
+        self.folder_path("answers", id)
     }
 
     /// Returns the folder for files being received, on the same file system as the blobs.
@@ -224,7 +224,7 @@ impl Blobs {
     pub fn scratch(&self) -> io::Result<Scratch> {
         let path = self.tmp.join(Uuid::now_v7().to_string());
         fs::create_dir(&path)?;
-        Ok(self.aside(path))
+        Ok(self.to_scratch(path))
     }
 
     /// Syncs a finished folder to disk and moves it into place. If the place is taken, the existing
@@ -234,20 +234,20 @@ impl Blobs {
     /// # Errors
     /// Errors of the file system.
     pub fn publish(&self, scratch: Scratch, place: &Utf8Path) -> io::Result<()> {
-        self.publish_knowing(scratch, place, &Sums::new())
+        self.publish_with_checksums(scratch, place, &Sums::new())
     }
 
     /// As [`publish`](Self::publish). Files with known checksums are not read again.
     ///
     /// # Errors
     /// As for [`prepare`](Self::prepare).
-    pub fn publish_knowing(
+    pub fn publish_with_checksums(
         &self,
         scratch: Scratch,
         place: &Utf8Path,
         known: &Sums,
     ) -> io::Result<()> {
-        self.publish_prepared(self.prepare_knowing(scratch, place, known)?)
+        self.publish_prepared(self.prepare_with_checksums(scratch, place, known)?)
     }
 
     /// Does all of publishing that takes time. The result is removed on drop unless it is
@@ -256,17 +256,17 @@ impl Blobs {
     /// # Errors
     /// Errors of the file system; the object store cannot be used.
     pub fn prepare(&self, scratch: Scratch, place: &Utf8Path) -> io::Result<Prepared> {
-        self.prepare_knowing(scratch, place, &Sums::new())
+        self.prepare_with_checksums(scratch, place, &Sums::new())
     }
 
-    fn prepare_knowing(
+    fn prepare_with_checksums(
         &self,
         scratch: Scratch,
         place: &Utf8Path,
         known: &Sums,
     ) -> io::Result<Prepared> {
         let put = if let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) {
-            let put = shared.put(&scratch, &name, known)?;
+            let put = shared.upload_edition(&scratch, &name, known)?;
             Some((shared.clone(), name, put))
         } else {
             checksums::seal(scratch.path(), known, "")?;
@@ -281,14 +281,14 @@ impl Blobs {
     /// As for [`prepare`](Self::prepare).
     pub fn publish_prepared(&self, Prepared { scratch, place, put }: Prepared) -> io::Result<()> {
         if let Some((shared, name, put)) = put {
-            return self.publish_put(&shared, &name, &scratch, put, &place);
+            return self.publish_upload(&shared, &name, &scratch, put, &place);
         }
         if place.exists() {
-            if checksums::look(&place, CheckDepth::Bytes)?.is_empty() {
+            if checksums::check_folder(&place, CheckDepth::Bytes)?.is_empty() {
                 return Ok(());
             }
             tracing::warn!(blob = %place, "replacing a damaged folder");
-            drop(self.take_away(&place)?);
+            drop(self.move_to_tmp(&place)?);
         }
         fs::rename(&scratch.path, &place)?;
         sync_folder(place.parent().unwrap_or(&place))
@@ -299,30 +299,30 @@ impl Blobs {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn share(
+    pub fn link_files(
         &self,
         published: &Utf8Path,
         with: &Scratch,
         below: &Utf8Path,
     ) -> io::Result<Sums> {
-        checksums::share(&self.whole(published)?, with.path(), below)
+        checksums::link_files(&self.pin_folder(published)?, with.path(), below)
     }
 
     /// Moves a folder away to `tmp/`, so that it disappears at once, whatever it holds. Returns
     /// `None` if it did not exist.
-    fn take_away(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
+    fn move_to_tmp(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
         if let Some(SharedBlobs { cache, .. }) = self.shared.as_deref() {
-            return Ok(cache.take(folder)?.map(|path| self.aside(path)));
+            return Ok(cache.move_folder_away(folder)?.map(|path| self.to_scratch(path)));
         }
-        let path = self.free_name();
+        let path = self.new_tmp_path();
         match fs::rename(folder, &path) {
-            Ok(()) => Ok(Some(self.aside(path))),
+            Ok(()) => Ok(Some(self.to_scratch(path))),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(error),
         }
     }
 
-    fn free_name(&self) -> Utf8PathBuf {
+    fn new_tmp_path(&self) -> Utf8PathBuf {
         self.tmp.join(Uuid::now_v7().to_string())
     }
 
@@ -335,7 +335,7 @@ impl Blobs {
         spawn_blocking(move || match (blobs.shared.as_deref(), aside.beyond.take()) {
             // The local copy is downloaded again when it is needed.
             (Some(SharedBlobs { objects, .. }), Some(unclaimed)) => {
-                objects.wait(unclaimed.put_back())
+                objects.block_on(unclaimed.put_back())
             }
             _ => fs::rename(&aside.path, &place)
                 .or_else(|error| if place.exists() { Ok(()) } else { Err(error) }),
@@ -355,10 +355,10 @@ impl Blobs {
         spawn_blocking(move || {
             let mut beyond = blobs.unseal(&folders);
             let taken = folders.iter().map(|folder| {
-                let (aside, beyond) = (blobs.take_away(folder)?, beyond.remove(folder));
+                let (aside, beyond) = (blobs.move_to_tmp(folder)?, beyond.remove(folder));
                 // Without a local copy, only the objects are removed.
-                let aside =
-                    aside.or_else(|| beyond.is_some().then(|| blobs.aside(blobs.free_name())));
+                let aside = aside
+                    .or_else(|| beyond.is_some().then(|| blobs.to_scratch(blobs.new_tmp_path())));
                 Ok(aside.map(|mut aside| {
                     aside.beyond = beyond;
                     aside
@@ -384,12 +384,14 @@ impl Blobs {
                 None
             }
         });
-        let unsealed =
-            objects.wait(stream::iter(unsealed).buffer_unordered(AT_ONCE).collect::<Vec<_>>());
+        let unsealed = objects.block_on(
+            stream::iter(unsealed).buffer_unordered(MAX_CONCURRENT_REMOVALS).collect::<Vec<_>>(),
+        );
         let stages =
             folders.iter().filter(|folder| folder.starts_with(self.root.join("checkpoints")));
-        let stages = stages
-            .filter_map(|folder| Some((folder.clone(), objects.loose_stages(folder.file_name()?))));
+        let stages = stages.filter_map(|folder| {
+            Some((folder.clone(), objects.unsealed_checkpoints(folder.file_name()?)))
+        });
         unsealed.into_iter().flatten().chain(stages).collect()
     }
 
@@ -443,16 +445,20 @@ pub(super) fn remove_tree(path: &Utf8Path, tmp: &Utf8Path) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    fn opened(data: &tempfile::TempDir) -> Blobs {
-        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &BlobHome::Folder, FileAccess::Used)
-            .unwrap()
+    fn open_blobs(data: &tempfile::TempDir) -> Blobs {
+        Blobs::open(
+            Utf8Path::from_path(data.path()).unwrap(),
+            &BlobHome::Folder,
+            FileAccess::ReadWrite,
+        )
+        .unwrap()
     }
 
     /// Thousands of nested folders, whose full path is longer than the system allows.
     #[test]
     fn folders_of_any_depth_are_removed() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let mut top = blobs.tmp.join("0");
         fs::create_dir(&top).unwrap();
         for i in 1..3000 {
@@ -464,14 +470,14 @@ mod tests {
         }
         let content = blobs.content("deep");
         fs::rename(&top, &content).unwrap();
-        drop(blobs.take_away(&content).unwrap());
-        assert!(!content.exists() && blobs.left_behind(Duration::ZERO).unwrap().is_empty());
+        drop(blobs.move_to_tmp(&content).unwrap());
+        assert!(!content.exists() && blobs.list_leftovers(Duration::ZERO).unwrap().is_empty());
     }
 
     #[test]
-    fn damage_is_told_and_a_damaged_folder_is_replaced() {
+    fn damage_is_reported_and_publishing_replaces_a_damaged_folder() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let publish = || {
             let scratch = blobs.scratch().unwrap();
             fs::create_dir(scratch.path().join("views")).unwrap();
@@ -481,7 +487,7 @@ mod tests {
         };
         publish();
         let look = |closely| {
-            let wrong = blobs.look(&blobs.parse("p"), closely).unwrap();
+            let wrong = blobs.check_folder(&blobs.parse("p"), closely).unwrap();
             wrong
                 .iter()
                 .map(|DamagedFile { file, what }| format!("{file} {what}"))
@@ -498,11 +504,14 @@ mod tests {
         );
         publish();
         assert_eq!(look(CheckDepth::Bytes), [""; 0]);
-        assert_eq!(blobs.look(&blobs.parse("q"), CheckDepth::Names).unwrap()[0].what, "missing");
+        assert_eq!(
+            blobs.check_folder(&blobs.parse("q"), CheckDepth::Names).unwrap()[0].what,
+            "missing"
+        );
     }
 
     /// A folder under `tmp/` with these files.
-    fn written(blobs: &Blobs, files: &[(&str, &str)]) -> Scratch {
+    fn write_scratch(blobs: &Blobs, files: &[(&str, &str)]) -> Scratch {
         let scratch = blobs.scratch().unwrap();
         for (file, text) in files {
             let path = scratch.path().join(file);
@@ -517,39 +526,39 @@ mod tests {
     }
 
     /// Names under `tmp/`.
-    fn in_tmp(blobs: &Blobs) -> Vec<String> {
+    fn list_tmp(blobs: &Blobs) -> Vec<String> {
         let entries = blobs.tmp.read_dir_utf8().unwrap();
         entries.map(|entry| entry.unwrap().file_name().to_owned()).collect()
     }
 
     /// Waits until what is removed in the background is gone.
-    async fn until_tmp_is_empty(blobs: &Blobs) {
+    async fn wait_until_tmp_is_empty(blobs: &Blobs) {
         for _ in 0..2000 {
-            if in_tmp(blobs).is_empty() {
+            if list_tmp(blobs).is_empty() {
                 return;
             }
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
-        panic!("still there: {:?}", in_tmp(blobs));
+        panic!("still there: {:?}", list_tmp(blobs));
     }
 
     /// The same folders, looked at only.
-    fn tied(data: &tempfile::TempDir) -> Blobs {
-        Blobs::look_only(Utf8Path::from_path(data.path()).unwrap()).unwrap()
+    fn open_read_only_blobs(data: &tempfile::TempDir) -> Blobs {
+        Blobs::open_read_only(Utf8Path::from_path(data.path()).unwrap()).unwrap()
     }
 
     #[test]
-    fn every_kind_of_folder_has_its_place() {
+    fn folder_paths_follow_their_kind() {
         let data = tempfile::tempdir().unwrap();
-        let (blobs, root) = (opened(&data), Utf8Path::from_path(data.path()).unwrap());
+        let (blobs, root) = (open_blobs(&data), Utf8Path::from_path(data.path()).unwrap());
         assert_eq!(blobs.content("h"), root.join("blobs/contents/h"));
         assert_eq!(blobs.parse("p"), root.join("blobs/parses/p"));
         assert_eq!(blobs.checkpoints("h"), root.join("blobs/checkpoints/h"));
         assert_eq!(blobs.answer("a"), root.join("blobs/answers/a"));
-        assert_eq!(blobs.place("parses", "p"), blobs.parse("p"));
+        assert_eq!(blobs.folder_path("parses", "p"), blobs.parse("p"));
         assert_eq!(blobs.tmp(), root.join("tmp"));
         for kind in KINDS {
-            assert!(blobs.place(kind, "").is_dir(), "{kind}");
+            assert!(blobs.folder_path(kind, "").is_dir(), "{kind}");
         }
         assert!(blobs.is_content(&blobs.content("h")));
         for other in
@@ -557,28 +566,28 @@ mod tests {
         {
             assert!(!blobs.is_content(&other), "{other}");
         }
-        assert!(blobs.is_writable() && !tied(&data).is_writable());
+        assert!(blobs.is_writable() && !open_read_only_blobs(&data).is_writable());
     }
 
     #[test]
-    fn a_scratch_folder_lies_under_tmp_and_goes_when_it_is_dropped() {
+    fn a_scratch_folder_is_removed_on_drop() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let (scratch, other) =
-            (written(&blobs, &[("views/1.jpg", "picture")]), blobs.scratch().unwrap());
+            (write_scratch(&blobs, &[("views/1.jpg", "picture")]), blobs.scratch().unwrap());
         assert_eq!(scratch.path().parent(), Some(blobs.tmp()));
         assert_ne!(scratch.path(), other.path());
-        assert!(other.path().is_dir() && in_tmp(&blobs).len() == 2);
+        assert!(other.path().is_dir() && list_tmp(&blobs).len() == 2);
         drop(scratch);
-        assert_eq!(in_tmp(&blobs), [other.path().file_name().unwrap()]);
+        assert_eq!(list_tmp(&blobs), [other.path().file_name().unwrap()]);
     }
 
     #[test]
-    fn what_is_prepared_is_sealed_and_seen_only_once_it_is_published() {
+    fn a_prepared_folder_is_visible_only_after_publishing() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let place = blobs.content("h");
-        let scratch = written(&blobs, &[("cloud.ply", "points"), ("views/1.jpg", "picture")]);
+        let scratch = write_scratch(&blobs, &[("cloud.ply", "points"), ("views/1.jpg", "picture")]);
         let path = scratch.path().to_owned();
         let prepared = blobs.prepare(scratch, &place).unwrap();
         assert!(!place.exists() && path.join("cloud.ply").exists());
@@ -590,139 +599,145 @@ mod tests {
         assert_eq!(read(&place, "views/1.jpg"), "picture");
         assert_eq!(read(&place, checksums::SUMS), sums);
         assert!(!path.exists(), "it has moved");
-        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), []);
-        assert_eq!(in_tmp(&blobs), [""; 0]);
+        assert_eq!(blobs.check_folder(&place, CheckDepth::Bytes).unwrap(), []);
+        assert_eq!(list_tmp(&blobs), [""; 0]);
     }
 
     #[test]
-    fn what_is_prepared_and_not_published_goes_again() {
+    fn an_unpublished_prepared_folder_is_removed() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let place = blobs.content("h");
-        drop(blobs.prepare(written(&blobs, &[("a", "1")]), &place).unwrap());
+        drop(blobs.prepare(write_scratch(&blobs, &[("a", "1")]), &place).unwrap());
         assert!(!place.exists());
-        assert_eq!(in_tmp(&blobs), [""; 0]);
+        assert_eq!(list_tmp(&blobs), [""; 0]);
     }
 
     #[test]
-    fn of_two_who_publish_the_same_the_first_stays() {
+    fn the_first_of_two_publishers_wins() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let place = blobs.parse("p");
         // Both are prepared before either is published.
         let [first, second] = ["first", "second"]
-            .map(|text| blobs.prepare(written(&blobs, &[("a", text)]), &place).unwrap());
+            .map(|text| blobs.prepare(write_scratch(&blobs, &[("a", text)]), &place).unwrap());
         blobs.publish_prepared(first).unwrap();
         blobs.publish_prepared(second).unwrap();
         assert_eq!(read(&place, "a"), "first");
-        blobs.publish(written(&blobs, &[("a", "third")]), &place).unwrap();
+        blobs.publish(write_scratch(&blobs, &[("a", "third")]), &place).unwrap();
         assert_eq!(read(&place, "a"), "first");
-        assert_eq!(in_tmp(&blobs), [""; 0], "those of the others are gone");
+        assert_eq!(list_tmp(&blobs), [""; 0], "those of the others are gone");
     }
 
     #[test]
-    fn a_folder_that_is_not_whole_gives_way_to_one_that_is() {
+    fn an_incomplete_folder_is_replaced_by_a_complete_one() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let place = blobs.parse("p");
-        blobs.publish(written(&blobs, &[("a", "1"), ("b", "2")]), &place).unwrap();
+        blobs.publish(write_scratch(&blobs, &[("a", "1"), ("b", "2")]), &place).unwrap();
         fs::remove_file(place.join("b")).unwrap();
-        blobs.publish(written(&blobs, &[("a", "3")]), &place).unwrap();
+        blobs.publish(write_scratch(&blobs, &[("a", "3")]), &place).unwrap();
         assert_eq!(read(&place, "a"), "3");
         assert!(!place.join("b").exists());
-        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), []);
-        assert_eq!(in_tmp(&blobs), [""; 0]);
+        assert_eq!(blobs.check_folder(&place, CheckDepth::Bytes).unwrap(), []);
+        assert_eq!(list_tmp(&blobs), [""; 0]);
     }
 
     #[test]
-    fn files_whose_sums_are_known_are_not_read_again() {
+    fn files_with_known_checksums_are_not_read_again() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let place = blobs.content("h");
         // A sum that is not the file's shows that it was believed.
         let known = Sums::from([("a".into(), "0123".to_owned())]);
-        blobs.publish_knowing(written(&blobs, &[("a", "1"), ("b", "2")]), &place, &known).unwrap();
+        blobs
+            .publish_with_checksums(
+                write_scratch(&blobs, &[("a", "1"), ("b", "2")]),
+                &place,
+                &known,
+            )
+            .unwrap();
         assert!(read(&place, checksums::SUMS).starts_with("0123  a\n"));
         let damage = DamagedFile { file: "a".into(), what: "damaged".to_owned() };
-        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), [damage]);
+        assert_eq!(blobs.check_folder(&place, CheckDepth::Bytes).unwrap(), [damage]);
     }
 
     #[test]
-    fn what_can_not_be_moved_into_place_is_an_error_and_goes() {
+    fn a_failed_publish_is_an_error_and_removes_the_folder() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let nowhere = blobs.root.join("no/such/kind");
-        let error = blobs.publish(written(&blobs, &[("a", "1")]), &nowhere).unwrap_err();
+        let error = blobs.publish(write_scratch(&blobs, &[("a", "1")]), &nowhere).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::NotFound);
-        assert_eq!(in_tmp(&blobs), [""; 0]);
+        assert_eq!(list_tmp(&blobs), [""; 0]);
     }
 
     #[test]
-    fn a_published_folder_shares_its_files_and_their_sums() {
+    fn a_published_folder_links_its_files_and_checksums() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let place = blobs.content("h");
-        blobs.publish(written(&blobs, &[("a", "1"), ("views/b", "2")]), &place).unwrap();
-        let with = written(&blobs, &[("c", "3")]);
-        let sums = blobs.share(&place, &with, "before".into()).unwrap();
+        blobs.publish(write_scratch(&blobs, &[("a", "1"), ("views/b", "2")]), &place).unwrap();
+        let with = write_scratch(&blobs, &[("c", "3")]);
+        let sums = blobs.link_files(&place, &with, "before".into()).unwrap();
         assert_eq!(read(with.path(), "before/a"), "1");
         assert_eq!(read(with.path(), "before/views/b"), "2");
         let expected = ["a", "views/b"].map(|file| {
-            let sum = checksums::hash_of(&place.join(file)).unwrap();
+            let sum = checksums::hash_file(&place.join(file)).unwrap();
             (Utf8Path::new("before").join(file), sum)
         });
         assert_eq!(sums, Sums::from(expected));
         let grown = blobs.content("i");
-        blobs.publish_knowing(with, &grown, &sums).unwrap();
-        assert_eq!(blobs.look(&grown, CheckDepth::Bytes).unwrap(), []);
-        assert_eq!(blobs.look(&place, CheckDepth::Bytes).unwrap(), []);
+        blobs.publish_with_checksums(with, &grown, &sums).unwrap();
+        assert_eq!(blobs.check_folder(&grown, CheckDepth::Bytes).unwrap(), []);
+        assert_eq!(blobs.check_folder(&place, CheckDepth::Bytes).unwrap(), []);
     }
 
     #[tokio::test]
-    async fn what_is_discarded_is_gone_at_once_and_nothing_stays_behind() {
+    async fn discarded_folders_disappear_at_once_and_completely() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let (place, other) = (blobs.parse("p"), blobs.parse("q"));
         for place in [&place, &other] {
-            blobs.publish(written(&blobs, &[("views/1.jpg", "picture")]), place).unwrap();
+            blobs.publish(write_scratch(&blobs, &[("views/1.jpg", "picture")]), place).unwrap();
         }
         blobs.discard(place.clone()).await.unwrap();
         assert!(!place.exists());
-        until_tmp_is_empty(&blobs).await;
+        wait_until_tmp_is_empty(&blobs).await;
         blobs.discard(place).await.unwrap();
         assert!(other.join("views/1.jpg").exists(), "others stay");
     }
 
     #[tokio::test]
-    async fn what_is_only_looked_at_is_never_discarded() {
+    async fn read_only_blobs_discard_nothing() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let place = blobs.parse("p");
-        blobs.publish(written(&blobs, &[("a", "1")]), &place).unwrap();
-        let looking = tied(&data);
+        blobs.publish(write_scratch(&blobs, &[("a", "1")]), &place).unwrap();
+        let looking = open_read_only_blobs(&data);
         looking.discard(place.clone()).await.unwrap();
         assert!(looking.set_aside(vec![place.clone()]).await.unwrap().is_empty());
         assert_eq!(read(&place, "a"), "1");
     }
 
     #[tokio::test]
-    async fn what_is_set_aside_is_put_back_unless_there_is_another() {
+    async fn a_folder_set_aside_is_put_back_unless_replaced() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let (place, missing) = (blobs.parse("p"), blobs.parse("q"));
-        blobs.publish(written(&blobs, &[("a", "old")]), &place).unwrap();
+        blobs.publish(write_scratch(&blobs, &[("a", "old")]), &place).unwrap();
         let mut aside = blobs.set_aside(vec![missing, place.clone()]).await.unwrap();
         assert_eq!(aside.len(), 1, "nothing was where the other would be");
         assert!(!place.exists() && aside[0].path().starts_with(blobs.tmp()));
         blobs.put_back(aside.remove(0), place.clone()).await.unwrap();
         assert_eq!(read(&place, "a"), "old");
-        assert_eq!(in_tmp(&blobs), [""; 0]);
+        assert_eq!(list_tmp(&blobs), [""; 0]);
 
         let mut aside = blobs.set_aside(vec![place.clone()]).await.unwrap();
-        blobs.publish(written(&blobs, &[("a", "new")]), &place).unwrap();
+        blobs.publish(write_scratch(&blobs, &[("a", "new")]), &place).unwrap();
         blobs.put_back(aside.remove(0), place.clone()).await.unwrap();
         assert_eq!(read(&place, "a"), "new");
-        assert_eq!(in_tmp(&blobs), [""; 0], "that of before is gone");
+        assert_eq!(list_tmp(&blobs), [""; 0], "that of before is gone");
 
         let mut aside = blobs.set_aside(vec![place]).await.unwrap();
         let nowhere = blobs.root.join("no/such/kind");
@@ -731,39 +746,39 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_set_aside_goes_when_it_is_removed_later() {
+    async fn remove_later_removes_folders_set_aside() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
-        blobs.publish(written(&blobs, &[("a", "1")]), &blobs.parse("p")).unwrap();
+        let blobs = open_blobs(&data);
+        blobs.publish(write_scratch(&blobs, &[("a", "1")]), &blobs.parse("p")).unwrap();
         let aside = blobs.set_aside(vec![blobs.parse("p")]).await.unwrap();
-        assert_eq!(in_tmp(&blobs).len(), 1);
+        assert_eq!(list_tmp(&blobs).len(), 1);
         blobs.remove_later(aside);
-        until_tmp_is_empty(&blobs).await;
+        wait_until_tmp_is_empty(&blobs).await;
     }
 
     /// Outside of a runtime a task could not be begun.
     #[test]
-    fn removing_nothing_begins_no_task() {
+    fn removing_nothing_spawns_no_task() {
         let data = tempfile::tempdir().unwrap();
-        opened(&data).remove_later(Vec::new());
+        open_blobs(&data).remove_later(Vec::new());
     }
 
     /// Only a missing folder is no error.
     #[test]
-    fn what_can_not_be_taken_away_is_an_error() {
+    fn a_folder_that_cannot_be_moved_is_an_error() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
-        assert!(blobs.take_away(&blobs.parse("p")).unwrap().is_none());
+        let blobs = open_blobs(&data);
+        assert!(blobs.move_to_tmp(&blobs.parse("p")).unwrap().is_none());
         fs::write(blobs.parse("file"), "x").unwrap();
         let below_a_file = blobs.parse("file").join("p");
-        let error = blobs.take_away(&below_a_file).unwrap_err();
+        let error = blobs.move_to_tmp(&below_a_file).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::NotADirectory);
     }
 
     #[test]
-    fn folders_of_a_kind_are_told_by_name_and_files_among_them_are_strays() {
+    fn folders_are_listed_by_name_and_files_among_them_are_stray() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         assert!(blobs.names("parses").unwrap().is_empty());
         for name in ["p", "q"] {
             fs::create_dir(blobs.parse(name)).unwrap();
@@ -771,7 +786,7 @@ mod tests {
         fs::create_dir(blobs.answer("a")).unwrap();
         fs::write(blobs.parse("note"), "x").unwrap();
         fs::write(blobs.root.join("readme"), "x").unwrap();
-        fs::write(blobs.root.join(home::CACHE_OF), "{}").unwrap();
+        fs::write(blobs.root.join(home::CACHE_MARKER), "{}").unwrap();
         let mut names = blobs.names("parses").unwrap();
         names.sort();
         assert_eq!(names, ["p", "q"]);
@@ -781,12 +796,12 @@ mod tests {
     }
 
     #[test]
-    fn who_only_looks_does_not_miss_a_kind_that_is_not_there() {
+    fn a_read_only_open_tolerates_missing_kinds() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         fs::create_dir(blobs.answer("a")).unwrap();
-        fs::remove_dir(blobs.place("parses", "")).unwrap();
-        let looking = tied(&data);
+        fs::remove_dir(blobs.folder_path("parses", "")).unwrap();
+        let looking = open_read_only_blobs(&data);
         assert!(looking.names("parses").unwrap().is_empty());
         assert_eq!(looking.names("answers").unwrap(), ["a"]);
         // Who writes there is told.
@@ -794,9 +809,9 @@ mod tests {
     }
 
     #[test]
-    fn what_has_not_changed_for_long_is_left_behind() {
+    fn unchanged_temporary_files_are_leftovers() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let minute = Duration::from_mins(1);
         let age = |name: &str, at: std::time::SystemTime| {
             let file = fs::File::create(blobs.tmp.join(name)).unwrap();
@@ -807,7 +822,7 @@ mod tests {
         age("half an hour old", now - minute * 30);
         age("from tomorrow", now + minute * 60 * 24);
         let left = |unchanged| {
-            let left = blobs.left_behind(unchanged).unwrap();
+            let left = blobs.list_leftovers(unchanged).unwrap();
             let mut names: Vec<String> =
                 left.iter().map(|aside| aside.path().file_name().unwrap().to_owned()).collect();
             // They are only looked at here.
@@ -819,15 +834,15 @@ mod tests {
         assert_eq!(left(minute * 10), ["half an hour old", "two hours old"]);
         assert_eq!(left(minute * 180), [""; 0]);
         assert_eq!(left(Duration::ZERO).len(), 3, "after a start all of it");
-        drop(blobs.left_behind(minute * 60).unwrap());
+        drop(blobs.list_leftovers(minute * 60).unwrap());
         assert_eq!(left(Duration::ZERO), ["from tomorrow", "half an hour old"]);
     }
 
     #[cfg(unix)]
     #[test]
-    fn what_a_link_points_to_stays_when_the_link_is_removed() {
+    fn removing_a_link_keeps_its_target() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
+        let blobs = open_blobs(&data);
         let kept = blobs.parse("kept");
         fs::create_dir(&kept).unwrap();
         fs::write(kept.join("a"), "1").unwrap();
@@ -841,7 +856,7 @@ mod tests {
         for gone in [&folder, &blobs.tmp.join("link"), &file, &blobs.tmp.join("nothing")] {
             remove_tree(gone, &blobs.tmp).unwrap();
         }
-        assert_eq!(in_tmp(&blobs), [""; 0]);
+        assert_eq!(list_tmp(&blobs), [""; 0]);
         assert_eq!(read(&kept, "a"), "1");
         // What is no folder and below none can not be looked at.
         let below_a_file = kept.join("a/b");

@@ -3,8 +3,8 @@
 use super::cache::{FolderCache, FolderPin, PinnedPath};
 use super::checksums::{self, CheckDepth, DamagedFile, SUMS, Sums};
 use super::objects::{
-    FolderName, ObjectStoreUnavailable, Objects, SealOutcome, UnsealedObjects, edition_of,
-    head_of_seal, new_edition, sums_of_seal,
+    FolderName, ObjectStoreUnavailable, Objects, SealOutcome, UnsealedObjects, new_edition,
+    parse_edition, parse_seal_checksums, seal_header,
 };
 use super::{Blobs, SEALED, Scratch, size_of, sync_folder};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -39,17 +39,17 @@ pub struct PendingUpload {
 
 impl SharedBlobs {
     /// Seals a written folder and uploads it as an edition that no seal names yet.
-    pub(super) fn put(
+    pub(super) fn upload_edition(
         &self,
         scratch: &Scratch,
         name: &FolderName,
         known: &Sums,
     ) -> io::Result<PendingUpload> {
         let (objects, begun, edition) = (&self.objects, Instant::now(), new_edition());
-        checksums::seal(scratch.path(), known, &head_of_seal(&edition))?;
+        checksums::seal(scratch.path(), known, &seal_header(&edition))?;
         let seal = fs::read_to_string(scratch.path().join(SUMS))?;
-        let files = sums_of_seal(&seal).into_keys().collect();
-        let files = objects.wait(objects.put_edition(scratch.path(), name, &edition, files))?;
+        let files = parse_seal_checksums(&seal).into_keys().collect();
+        let files = objects.block_on(objects.put_edition(scratch.path(), name, &edition, files))?;
         Ok(PendingUpload { files, seal, begun })
     }
 }
@@ -61,27 +61,27 @@ impl Blobs {
     ///
     /// # Errors
     /// Errors of the file system; the object store cannot be used.
-    pub fn file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<PinnedPath> {
+    pub fn pin_file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<PinnedPath> {
         let below = file.strip_prefix(place).unwrap_or(file);
         let path = place.join(below);
         match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => Ok(PinnedPath::held(
+            (Some(shared), Some(name)) => Ok(PinnedPath::with_pin(
                 path,
-                self.bring(shared, &name, place, WantedFiles::File(below))?,
+                self.download(shared, &name, place, WantedFiles::File(below))?,
             )),
             _ => Ok(path.into()),
         }
     }
 
-    /// Returns a published folder with all its files; otherwise as [`file`](Self::file).
+    /// Returns a published folder with all its files; otherwise as [`pin_file`](Self::pin_file).
     ///
     /// # Errors
-    /// As for [`file`](Self::file).
-    pub fn whole(&self, place: &Utf8Path) -> io::Result<PinnedPath> {
+    /// As for [`pin_file`](Self::pin_file).
+    pub fn pin_folder(&self, place: &Utf8Path) -> io::Result<PinnedPath> {
         match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => Ok(PinnedPath::held(
+            (Some(shared), Some(name)) => Ok(PinnedPath::with_pin(
                 place.to_owned(),
-                self.bring(shared, &name, place, WantedFiles::Everything)?,
+                self.download(shared, &name, place, WantedFiles::Everything)?,
             )),
             _ => Ok(place.to_owned().into()),
         }
@@ -91,17 +91,17 @@ impl Blobs {
     /// out links. Blocks.
     ///
     /// # Errors
-    /// As for [`file`](Self::file).
+    /// As for [`pin_file`](Self::pin_file).
     pub fn link(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<String>> {
         let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) else {
             return Ok(None);
         };
-        if !shared.objects.gives_links() || !self.holds(place, file)? {
+        if !shared.objects.has_public_links() || !self.has_file(place, file)? {
             return Ok(None);
         }
-        let seal = fs::read_to_string(self.file(place, SUMS.into())?)?;
-        let Some(edition) = edition_of(&seal) else { return Ok(None) };
-        shared.objects.wait(shared.objects.link(
+        let seal = fs::read_to_string(self.pin_file(place, SUMS.into())?)?;
+        let Some(edition) = parse_edition(&seal) else { return Ok(None) };
+        shared.objects.block_on(shared.objects.link(
             &name,
             edition,
             file.strip_prefix(place).unwrap_or(file),
@@ -112,17 +112,18 @@ impl Blobs {
     /// checksums were stored, returns whether the file exists.
     ///
     /// # Errors
-    /// As for [`file`](Self::file).
-    pub fn holds(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
+    /// As for [`pin_file`](Self::pin_file).
+    pub fn has_file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
         let _held = match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => match self.bring(shared, &name, place, WantedFiles::Seal)
-            {
-                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-                held => Some(held?),
-            },
+            (Some(shared), Some(name)) => {
+                match self.download(shared, &name, place, WantedFiles::Seal) {
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+                    held => Some(held?),
+                }
+            }
             _ => None,
         };
-        checksums::holds(place, file.strip_prefix(place).unwrap_or(file))
+        checksums::has_file(place, file.strip_prefix(place).unwrap_or(file))
     }
 
     /// Checks a published folder and returns its damaged files. In an object store it reports
@@ -130,17 +131,21 @@ impl Blobs {
     ///
     /// # Errors
     /// Errors of the file system; the object store cannot be used.
-    pub fn look(&self, place: &Utf8Path, closely: CheckDepth) -> io::Result<Vec<DamagedFile>> {
+    pub fn check_folder(
+        &self,
+        place: &Utf8Path,
+        closely: CheckDepth,
+    ) -> io::Result<Vec<DamagedFile>> {
         match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => shared.objects.wait(async {
+            (Some(shared), Some(name)) => shared.objects.block_on(async {
                 match closely {
                     CheckDepth::Names if shared.objects.seal(&name).await?.is_some() => {
                         Ok(Vec::new())
                     }
-                    _ => shared.objects.look(&name).await,
+                    _ => shared.objects.list_missing_files(&name).await,
                 }
             }),
-            _ => checksums::look(place, closely),
+            _ => checksums::check_folder(place, closely),
         }
     }
 
@@ -148,16 +153,16 @@ impl Blobs {
     /// downloaded again.
     ///
     /// # Errors
-    /// As for [`file`](Self::file).
-    pub fn look_at(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedFile>> {
-        let damage = checksums::look_at(place, file)?;
+    /// As for [`pin_file`](Self::pin_file).
+    pub fn check_file(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<DamagedFile>> {
+        let damage = checksums::check_file(place, file)?;
         if damage.is_none() || self.shared.is_none() {
             return Ok(damage);
         }
         tracing::warn!(folder = %place, %file, "local copy is damaged; downloading it again");
         fs::remove_file(place.join(file))?;
-        let _brought = self.file(place, file)?;
-        checksums::look_at(place, file)
+        let _brought = self.pin_file(place, file)?;
+        checksums::check_file(place, file)
     }
 
     /// Returns kind and name of a published folder.
@@ -168,42 +173,42 @@ impl Blobs {
         more.is_none().then(|| FolderName { kind, name: name.as_str().to_owned() })
     }
 
-    fn bring(
+    fn download(
         &self,
         shared: &SharedBlobs,
         name: &FolderName,
         place: &Utf8Path,
         wanted: WantedFiles<'_>,
     ) -> io::Result<FolderPin> {
-        let held = shared.cache.hold(place);
-        if is_here(place, wanted)? {
+        let held = shared.cache.pin(place);
+        if is_complete_locally(place, wanted)? {
             return Ok(held);
         }
-        let turn = held.turn();
+        let download_lock = held.lock_for_download();
         // Another task may have downloaded it meanwhile.
-        if is_here(place, wanted)? {
-            drop(turn);
+        if is_complete_locally(place, wanted)? {
+            drop(download_lock);
             return Ok(held);
         }
-        let there = match self.bring_missing(shared, name, place, wanted) {
+        let there = match self.download_missing(shared, name, place, wanted) {
             // The folder was published again after its seal was downloaded: the local files belong
             // to an edition that is gone.
             Err(error) if error.kind() == io::ErrorKind::NotFound && place.join(SUMS).exists() => {
-                drop(shared.cache.empty(place)?.map(|path| self.aside(path)));
-                self.bring_missing(shared, name, place, wanted)?
+                drop(shared.cache.move_content_away(place)?.map(|path| self.to_scratch(path)));
+                self.download_missing(shared, name, place, wanted)?
             }
             brought => brought?,
         };
         if !there {
             return Err(io::ErrorKind::NotFound.into());
         }
-        drop(turn);
+        drop(download_lock);
         Ok(held)
     }
 
     /// Downloads the missing files of a folder and checks them. A file is moved into place as a
     /// whole. Returns whether the folder has the wanted files.
-    fn bring_missing(
+    fn download_missing(
         &self,
         SharedBlobs { objects, cache, .. }: &SharedBlobs,
         name: &FolderName,
@@ -212,7 +217,8 @@ impl Blobs {
     ) -> io::Result<bool> {
         let seal = match fs::read_to_string(place.join(SUMS)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                let seal = objects.wait(objects.seal(name))?.ok_or(io::ErrorKind::NotFound)?.text;
+                let seal =
+                    objects.block_on(objects.seal(name))?.ok_or(io::ErrorKind::NotFound)?.text;
                 fs::create_dir_all(place)?;
                 let unfinished = self.tmp.join(uuid::Uuid::now_v7().to_string());
                 fs::write(&unfinished, &seal)?;
@@ -223,10 +229,10 @@ impl Blobs {
             }
             seal => seal?,
         };
-        let edition = edition_of(&seal).ok_or_else(|| {
+        let edition = parse_edition(&seal).ok_or_else(|| {
             io::Error::new(io::ErrorKind::InvalidData, "a seal without an edition")
         })?;
-        let mut missing: Sums = sums_of_seal(&seal);
+        let mut missing: Sums = parse_seal_checksums(&seal);
         match wanted {
             WantedFiles::Seal => return Ok(true),
             WantedFiles::Everything => missing.retain(|file, _| !place.join(file).exists()),
@@ -239,10 +245,10 @@ impl Blobs {
         }
         let brought = self.scratch()?;
         let files: Vec<Utf8PathBuf> = missing.keys().cloned().collect();
-        let bytes = objects.wait(objects.get_files(name, edition, &files, brought.path()))?;
+        let bytes = objects.block_on(objects.get_files(name, edition, &files, brought.path()))?;
         let at = |number: usize| brought.path().join(number.to_string());
         for (number, (file, sum)) in missing.iter().enumerate() {
-            if checksums::hash_of(&at(number))? != *sum {
+            if checksums::hash_file(&at(number))? != *sum {
                 return Err(io::Error::new(
                     io::ErrorKind::InvalidData,
                     format!("{file}: its object is not what was put there"),
@@ -260,7 +266,7 @@ impl Blobs {
     }
 
     /// Seals the uploaded files, and keeps the written folder as a local copy.
-    pub(super) fn publish_put(
+    pub(super) fn publish_upload(
         &self,
         shared: &SharedBlobs,
         name: &FolderName,
@@ -272,32 +278,32 @@ impl Blobs {
         let PendingUpload { files, seal, begun } = put;
         // The row must be written before orphan collection takes the folder for an orphan.
         if begun.elapsed() > objects.grace / 2 {
-            return Err(ObjectStoreUnavailable::because(
+            return Err(ObjectStoreUnavailable::wrap(
                 "putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)",
             ));
         }
-        objects.wait(async {
+        objects.block_on(async {
             match objects.put_seal(name, &seal).await? {
-                SealOutcome::Ours => files.keep(),
+                SealOutcome::Sealed => files.keep(),
                 // Same name, same content. But an old folder may be about to be removed, and an
                 // incomplete one is of no use.
-                SealOutcome::Theirs(theirs) => {
+                SealOutcome::AlreadySealed(theirs) => {
                     let is_young = theirs.made.elapsed().unwrap_or_default() < objects.grace / 2;
-                    if is_young && objects.look(name).await?.is_empty() {
+                    if is_young && objects.list_missing_files(name).await?.is_empty() {
                         return Ok(());
                     }
                     objects.replace_seal(name, &seal).await?;
                     files.keep();
-                    if let Some(edition) = edition_of(&theirs.text) {
-                        drop(objects.nobodys(name, edition));
+                    if let Some(edition) = parse_edition(&theirs.text) {
+                        drop(objects.unsealed_edition(name, edition));
                     }
                 }
             }
             Ok::<_, io::Error>(())
         })?;
         let bytes = size_of(scratch.path())?;
-        if let Some(path) = cache.take(place)? {
-            drop(self.aside(path));
+        if let Some(path) = cache.move_folder_away(place)? {
+            drop(self.to_scratch(path));
         }
         fs::rename(scratch.path(), place)?;
         sync_folder(place.parent().unwrap_or(place))?;
@@ -306,12 +312,14 @@ impl Blobs {
     }
 }
 
-fn is_here(place: &Utf8Path, wanted: WantedFiles<'_>) -> io::Result<bool> {
+fn is_complete_locally(place: &Utf8Path, wanted: WantedFiles<'_>) -> io::Result<bool> {
     match wanted {
         WantedFiles::File(file) => Ok(place.join(file).exists()),
         WantedFiles::Seal => Ok(place.join(SUMS).exists()),
         WantedFiles::Everything if !place.join(SUMS).exists() => Ok(false),
-        WantedFiles::Everything => Ok(checksums::look(place, CheckDepth::Names)?.is_empty()),
+        WantedFiles::Everything => {
+            Ok(checksums::check_folder(place, CheckDepth::Names)?.is_empty())
+        }
     }
 }
 
@@ -335,7 +343,7 @@ mod tests {
     }
 
     impl Site {
-        async fn of(machines: usize, cache_bytes: u64, grace: Duration) -> Self {
+        async fn new(machines: usize, cache_bytes: u64, grace: Duration) -> Self {
             let store = Arc::new(InMemory::new());
             let mut opened = Vec::new();
             for _ in 0..machines {
@@ -345,10 +353,11 @@ mod tests {
                     let blobs = Blobs::open(
                         Utf8Path::from_path(folder.path()).unwrap(),
                         &BlobHome::Folder,
-                        FileAccess::Used,
+                        FileAccess::ReadWrite,
                     )
                     .unwrap();
-                    let blobs = blobs.copying(objects, "memory", None, cache_bytes).unwrap();
+                    let blobs =
+                        blobs.with_object_store(objects, "memory", None, cache_bytes).unwrap();
                     (folder, blobs)
                 });
                 opened.push(machine.await.unwrap());
@@ -357,7 +366,7 @@ mod tests {
         }
 
         /// Runs blocking work on one machine.
-        async fn on<T: Send + 'static>(
+        async fn run_on<T: Send + 'static>(
             &self,
             machine: usize,
             work: impl FnOnce(Blobs) -> T + Send + 'static,
@@ -389,7 +398,7 @@ mod tests {
         ("views/deep/er/2.jpg", "other"),
     ];
 
-    fn written(blobs: &Blobs) -> Scratch {
+    fn write_scratch(blobs: &Blobs) -> Scratch {
         let scratch = blobs.scratch().unwrap();
         for (file, text) in FILES {
             let path = scratch.path().join(file);
@@ -400,30 +409,30 @@ mod tests {
     }
 
     fn publish(blobs: &Blobs, place: &Utf8Path) -> io::Result<()> {
-        blobs.publish(written(blobs), place)
+        blobs.publish(write_scratch(blobs), place)
     }
 
     fn read(blobs: &Blobs, place: &Utf8Path, file: &str) -> io::Result<String> {
-        blobs.file(place, file.into()).and_then(fs::read_to_string)
+        blobs.pin_file(place, file.into()).and_then(fs::read_to_string)
     }
 
-    fn all_of(blobs: &Blobs, place: &Utf8Path) -> BTreeMap<String, String> {
-        let whole = blobs.whole(place).unwrap();
-        let files = checksums::files_below(&whole).unwrap().into_iter();
+    fn read_all_files(blobs: &Blobs, place: &Utf8Path) -> BTreeMap<String, String> {
+        let whole = blobs.pin_folder(place).unwrap();
+        let files = checksums::list_files(&whole).unwrap().into_iter();
         files
             .map(|file| (file.to_string(), fs::read_to_string(whole.join(file)).unwrap()))
             .collect()
     }
 
     #[tokio::test]
-    async fn what_one_machine_publishes_another_reads_file_by_file_or_whole() {
-        let site = Site::of(3, u64::MAX, DAY).await;
-        site.on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
-        site.on(1, |blobs| {
+    async fn published_folders_can_be_read_on_other_machines() {
+        let site = Site::new(3, u64::MAX, DAY).await;
+        site.run_on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
+        site.run_on(1, |blobs| {
             let place = blobs.parse("p");
             assert!(
-                blobs.holds(&place, "views/1 a#\u{e9}.jpg".into()).unwrap()
-                    && !blobs.holds(&place, "views/3.jpg".into()).unwrap()
+                blobs.has_file(&place, "views/1 a#\u{e9}.jpg".into()).unwrap()
+                    && !blobs.has_file(&place, "views/3.jpg".into()).unwrap()
             );
             assert_eq!(read(&blobs, &place, "cloud.ply").unwrap(), "points");
             // Only the requested file was downloaded.
@@ -436,25 +445,28 @@ mod tests {
                 place.join("cloud.ply").exists(),
                 "what it never had is no reason to doubt what is here"
             );
-            assert!(blobs.look(&place, CheckDepth::Bytes).unwrap().is_empty());
+            assert!(blobs.check_folder(&place, CheckDepth::Bytes).unwrap().is_empty());
             assert_eq!(
                 read(&blobs, &blobs.parse("q"), "cloud.ply").unwrap_err().kind(),
                 io::ErrorKind::NotFound
             );
             assert_eq!(
-                blobs.look(&blobs.parse("q"), CheckDepth::Names).unwrap()[0].what,
+                blobs.check_folder(&blobs.parse("q"), CheckDepth::Names).unwrap()[0].what,
                 "missing"
             );
         })
         .await;
         let expected: BTreeMap<String, String> =
             FILES.iter().map(|(file, text)| ((*file).to_owned(), (*text).to_owned())).collect();
-        assert_eq!(site.on(2, |blobs| all_of(&blobs, &blobs.parse("p"))).await, expected);
+        assert_eq!(
+            site.run_on(2, |blobs| read_all_files(&blobs, &blobs.parse("p"))).await,
+            expected
+        );
     }
 
     #[tokio::test]
-    async fn files_without_a_seal_are_no_folder() {
-        let site = Site::of(2, u64::MAX, DAY).await;
+    async fn unsealed_files_are_not_a_folder() {
+        let site = Site::new(2, u64::MAX, DAY).await;
         // The writer ended before it put the seal.
         for (file, _) in FILES {
             site.store
@@ -462,7 +474,7 @@ mod tests {
                 .await
                 .unwrap();
         }
-        site.on(0, |blobs| {
+        site.run_on(0, |blobs| {
             let place = blobs.content("c");
             assert_eq!(
                 read(&blobs, &place, "cloud.ply").unwrap_err().kind(),
@@ -472,33 +484,34 @@ mod tests {
         })
         .await;
         assert_eq!(
-            site.on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply")).await.unwrap(),
+            site.run_on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply")).await.unwrap(),
             "points"
         );
     }
 
     #[tokio::test]
-    async fn of_two_who_publish_the_same_the_first_counts_and_nothing_of_the_other_stays() {
-        let site = Site::of(2, u64::MAX, DAY).await;
+    async fn the_first_of_two_publishers_wins_and_the_other_leaves_nothing() {
+        let site = Site::new(2, u64::MAX, DAY).await;
         // Both machines start before either has finished.
-        let prepared =
-            site.on(1, |blobs| blobs.prepare(written(&blobs), &blobs.content("c")).unwrap()).await;
-        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        let prepared = site
+            .run_on(1, |blobs| blobs.prepare(write_scratch(&blobs), &blobs.content("c")).unwrap())
+            .await;
+        site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         assert_eq!(site.keys().await.len(), 2 * FILES.len() + 1);
-        site.on(1, |blobs| blobs.publish_prepared(prepared).unwrap()).await;
+        site.run_on(1, |blobs| blobs.publish_prepared(prepared).unwrap()).await;
         for machine in 0..2 {
             assert_eq!(
-                site.on(machine, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply"))
+                site.run_on(machine, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply"))
                     .await
                     .unwrap(),
                 "points"
             );
         }
-        gone_but(&site, FILES.len() + 1).await;
+        wait_until_objects_left(&site, FILES.len() + 1).await;
     }
 
     /// Waits until only this many objects are left.
-    async fn gone_but(site: &Site, left: usize) {
+    async fn wait_until_objects_left(site: &Site, left: usize) {
         for _ in 0..500 {
             if site.keys().await.len() == left {
                 return;
@@ -509,82 +522,88 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_folder_that_is_removed_is_gone_for_all_and_may_be_published_anew() {
-        let site = Site::of(2, u64::MAX, DAY).await;
-        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
-        site.on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply").unwrap()).await;
+    async fn a_removed_folder_is_gone_everywhere_and_can_be_republished() {
+        let site = Site::new(2, u64::MAX, DAY).await;
+        site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        site.run_on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply").unwrap()).await;
         let blobs = site.machines[0].1.clone();
         blobs.discard(blobs.content("c")).await.unwrap();
         assert_eq!(
-            site.on(0, |blobs| blobs.look(&blobs.content("c"), CheckDepth::Names).unwrap().len())
+            site.run_on(0, |blobs| blobs
+                .check_folder(&blobs.content("c"), CheckDepth::Names)
+                .unwrap()
+                .len())
                 .await,
             1
         );
-        gone_but(&site, 0).await;
-        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        wait_until_objects_left(&site, 0).await;
+        site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         // This machine still has the previous seal, and not all the files.
         assert_eq!(
-            site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            site.run_on(1, |blobs| read_all_files(&blobs, &blobs.content("c"))).await.len(),
             FILES.len()
         );
     }
 
     #[tokio::test]
-    async fn a_folder_that_was_taken_away_is_put_back_unless_there_is_another() {
-        let site = Site::of(2, u64::MAX, DAY).await;
+    async fn a_folder_moved_away_is_put_back_unless_replaced() {
+        let site = Site::new(2, u64::MAX, DAY).await;
         let [one, other] = [0, 1].map(|at| site.machines[at].1.clone());
-        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         let taken = other.set_aside(vec![other.content("c")]).await.unwrap().remove(0);
         other.put_back(taken, other.content("c")).await.unwrap();
         assert_eq!(
-            site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            site.run_on(1, |blobs| read_all_files(&blobs, &blobs.content("c"))).await.len(),
             FILES.len()
         );
         let taken = one.set_aside(vec![one.content("c")]).await.unwrap().remove(0);
-        site.on(1, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        site.run_on(1, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         one.put_back(taken, one.content("c")).await.unwrap();
-        gone_but(&site, FILES.len() + 1).await;
+        wait_until_objects_left(&site, FILES.len() + 1).await;
         assert_eq!(
-            site.on(0, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(),
+            site.run_on(0, |blobs| read_all_files(&blobs, &blobs.content("c"))).await.len(),
             FILES.len()
         );
     }
 
     #[tokio::test]
-    async fn a_damaged_copy_is_brought_anew_and_damaged_objects_are_told() {
-        let site = Site::of(2, u64::MAX, DAY).await;
-        site.on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
-        site.on(1, |blobs| {
+    async fn a_damaged_copy_is_downloaded_again_and_missing_objects_are_reported() {
+        let site = Site::new(2, u64::MAX, DAY).await;
+        site.run_on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;
+        site.run_on(1, |blobs| {
             let (place, file) = (blobs.parse("p"), Utf8Path::new("cloud.ply"));
             read(&blobs, &place, "cloud.ply").unwrap();
             fs::write(place.join(file), "pointz").unwrap();
-            assert_eq!(blobs.look_at(&place, file).unwrap(), None);
+            assert_eq!(blobs.check_file(&place, file).unwrap(), None);
             assert_eq!(fs::read_to_string(place.join(file)).unwrap(), "points");
         })
         .await;
         let key = site.keys().await.into_iter().find(|key| key.ends_with("2.jpg")).unwrap();
         site.store.put(&Path::parse(key).unwrap(), "others".into()).await.unwrap();
-        let told = site.on(1, |blobs| blobs.whole(&blobs.parse("p")).map(drop)).await.unwrap_err();
-        assert_eq!(told.kind(), io::ErrorKind::InvalidData);
-        assert!(told.to_string().contains("views/deep/er/2.jpg"), "{told}");
+        let result = site
+            .run_on(1, |blobs| blobs.pin_folder(&blobs.parse("p")).map(drop))
+            .await
+            .unwrap_err();
+        assert_eq!(result.kind(), io::ErrorKind::InvalidData);
+        assert!(result.to_string().contains("views/deep/er/2.jpg"), "{result}");
     }
 
     #[tokio::test]
-    async fn who_takes_longer_than_half_of_the_grace_publishes_nothing() {
-        let site = Site::of(1, u64::MAX, Duration::from_millis(100)).await;
-        let told = site.on(0, |blobs| {
-            let prepared = blobs.prepare(written(&blobs), &blobs.content("c")).unwrap();
+    async fn a_publish_slower_than_half_the_grace_period_fails() {
+        let site = Site::new(1, u64::MAX, Duration::from_millis(100)).await;
+        let result = site.run_on(0, |blobs| {
+            let prepared = blobs.prepare(write_scratch(&blobs), &blobs.content("c")).unwrap();
             std::thread::sleep(Duration::from_millis(60));
             blobs.publish_prepared(prepared)
         });
-        assert!(ObjectStoreUnavailable::is_behind(&told.await.unwrap_err()));
-        gone_but(&site, 0).await;
+        assert!(ObjectStoreUnavailable::is_behind(&result.await.unwrap_err()));
+        wait_until_objects_left(&site, 0).await;
     }
 
     #[tokio::test]
-    async fn copies_go_when_they_are_too_many_and_come_back() {
-        let site = Site::of(1, 600, DAY).await;
-        site.on(0, |blobs| {
+    async fn copies_are_evicted_and_downloaded_again() {
+        let site = Site::new(1, 600, DAY).await;
+        site.run_on(0, |blobs| {
             for name in ["a", "b", "c"] {
                 publish(&blobs, &blobs.parse(name)).unwrap();
             }
@@ -592,7 +611,7 @@ mod tests {
             let here = |blobs: &Blobs| blobs.names("parses").unwrap().len();
             assert_eq!(here(&blobs), 2);
             for name in ["a", "b", "c"] {
-                assert_eq!(all_of(&blobs, &blobs.parse(name)).len(), FILES.len());
+                assert_eq!(read_all_files(&blobs, &blobs.parse(name)).len(), FILES.len());
                 assert!(here(&blobs) <= 2);
             }
         })
@@ -600,19 +619,23 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_folder_is_of_one_object_store() {
-        let site = Site::of(1, u64::MAX, DAY).await;
+    async fn a_cache_folder_belongs_to_one_object_store() {
+        let site = Site::new(1, u64::MAX, DAY).await;
         let other = Objects::new(Arc::new(InMemory::new()), "", DAY);
         let (folder, blobs) = &site.machines[0];
         let path = Utf8Path::from_path(folder.path()).unwrap();
-        let (blobs, known) = (blobs.clone(), super::super::home::kept_in(path).unwrap());
-        let again =
-            spawn_blocking(move || blobs.copying(other, "memory", known, u64::MAX).map(drop));
-        assert!(matches!(again.await.unwrap(), Err(crate::StoreError::NotTogether)));
+        let (blobs, known) = (blobs.clone(), super::super::home::read_source_store(path).unwrap());
+        let again = spawn_blocking(move || {
+            blobs.with_object_store(other, "memory", known, u64::MAX).map(drop)
+        });
+        assert!(matches!(again.await.unwrap(), Err(crate::StoreError::StoresDoNotMatch)));
         assert!(matches!(
-            Blobs::open(path, &BlobHome::Folder, FileAccess::Used),
+            Blobs::open(path, &BlobHome::Folder, FileAccess::ReadWrite),
             Err(crate::StoreError::BlobsElsewhere { .. })
         ));
-        assert!(matches!(Blobs::look_only(path), Err(crate::StoreError::OnlyOfFolder { .. })));
+        assert!(matches!(
+            Blobs::open_read_only(path),
+            Err(crate::StoreError::RequiresLocalFiles { .. })
+        ));
     }
 }

@@ -15,7 +15,7 @@ const PAUSE: Duration = Duration::from_millis(5);
 /// The kind of folder that changes after it was written. The others stay as published.
 const CHANGING: &str = "checkpoints";
 /// Folders next to `blobs/` that hold files.
-const BESIDE: [&str; 3] = ["uploads", "tmp", "quarantine"];
+const OTHER_FOLDERS: [&str; 3] = ["uploads", "tmp", "quarantine"];
 
 /// Sizes of folders measured before, by a hash of kind and name.
 #[derive(Debug, Default)]
@@ -44,7 +44,7 @@ impl Blobs {
                         total += bytes;
                         known.insert(key, *bytes);
                     }
-                    None => unknown.push((key, self.place(kind, &name))),
+                    None => unknown.push((key, self.folder_path(kind, &name))),
                 }
             }
             let mut unknown = unknown.into_iter().peekable();
@@ -63,7 +63,7 @@ impl Blobs {
             }
             sizes.insert(kind, total);
         }
-        for (kind, folder) in BESIDE.map(|kind| (kind, self.root.with_file_name(kind))) {
+        for (kind, folder) in OTHER_FOLDERS.map(|kind| (kind, self.root.with_file_name(kind))) {
             sizes.insert(kind, spawn_blocking(move || bytes_below(&folder)).await??);
         }
         measured.0 = known;
@@ -105,12 +105,12 @@ mod tests {
     use std::fs;
 
     #[tokio::test]
-    async fn sizes_are_those_of_the_files_and_follow_them() {
+    async fn sizes_follow_the_files() {
         let data = tempfile::tempdir().unwrap();
         let blobs = Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),
             &super::super::BlobHome::Folder,
-            super::super::FileAccess::Used,
+            super::super::FileAccess::ReadWrite,
         )
         .unwrap();
         for i in 0..STEP + 3 {

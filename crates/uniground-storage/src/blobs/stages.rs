@@ -13,11 +13,11 @@ use tokio::task::{JoinHandle, spawn_blocking};
 use tokio::time::{sleep, timeout};
 
 /// Interval of checking the logs while a parse runs.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
+const POLL_INTERVAL: Duration = Duration::from_secs(5);
 /// A log that has not grown for this long belongs to a stage that is finished, or slow.
-const AT_REST: Duration = Duration::from_secs(10);
+const STAGE_IDLE_TIME: Duration = Duration::from_secs(10);
 /// Timeout of the final upload at the end of a parse.
-const PATIENCE: Duration = Duration::from_secs(30);
+const FINAL_UPLOAD_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Uploads the checkpoint logs of a content while they grow.
 #[derive(Debug)]
@@ -35,7 +35,7 @@ impl CheckpointUpload {
     pub async fn finish(mut self) {
         let Some((looking, following)) = self.0.take() else { return };
         looking.abort();
-        if timeout(PATIENCE, following.put_rest()).await.is_err() {
+        if timeout(FINAL_UPLOAD_TIMEOUT, following.upload_rest()).await.is_err() {
             tracing::warn!(
                 hash = following.hash,
                 "checkpoints could not be uploaded to the object store in time"
@@ -58,11 +58,11 @@ impl Blobs {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn use_checkpoints(&self, hash: &str) -> io::Result<Utf8PathBuf> {
+    pub fn open_checkpoints(&self, hash: &str) -> io::Result<Utf8PathBuf> {
         let folder = self.checkpoints(hash);
         fs::create_dir_all(&folder)?;
         if let Some(shared) = &self.shared
-            && let Err(error) = self.bring_logs(&shared.objects, hash, &folder)
+            && let Err(error) = self.download_logs(&shared.objects, hash, &folder)
         {
             tracing::warn!(
                 hash,
@@ -76,15 +76,15 @@ impl Blobs {
 
     /// Downloads logs that are longer than the local ones. Logs only grow: the longer one is the
     /// later.
-    fn bring_logs(&self, objects: &Objects, hash: &str, folder: &Utf8Path) -> io::Result<()> {
-        for StoredLog { name, bytes, .. } in objects.wait(objects.logs(hash))? {
+    fn download_logs(&self, objects: &Objects, hash: &str, folder: &Utf8Path) -> io::Result<()> {
+        for StoredLog { name, bytes, .. } in objects.block_on(objects.logs(hash))? {
             let here = folder.join(&name);
             if fs::metadata(&here).is_ok_and(|log| log.len() >= bytes) {
                 continue;
             }
             let unfinished = self.scratch()?;
             let file = unfinished.path().join("log");
-            objects.wait(objects.get_log(hash, &name, &file))?;
+            objects.block_on(objects.get_log(hash, &name, &file))?;
             fs::rename(file, here)?;
         }
         Ok(())
@@ -92,7 +92,7 @@ impl Blobs {
 
     /// Uploads the logs of a content as stages finish, as long as the result lives.
     #[must_use]
-    pub fn keep_stages(&self, hash: &str) -> CheckpointUpload {
+    pub fn upload_stages(&self, hash: &str) -> CheckpointUpload {
         let Some(shared) = &self.shared else { return CheckpointUpload(None) };
         let following = CheckpointSync {
             objects: shared.objects.clone(),
@@ -104,8 +104,8 @@ impl Blobs {
             async move {
                 let mut put = HashMap::new();
                 loop {
-                    sleep(LOOK_EVERY).await;
-                    following.put_finished(&mut put).await;
+                    sleep(POLL_INTERVAL).await;
+                    following.upload_finished(&mut put).await;
                 }
             }
         });
@@ -116,11 +116,11 @@ impl Blobs {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub fn inherit_checkpoints(&self, from: &str, to: &str) -> io::Result<()> {
+    pub fn copy_checkpoints(&self, from: &str, to: &str) -> io::Result<()> {
         // Copying does not count as a use of the old checkpoints.
-        let (from_folder, to_folder) = (self.checkpoints(from), self.use_checkpoints(to)?);
+        let (from_folder, to_folder) = (self.checkpoints(from), self.open_checkpoints(to)?);
         if self.shared.is_some() {
-            self.use_checkpoints(from)?;
+            self.open_checkpoints(from)?;
         }
         if !from_folder.is_dir() {
             return Ok(());
@@ -140,7 +140,7 @@ impl Blobs {
     ///
     /// # Errors
     /// Errors of the file system; the object store cannot be used.
-    pub fn kept_checkpoints(&self) -> io::Result<Vec<StoredCheckpoints>> {
+    pub fn list_checkpoints(&self) -> io::Result<Vec<StoredCheckpoints>> {
         let mut kept: BTreeMap<String, StoredCheckpoints> = BTreeMap::new();
         let mut count = |hash: String, bytes: u64, used: SystemTime| {
             let known = kept.entry(hash.clone()).or_insert(StoredCheckpoints { hash, bytes, used });
@@ -151,7 +151,7 @@ impl Blobs {
             count(hash, bytes, used);
         }
         if let Some(shared) = &self.shared {
-            let stored = shared.objects.wait(shared.objects.folders("checkpoints"))?;
+            let stored = shared.objects.block_on(shared.objects.folders("checkpoints"))?;
             stored.into_iter().for_each(|(hash, found)| count(hash, found.bytes, found.newest()));
         }
         let mut kept: Vec<StoredCheckpoints> = kept.into_values().collect();
@@ -163,14 +163,14 @@ impl Blobs {
 impl CheckpointSync {
     /// Uploads logs that have stopped growing, or have grown by a quarter. In total that uploads
     /// little more than the logs' final size.
-    async fn put_finished(&self, put: &mut HashMap<String, u64>) {
-        let Ok(logs) = self.logs_here().await else { return };
+    async fn upload_finished(&self, put: &mut HashMap<String, u64>) {
+        let Ok(logs) = self.list_local_logs().await else { return };
         for (name, bytes, changed) in logs {
             let before = put.get(&name).copied().unwrap_or(0);
-            let is_at_rest = changed.elapsed().unwrap_or_default() >= AT_REST;
+            let is_at_rest = changed.elapsed().unwrap_or_default() >= STAGE_IDLE_TIME;
             if bytes > before
                 && (is_at_rest || bytes - before > before / 4)
-                && self.put(&name).await
+                && self.upload_log(&name).await
             {
                 put.insert(name, bytes);
             }
@@ -178,8 +178,9 @@ impl CheckpointSync {
     }
 
     /// Uploads what is missing, and removes logs that belong to other settings.
-    async fn put_rest(&self) {
-        let (Ok(here), Ok(there)) = (self.logs_here().await, self.objects.logs(&self.hash).await)
+    async fn upload_rest(&self) {
+        let (Ok(here), Ok(there)) =
+            (self.list_local_logs().await, self.objects.logs(&self.hash).await)
         else {
             tracing::warn!(
                 hash = self.hash,
@@ -198,7 +199,7 @@ impl CheckpointSync {
                 bytes,
                 "uploading a checkpoint to the object store"
             );
-            self.put(name).await;
+            self.upload_log(name).await;
         }
         for log in there.iter().filter(|log| here.iter().all(|(name, ..)| *name != log.name)) {
             if let Err(error) = self.objects.remove_log(&self.hash, &log.name).await {
@@ -211,9 +212,9 @@ impl CheckpointSync {
     }
 
     /// Uploads one log. Returns whether that succeeded.
-    async fn put(&self, name: &str) -> bool {
+    async fn upload_log(&self, name: &str) -> bool {
         let put = self.objects.put_log(&self.hash, name, &self.folder.join(name)).await;
-        let told = |error: &io::Error| {
+        let log_failed_upload = |error: &io::Error| {
             let error = error as &dyn std::error::Error;
             tracing::warn!(
                 hash = self.hash,
@@ -222,11 +223,11 @@ impl CheckpointSync {
                 "checkpoint could not be uploaded; it stays on this machine"
             );
         };
-        put.inspect_err(told).is_ok()
+        put.inspect_err(log_failed_upload).is_ok()
     }
 
     /// Returns name, bytes and last change of every log.
-    async fn logs_here(&self) -> io::Result<Vec<(String, u64, SystemTime)>> {
+    async fn list_local_logs(&self) -> io::Result<Vec<(String, u64, SystemTime)>> {
         let folder = self.folder.clone();
         let logs = spawn_blocking(move || {
             let logs = folder.read_dir_utf8()?.map(|entry| {

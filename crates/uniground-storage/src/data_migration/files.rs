@@ -2,7 +2,7 @@
 
 use super::{MigrationError, MigrationProgress, MigrationStep, OnProgress};
 use crate::backup::{CopyFailure, copy_folder};
-use crate::blobs::checksums::{SUMS, files_below, look};
+use crate::blobs::checksums::{SUMS, check_folder, list_files};
 use crate::blobs::{Blobs, CheckDepth, DamagedFile, KINDS, Scratch, remove_tree, size_of};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeSet;
@@ -34,29 +34,33 @@ type DamagedFolders = Vec<(String, String)>;
 pub fn move_files(
     from: &Blobs,
     to: &Blobs,
-    tell: &OnProgress,
+    on_progress: &OnProgress,
 ) -> Result<(Vec<MigratedFiles>, DamagedFolders), MigrationError> {
     let (mut kinds, mut damaged) = (Vec::new(), DamagedFolders::new());
     for kind in KINDS {
         let names: BTreeSet<String> = from.names(kind)?.into_iter().collect();
         for name in to.names(kind)?.iter().filter(|name| !names.contains(*name)) {
-            remove_tree(&to.place(kind, name), to.tmp())?;
+            remove_tree(&to.folder_path(kind, name), to.tmp())?;
         }
         let mut moved = MigratedFiles { kind, folders: 0, bytes: 0, copied_bytes: 0 };
         let of = names.len() as u64;
-        tell(MigrationProgress { part: MigrationStep::Files(kind), done: 0, of });
+        on_progress(MigrationProgress { part: MigrationStep::Files(kind), done: 0, of });
         for name in names {
-            let (source, place) = (from.place(kind, &name), to.place(kind, &name));
+            let (source, place) = (from.folder_path(kind, &name), to.folder_path(kind, &name));
             let file_error = |error| MigrationError::File { file: source.clone(), source: error };
             moved.copied_bytes +=
                 move_folder(kind, &source, &place, to, &mut damaged).map_err(file_error)?;
             moved.bytes += size_of(&place).map_err(file_error)?;
             moved.folders += 1;
-            tell(MigrationProgress { part: MigrationStep::Files(kind), done: moved.folders, of });
+            on_progress(MigrationProgress {
+                part: MigrationStep::Files(kind),
+                done: moved.folders,
+                of,
+            });
         }
         kinds.push(moved);
     }
-    kinds.push(move_uploads(from, to, tell)?);
+    kinds.push(move_uploads(from, to, on_progress)?);
     Ok((kinds, damaged))
 }
 
@@ -68,10 +72,10 @@ fn move_folder(
     to: &Blobs,
     damaged: &mut DamagedFolders,
 ) -> io::Result<u64> {
-    let (scratch, copied) = match link(kind, source, to, damaged)? {
+    let (scratch, copied) = match link_folder(kind, source, to, damaged)? {
         Some(scratch) => (scratch, 0),
         None if kind != GROWING && is_same(source, place)? => return Ok(0),
-        None => copy(kind, source, to, damaged)?,
+        None => copy_and_report_damage(kind, source, to, damaged)?,
     };
     remove_tree(place, to.tmp())?;
     // Keep the original time, so that retention counts from it.
@@ -83,14 +87,16 @@ fn move_folder(
 /// Returns whether a folder was copied earlier, by comparing every byte.
 fn is_same(source: &Utf8Path, place: &Utf8Path) -> io::Result<bool> {
     match (fs::read(source.join(SUMS)), fs::read(place.join(SUMS))) {
-        (Ok(own), Ok(sums)) if own == sums => Ok(look(place, CheckDepth::Bytes)?.is_empty()),
+        (Ok(own), Ok(sums)) if own == sums => {
+            Ok(check_folder(place, CheckDepth::Bytes)?.is_empty())
+        }
         _ => Ok(false),
     }
 }
 
 /// Hard-links the files of a folder. Returns `None` where the disk does not support that, or the
 /// target is on another disk.
-fn link(
+fn link_folder(
     kind: &str,
     source: &Utf8Path,
     to: &Blobs,
@@ -107,7 +113,7 @@ fn link(
             return Ok(None);
         }
     }
-    let missing = look(source, CheckDepth::Names)?;
+    let missing = check_folder(source, CheckDepth::Names)?;
     damaged.extend(
         missing
             .into_iter()
@@ -118,7 +124,7 @@ fn link(
 
 /// Copies a folder and checks every file on the way. Returns the bytes. Damaged files are copied as
 /// they are, and reported.
-fn copy(
+fn copy_and_report_damage(
     kind: &str,
     source: &Utf8Path,
     to: &Blobs,
@@ -126,24 +132,24 @@ fn copy(
 ) -> io::Result<(Scratch, u64)> {
     let mut scratch = to.scratch()?;
     let copied = match kind {
-        GROWING => copy_as_it_is(source, scratch.path()).map_err(CopyFailure::NotWritten),
+        GROWING => copy_unverified(source, scratch.path()).map_err(CopyFailure::NotWritten),
         _ => copy_folder(source, scratch.path()).map(drop),
     };
     match copied {
         Ok(()) => {}
         Err(CopyFailure::NotWritten(error)) => return Err(error),
-        Err(CopyFailure::Gone) => return Err(io::ErrorKind::NotFound.into()),
+        Err(CopyFailure::Missing) => return Err(io::ErrorKind::NotFound.into()),
         Err(CopyFailure::Damaged(what)) => {
             damaged.push((name_of(source), what));
             scratch = to.scratch()?;
-            copy_as_it_is(source, scratch.path())?;
+            copy_unverified(source, scratch.path())?;
         }
     }
     let bytes = size_of(scratch.path())?;
     Ok((scratch, bytes))
 }
 
-fn copy_as_it_is(source: &Utf8Path, to: &Utf8Path) -> io::Result<()> {
+fn copy_unverified(source: &Utf8Path, to: &Utf8Path) -> io::Result<()> {
     for file in all_files(source)? {
         let (own, place) = (source.join(&file), to.join(&file));
         fs::create_dir_all(place.parent().unwrap_or(to))?;
@@ -155,7 +161,7 @@ fn copy_as_it_is(source: &Utf8Path, to: &Utf8Path) -> io::Result<()> {
 
 /// Returns all files below a folder, including the list of checksums.
 fn all_files(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
-    let mut files = files_below(folder)?;
+    let mut files = list_files(folder)?;
     files.extend(folder.join(SUMS).exists().then(|| SUMS.into()));
     Ok(files)
 }
@@ -170,7 +176,7 @@ fn name_of(folder: &Utf8Path) -> String {
 fn move_uploads(
     from: &Blobs,
     to: &Blobs,
-    tell: &OnProgress,
+    on_progress: &OnProgress,
 ) -> Result<MigratedFiles, MigrationError> {
     for gone in to.all_uploads()? {
         fs::remove_file(to.upload(&gone))?;
@@ -178,7 +184,7 @@ fn move_uploads(
     let uploads = from.all_uploads()?;
     let of = uploads.len() as u64;
     let mut moved = MigratedFiles { kind: UPLOADS, folders: 0, bytes: 0, copied_bytes: 0 };
-    tell(MigrationProgress { part: MigrationStep::Files(UPLOADS), done: 0, of });
+    on_progress(MigrationProgress { part: MigrationStep::Files(UPLOADS), done: 0, of });
     for id in uploads {
         let file = from.upload(&id);
         let bytes = fs::copy(&file, to.upload(&id))
@@ -189,7 +195,11 @@ fn move_uploads(
             copied_bytes: moved.copied_bytes + bytes,
             ..moved
         };
-        tell(MigrationProgress { part: MigrationStep::Files(UPLOADS), done: moved.folders, of });
+        on_progress(MigrationProgress {
+            part: MigrationStep::Files(UPLOADS),
+            done: moved.folders,
+            of,
+        });
     }
     Ok(moved)
 }
@@ -209,7 +219,7 @@ mod tests {
             Blobs::open(
                 &Utf8Path::from_path(root.path()).unwrap().join(name),
                 &BlobHome::Folder,
-                FileAccess::Used,
+                FileAccess::ReadWrite,
             )
             .unwrap()
         });
@@ -218,7 +228,7 @@ mod tests {
         fs::write(scratch.path().join("cloud.ply"), "points").unwrap();
         fs::write(scratch.path().join("views/1.jpg"), "picture").unwrap();
         from.publish(scratch, &from.parse("p")).unwrap();
-        fs::write(from.use_checkpoints("c").unwrap().join("stage.log"), "finished").unwrap();
+        fs::write(from.open_checkpoints("c").unwrap().join("stage.log"), "finished").unwrap();
         fs::write(from.upload("u"), "half").unwrap();
         let long_ago = SystemTime::now() - Duration::from_hours(99);
         for place in
@@ -229,9 +239,9 @@ mod tests {
         (root, from, to)
     }
 
-    fn moved(from: &Blobs, to: &Blobs) -> (Vec<MigratedFiles>, DamagedFolders) {
-        let tell: OnProgress = Arc::new(|_| {});
-        let (kinds, damaged) = move_files(from, to, &tell).unwrap();
+    fn run_file_migration(from: &Blobs, to: &Blobs) -> (Vec<MigratedFiles>, DamagedFolders) {
+        let on_progress: OnProgress = Arc::new(|_| {});
+        let (kinds, damaged) = move_files(from, to, &on_progress).unwrap();
         (kinds.into_iter().filter(|kind| kind.folders > 0).collect(), damaged)
     }
 
@@ -240,14 +250,14 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_change_gets_a_second_name_and_what_grows_a_copy() {
+    fn unchanging_files_are_hard_linked_and_growing_ones_copied() {
         let (_root, from, to) = folders();
-        let (kinds, damaged) = moved(&from, &to);
-        let told: Vec<_> =
+        let (kinds, damaged) = run_file_migration(&from, &to);
+        let reported: Vec<_> =
             kinds.iter().map(|kind| (kind.kind, kind.folders, kind.copied_bytes)).collect();
-        assert_eq!(told, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
+        assert_eq!(reported, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
         assert_eq!(damaged, []);
-        assert!(to.look(&to.parse("p"), CheckDepth::Bytes).unwrap().is_empty());
+        assert!(to.check_folder(&to.parse("p"), CheckDepth::Bytes).unwrap().is_empty());
         // A log that grows on one side grows there only.
         for log in [from.checkpoints("c").join("stage.log"), from.upload("u")] {
             fs::write(log, "more").unwrap();
@@ -258,23 +268,25 @@ mod tests {
         );
         // Migration keeps the age of everything.
         assert!(
-            to.older_than("parses", Duration::from_hours(98), SystemTime::now()).unwrap() == ["p"]
+            to.list_folders_older_than("parses", Duration::from_hours(98), SystemTime::now())
+                .unwrap()
+                == ["p"]
         );
         assert!(
-            to.kept_checkpoints().unwrap()[0].used.elapsed().unwrap() > Duration::from_hours(98)
+            to.list_checkpoints().unwrap()[0].used.elapsed().unwrap() > Duration::from_hours(98)
         );
     }
 
     #[test]
-    fn another_try_completes_what_the_first_has_brought() {
+    fn a_second_attempt_completes_the_first() {
         let (_root, from, to) = folders();
-        moved(&from, &to);
+        run_file_migration(&from, &to);
         // Removed at the source, and incomplete at the target.
         fs::create_dir(to.parse("gone")).unwrap();
         fs::write(to.upload("gone"), "x").unwrap();
         fs::remove_file(to.parse("p").join("views/1.jpg")).unwrap();
         fs::write(from.upload("u"), "all of it").unwrap();
-        moved(&from, &to);
+        run_file_migration(&from, &to);
         assert_eq!(
             (to.names("parses").unwrap(), to.all_uploads().unwrap()),
             (vec!["p".to_owned()], vec!["u".to_owned()])
@@ -288,11 +300,12 @@ mod tests {
     /// As for another disk: checks every file against its checksum, and keeps files that were
     /// damaged before as they are.
     #[test]
-    fn a_copy_is_whole_or_told() {
+    fn a_copy_is_complete_or_reported_as_damaged() {
         let (_root, from, to) = folders();
         let (source, place) = (from.parse("p"), to.parse("p"));
         let mut damaged = DamagedFolders::new();
-        let (scratch, bytes) = copy("parses", &source, &to, &mut damaged).unwrap();
+        let (scratch, bytes) =
+            copy_and_report_damage("parses", &source, &to, &mut damaged).unwrap();
         fs::rename(scratch.path(), &place).unwrap();
         assert_eq!(
             (bytes, size_of(&place).unwrap(), damaged.len()),
@@ -302,11 +315,11 @@ mod tests {
         fs::write(place.join("cloud.ply"), "pointz").unwrap();
         assert!(!is_same(&source, &place).unwrap());
         fs::write(source.join("cloud.ply"), "pointz").unwrap();
-        let (scratch, _) = copy("parses", &source, &to, &mut damaged).unwrap();
+        let (scratch, _) = copy_and_report_damage("parses", &source, &to, &mut damaged).unwrap();
         assert_eq!(text(scratch.path().join("cloud.ply")), "pointz");
         assert_eq!(damaged, [("blobs/parses/p".to_owned(), "cloud.ply damaged".to_owned())]);
         fs::remove_file(source.join("cloud.ply")).unwrap();
-        let (_, damaged) = moved(&from, &to);
+        let (_, damaged) = run_file_migration(&from, &to);
         assert_eq!(damaged, [("blobs/parses/p".to_owned(), "cloud.ply missing".to_owned())]);
     }
 }

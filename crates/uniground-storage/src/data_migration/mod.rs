@@ -121,8 +121,8 @@ pub type OnProgress = Arc<dyn Fn(MigrationProgress) + Send + Sync>;
 /// Whether files are migrated.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum FileTransfer {
-    Move,
-    Stay,
+    Copy,
+    InPlace,
 }
 
 /// Migrates everything. The source stays unchanged, except that its schema is updated. In place, a
@@ -133,9 +133,9 @@ enum FileTransfer {
 pub async fn migrate_data(
     from: &StoreLocation,
     to: &StoreLocation,
-    tell: OnProgress,
+    on_progress: OnProgress,
 ) -> Result<MigrationReport, MigrationError> {
-    let files = way(from, to)?;
+    let files = choose_file_transfer(from, to)?;
     let source = Store::open_known(&from.data_dir, &from.database, &BlobHome::Folder)
         .await
         .map_err(|source| match source {
@@ -147,32 +147,32 @@ pub async fn migrate_data(
             }
             source => MigrationError::From { data_dir: from.data_dir.clone(), source },
         })?;
-    let brought = bring(&source, to, files, &tell).await;
+    let brought = copy_store(&source, to, files, &on_progress).await;
     source.close().await;
     let (folder, moved) = brought?;
-    let set_aside = spawn_blocking(move || folder.settle()).await.map_err(io::Error::other)??;
+    let set_aside = spawn_blocking(move || folder.complete()).await.map_err(io::Error::other)??;
     // Keep the source's lock until here.
     drop(source);
     Ok(MigrationReport { set_aside, ..moved })
 }
 
 /// Copies everything that the target lacks.
-async fn bring(
+async fn copy_store(
     source: &Store,
     to: &StoreLocation,
     files: FileTransfer,
-    tell: &OnProgress,
+    on_progress: &OnProgress,
 ) -> Result<(TargetFolder, MigrationReport), MigrationError> {
     let (path, engine) = (to.data_dir.clone(), to.database.engine()?);
-    let current =
-        (files == FileTransfer::Stay).then(|| (source.folder.id.clone(), source.database.engine));
+    let current = (files == FileTransfer::InPlace)
+        .then(|| (source.folder.id.clone(), source.database.engine));
     let opening = spawn_blocking(move || match current {
         Some((id, engine_before)) => TargetFolder::in_place(path, &id, engine_before, engine),
         None => TargetFolder::open(path, engine),
     });
     let mut folder = opening.await.map_err(io::Error::other)??;
     let database = TargetDatabase::open(&to.database, &mut folder).await?;
-    let rows = rows::move_rows(source, &database, &folder.id, tell).await;
+    let rows = rows::move_rows(source, &database, &folder.id, on_progress).await;
     database.close().await;
     let rows::MigratedRows { moved: rows, texts_changed } = rows?;
     let mut moved = MigrationReport {
@@ -182,16 +182,19 @@ async fn bring(
         damaged: Vec::new(),
         set_aside: None,
     };
-    if files == FileTransfer::Move {
-        let (from, to, tell) = (source.blobs.clone(), folder.clone(), tell.clone());
-        let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &tell));
+    if files == FileTransfer::Copy {
+        let (from, to, on_progress) = (source.blobs.clone(), folder.clone(), on_progress.clone());
+        let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &on_progress));
         (moved.files, moved.damaged) = moving.await.map_err(io::Error::other)??;
     }
     Ok((folder, moved))
 }
 
 /// Returns whether the folder stays, or an error if there is nothing to migrate.
-fn way(from: &StoreLocation, to: &StoreLocation) -> Result<FileTransfer, MigrationError> {
+fn choose_file_transfer(
+    from: &StoreLocation,
+    to: &StoreLocation,
+) -> Result<FileTransfer, MigrationError> {
     let no_folder = |_| {
         let (data_dir, folder) = (from.data_dir.clone(), from.data_dir.clone());
         MigrationError::From { data_dir, source: StoreError::NoDataFolder { folder } }
@@ -202,14 +205,14 @@ fn way(from: &StoreLocation, to: &StoreLocation) -> Result<FileTransfer, Migrati
     let other = nearest.canonicalize_utf8()?;
     let is_there = nearest == to.data_dir;
     let files = match own == other && is_there {
-        true => FileTransfer::Stay,
+        true => FileTransfer::InPlace,
         false if other.starts_with(&own) || (is_there && own.starts_with(&other)) => {
             return Err(MigrationError::Within { data_dir: from.data_dir.clone() });
         }
-        false => FileTransfer::Move,
+        false => FileTransfer::Copy,
     };
     match from.database == to.database
-        && (files == FileTransfer::Stay || from.database != Location::Folder)
+        && (files == FileTransfer::InPlace || from.database != Location::Folder)
     {
         true => Err(MigrationError::SameDatabase),
         false => Ok(files),

@@ -3,7 +3,7 @@
 use super::target::TargetFolder;
 use super::{MigrationError, MigrationProgress, MigrationStep, OnProgress};
 use crate::cluster::ClusterMembership;
-use crate::database::{Connections, Engine, Location, number, without_nul};
+use crate::database::{Connections, Engine, Location, replace_nul, to_unsigned};
 use crate::writer::Writer;
 use crate::{LEASE, Store, StoreAccess, StoreError, migrations};
 use futures::TryStreamExt;
@@ -83,13 +83,14 @@ impl TargetDatabase {
     ) -> Result<Self, MigrationError> {
         let not_used =
             |source: StoreError| MigrationError::To { place: location.to_string(), source };
-        let members =
-            ClusterMembership::join(location, StoreAccess::None, LEASE).await.map_err(not_used)?;
+        let members = ClusterMembership::join(location, StoreAccess::Exclusive, LEASE)
+            .await
+            .map_err(not_used)?;
         let (mut server, mut is_begun) = (None, false);
         if let Location::Postgres(url) = location {
-            let connections = Connections::to_server(url).await.map_err(not_used)?;
+            let connections = Connections::connect_to_server(url).await.map_err(not_used)?;
             // A database that is in use stays unchanged, including its schema.
-            is_begun = was_begun_for(&folder.id, &connections, location).await?;
+            is_begun = is_started_for(&folder.id, &connections, location).await?;
             server = Some(connections);
         }
         if !is_begun {
@@ -98,7 +99,9 @@ impl TargetDatabase {
         begin(folder).await?;
         let connections = match server {
             Some(connections) => connections,
-            None => Connections::to_file(&folder.unfinished_database()).await.map_err(not_used)?,
+            None => {
+                Connections::open_file(&folder.unfinished_database()).await.map_err(not_used)?
+            }
         };
         let Connections { engine, reader, writer } = connections;
         migrations(engine).run(&writer).await.map_err(StoreError::from)?;
@@ -122,7 +125,7 @@ impl TargetDatabase {
 
     /// Stores the id of the folder that the database will belong to, and since when it knows its
     /// files.
-    async fn introduce(&self, id: &str, since: &str) -> Result<(), MigrationError> {
+    async fn store_identity(&self, id: &str, since: &str) -> Result<(), MigrationError> {
         let mut tx = self.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
         sqlx::query("INSERT INTO data_folder (id, since) VALUES ($1, $2)")
@@ -147,12 +150,12 @@ async fn begin(folder: &TargetFolder) -> Result<(), MigrationError> {
 
 /// Returns whether a non-empty database was started for a folder of this id. Every server writes
 /// the owner of a database before anything else.
-async fn was_begun_for(
+async fn is_started_for(
     id: &str,
     Connections { engine, writer, .. }: &Connections,
     location: &Location,
 ) -> Result<bool, MigrationError> {
-    let tables: Vec<String> = sqlx::query_scalar(engine.tables()).fetch_all(writer).await?;
+    let tables: Vec<String> = sqlx::query_scalar(engine.tables_query()).fetch_all(writer).await?;
     if !tables.iter().any(|table| table == "data_folder") {
         return Ok(false);
     }
@@ -177,16 +180,17 @@ pub async fn move_rows(
     source: &Store,
     target: &TargetDatabase,
     id: &str,
-    tell: &OnProgress,
+    on_progress: &OnProgress,
 ) -> Result<MigratedRows, MigrationError> {
     let since: String = sqlx::query_scalar("SELECT since FROM data_folder")
         .fetch_one(&source.database.reader)
         .await?;
-    target.introduce(id, &since).await?;
+    target.store_identity(id, &since).await?;
     let mut from = disable_timeout(&source.database.reader, source.database.engine).await?;
     let mut rows = MigratedRows { moved: Vec::new(), texts_changed: 0 };
     for table in TABLES {
-        let moved = move_table(&mut from, target, table, &mut rows.texts_changed, tell).await;
+        let moved =
+            move_table(&mut from, target, table, &mut rows.texts_changed, on_progress).await;
         rows.moved.push((table, moved.map_err(|source| MigrationError::Rows { table, source })?));
     }
     Ok(rows)
@@ -206,31 +210,33 @@ async fn move_table(
     target: &TargetDatabase,
     table: &'static str,
     texts_changed: &mut u64,
-    tell: &OnProgress,
+    on_progress: &OnProgress,
 ) -> Result<u64, StoreError> {
     let sql = format!("SELECT count(*) FROM {table}");
     let of: i64 = sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut *from).await?;
     let (mut progress, columns) = (
-        MigrationProgress { part: MigrationStep::Rows(table), done: 0, of: number(of)? },
+        MigrationProgress { part: MigrationStep::Rows(table), done: 0, of: to_unsigned(of)? },
         columns_of(target, table).await?,
     );
-    tell(progress);
-    let sql = format!("SELECT {} FROM {table}", names(&columns));
+    on_progress(progress);
+    let sql = format!("SELECT {} FROM {table}", column_names(&columns));
     let mut chunks = sqlx::query(AssertSqlSafe(sql)).fetch(from).try_chunks(ROWS);
     while let Some(rows) = chunks.try_next().await.map_err(|TryChunksError(_, error)| error)? {
         let mut tx = target.writer.begin().await?;
         for rows in rows.chunks(ROWS_OF_STATEMENT) {
-            write(rows, table, &columns, target.engine, texts_changed)?.execute(&mut *tx).await?;
+            build_insert(rows, table, &columns, target.engine, texts_changed)?
+                .execute(&mut *tx)
+                .await?;
         }
         tx.commit().await?;
         progress.done += rows.len() as u64;
-        tell(progress);
+        on_progress(progress);
     }
     Ok(progress.done)
 }
 
 /// Builds the query that inserts rows into a table.
-fn write<'q>(
+fn build_insert<'q>(
     rows: &[AnyRow],
     table: &str,
     columns: &[(String, ColumnType)],
@@ -239,7 +245,7 @@ fn write<'q>(
 ) -> sqlx::Result<Query<'q, Any, AnyArguments>> {
     // Not a persistent prepared statement: sqlx infers a smaller type for a NULL than for a number.
     let mut query =
-        sqlx::query(AssertSqlSafe(insert(table, columns, rows.len()))).persistent(false);
+        sqlx::query(AssertSqlSafe(insert_statement(table, columns, rows.len()))).persistent(false);
     for row in rows {
         for (place, (_, kind)) in columns.iter().enumerate() {
             query = match kind {
@@ -247,7 +253,7 @@ fn write<'q>(
                 ColumnType::Real => query.bind(row.try_get::<Option<f64>, _>(place)?),
                 ColumnType::Text => {
                     let text: Option<String> = row.try_get(place)?;
-                    let kept = text.as_deref().map(|text| kept_by(engine, text));
+                    let kept = text.as_deref().map(|text| to_storable_text(engine, text));
                     *texts_changed += u64::from(kept.as_deref() != text.as_deref());
                     query.bind(kept.map(Cow::into_owned))
                 }
@@ -262,8 +268,10 @@ async fn columns_of(
     target: &TargetDatabase,
     table: &str,
 ) -> sqlx::Result<Vec<(String, ColumnType)>> {
-    let columns: Vec<(String, String)> =
-        sqlx::query_as(target.engine.columns()).bind(table).fetch_all(target.writer.pool()).await?;
+    let columns: Vec<(String, String)> = sqlx::query_as(target.engine.columns_query())
+        .bind(table)
+        .fetch_all(target.writer.pool())
+        .await?;
     let columns = columns.into_iter().map(|(name, type_name)| match type_name.as_str() {
         "text" => Ok((name, ColumnType::Text)),
         "integer" | "bigint" => Ok((name, ColumnType::Integer)),
@@ -273,13 +281,13 @@ async fn columns_of(
     columns.collect()
 }
 
-fn names(columns: &[(String, ColumnType)]) -> String {
+fn column_names(columns: &[(String, ColumnType)]) -> String {
     columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ")
 }
 
 /// Returns the INSERT statement for this many rows.
-fn insert(table: &str, columns: &[(String, ColumnType)], rows: usize) -> String {
-    let mut sql = format!("INSERT INTO {table} ({}) VALUES ", names(columns));
+fn insert_statement(table: &str, columns: &[(String, ColumnType)], rows: usize) -> String {
+    let mut sql = format!("INSERT INTO {table} ({}) VALUES ", column_names(columns));
     for parameter in 0..rows * columns.len() {
         let before = match parameter {
             0 => "(",
@@ -292,10 +300,10 @@ fn insert(table: &str, columns: &[(String, ColumnType)], rows: usize) -> String 
 }
 
 /// Returns a text as the database can store it.
-fn kept_by(engine: Engine, text: &str) -> Cow<'_, str> {
+fn to_storable_text(engine: Engine, text: &str) -> Cow<'_, str> {
     match engine {
         Engine::Sqlite => text.into(),
-        Engine::Postgres => without_nul(text),
+        Engine::Postgres => replace_nul(text),
     }
 }
 
@@ -308,16 +316,16 @@ mod tests {
     /// Every table of the migrations must be migrated or be listed as an exception, and no table
     /// comes before one that it refers to.
     #[tokio::test]
-    async fn no_table_is_forgotten() {
+    async fn every_table_is_migrated() {
         let place = tempfile::tempdir().unwrap();
-        let store = Store::open_as_it_is(
+        let store = Store::open_without_recovery(
             Utf8Path::from_path(place.path()).unwrap(),
             &Location::Folder,
             &BlobHome::Folder,
         )
         .await
         .unwrap();
-        let mut tables: Vec<String> = sqlx::query_scalar(Engine::Sqlite.tables())
+        let mut tables: Vec<String> = sqlx::query_scalar(Engine::Sqlite.tables_query())
             .fetch_all(&store.database.reader)
             .await
             .unwrap();
@@ -339,7 +347,7 @@ mod tests {
             );
         }
         for table in TABLES {
-            let columns: Vec<(String, String)> = sqlx::query_as(Engine::Sqlite.columns())
+            let columns: Vec<(String, String)> = sqlx::query_as(Engine::Sqlite.columns_query())
                 .bind(table)
                 .fetch_all(&store.database.reader)
                 .await
@@ -350,8 +358,11 @@ mod tests {
     }
 
     #[test]
-    fn a_statement_writes_many_rows() {
+    fn one_statement_inserts_many_rows() {
         let columns = [("id".to_owned(), ColumnType::Text), ("usd".to_owned(), ColumnType::Real)];
-        assert_eq!(insert("t", &columns, 2), "INSERT INTO t (id, usd) VALUES ($1, $2), ($3, $4)");
+        assert_eq!(
+            insert_statement("t", &columns, 2),
+            "INSERT INTO t (id, usd) VALUES ($1, $2), ($3, $4)"
+        );
     }
 }

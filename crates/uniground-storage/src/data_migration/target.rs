@@ -4,7 +4,9 @@ use super::MigrationError;
 use crate::StoreError;
 use crate::blobs::checksums::sync_everything;
 use crate::blobs::{BlobHome, Blobs, FileAccess};
-use crate::data_folder::{DATABASE, LOCK, MARKER, MOVING, is_harmless, mark, write_synced};
+use crate::data_folder::{
+    DATABASE, LOCK, MARKER, MIGRATION_MARKER, is_harmless, write_marker, write_synced,
+};
 use crate::database::Engine;
 use camino::{Utf8Path, Utf8PathBuf};
 use jiff::Timestamp;
@@ -99,13 +101,13 @@ impl TargetFolder {
     pub fn begin(&self) -> Result<(), MigrationError> {
         let note = serde_json::to_vec_pretty(&TargetMarker { id: self.id.clone() })
             .map_err(StoreError::from)?;
-        write_synced(&self.path.join(MOVING), &note)?;
-        drop(self.blobs()?.left_behind(Duration::ZERO)?);
+        write_synced(&self.path.join(MIGRATION_MARKER), &note)?;
+        drop(self.blobs()?.list_leftovers(Duration::ZERO)?);
         Ok(())
     }
 
     pub fn blobs(&self) -> Result<Blobs, StoreError> {
-        Blobs::open(&self.path, &BlobHome::Folder, FileAccess::Used)
+        Blobs::open(&self.path, &BlobHome::Folder, FileAccess::ReadWrite)
     }
 
     /// Returns the path of an unfinished SQLite database, where no server looks for it.
@@ -116,7 +118,7 @@ impl TargetFolder {
     /// Turns the target into a data folder, now that everything is there. Returns the new name of a
     /// database file that is not used any more. If it is interrupted, the folder is a data folder
     /// already, or the migration can be repeated.
-    pub fn settle(self) -> Result<Option<Utf8PathBuf>, MigrationError> {
+    pub fn complete(self) -> Result<Option<Utf8PathBuf>, MigrationError> {
         sync_everything(&self.path)?;
         let mut aside = None;
         if self.engine == Engine::Sqlite {
@@ -126,11 +128,11 @@ impl TargetFolder {
             }
             fs::rename(self.unfinished_database(), self.path.join(DATABASE))?;
         }
-        mark(&self.path, &self.id, self.engine)?;
+        write_marker(&self.path, &self.id, self.engine)?;
         if self.engine_before == Some(Engine::Sqlite) {
             aside = set_aside(&self.path)?;
         }
-        fs::remove_file(self.path.join(MOVING))?;
+        fs::remove_file(self.path.join(MIGRATION_MARKER))?;
         Ok(aside)
     }
 }
@@ -141,12 +143,12 @@ fn new_id() -> String {
 
 /// Returns the future id of a folder, if a migration to it is unfinished.
 fn read_note(folder: &Utf8Path) -> Result<Option<String>, MigrationError> {
-    match fs::read(folder.join(MOVING)) {
+    match fs::read(folder.join(MIGRATION_MARKER)) {
         Ok(bytes) => {
             Ok(Some(serde_json::from_slice::<TargetMarker>(&bytes).map_err(StoreError::from)?.id))
         }
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(MigrationError::File { file: folder.join(MOVING), source }),
+        Err(source) => Err(MigrationError::File { file: folder.join(MIGRATION_MARKER), source }),
     }
 }
 

@@ -8,7 +8,7 @@ use uniground_types::settings::{ParseSettings, with_names_of_today};
 /// parse again.
 pub(super) fn read(mut stored: Value) -> ParseSettings {
     with_names_of_today(&mut stored);
-    without_steps_of_today(&mut stored);
+    remove_steps_without_settings(&mut stored);
     if let Ok(settings) = serde_json::from_value(stored.clone()) {
         return settings;
     }
@@ -21,7 +21,7 @@ pub(super) fn read(mut stored: Value) -> ParseSettings {
 
 /// A parse whose settings lack the switch of a newer step of stage 1 was made without that step,
 /// whatever the default is today.
-fn without_steps_of_today(stored: &mut Value) {
+fn remove_steps_without_settings(stored: &mut Value) {
     let young = [
         ("/parsing", "refine_borders", Value::Bool(false)),
         ("/parsing/merging", "keep_planes_apart", Value::Bool(false)),

@@ -51,16 +51,16 @@ impl JobMetrics {
     }
 
     /// Registers a kind, so that its counters start at 0.
-    pub fn knows(&self, kind: &'static str) {
+    pub fn register(&self, kind: &'static str) {
         for state in ["succeeded", "failed", "cancelled"] {
             self.finished.get_or_create(&[("kind", kind), ("state", state)]).inc_by(0);
         }
         self.retried.get_or_create(&[("kind", kind)]).inc_by(0);
-        self.waiting(kind, 0, 0, 0.0);
+        self.set_queue_lengths(kind, 0, 0, 0.0);
     }
 
     /// Counts a finished job. `took` is set if the job was run.
-    pub fn finished(&self, kind: &'static str, state: &'static str, took: Option<Duration>) {
+    pub fn record_finished(&self, kind: &'static str, state: &'static str, took: Option<Duration>) {
         self.finished.get_or_create(&[("kind", kind), ("state", state)]).inc();
         if let Some(took) = took {
             self.duration.get_or_create(&[("kind", kind)]).observe(took.as_secs_f64());
@@ -68,19 +68,19 @@ impl JobMetrics {
     }
 
     /// Counts a retry.
-    pub fn retried(&self, kind: &'static str) {
+    pub fn record_retry(&self, kind: &'static str) {
         self.retried.get_or_create(&[("kind", kind)]).inc();
     }
 
     /// Sets the numbers of queued and running jobs, and the age of the oldest queued one.
-    pub fn waiting(&self, kind: &'static str, queued: u32, running: u32, oldest_s: f64) {
+    pub fn set_queue_lengths(&self, kind: &'static str, queued: u32, running: u32, oldest_s: f64) {
         self.queued.get_or_create(&[("kind", kind)]).set(queued.into());
         self.running.get_or_create(&[("kind", kind)]).set(running.into());
         self.oldest.get_or_create(&[("kind", kind)]).set(oldest_s);
     }
 
     /// Sets whether a lane is running.
-    pub fn lane(&self, kind: &'static str, up: bool) {
+    pub fn set_lane_running(&self, kind: &'static str, up: bool) {
         self.lanes.get_or_create(&[("kind", kind)]).set(up.into());
     }
 }

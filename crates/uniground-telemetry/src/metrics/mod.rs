@@ -74,7 +74,7 @@ impl Metrics {
     /// Returns all metrics in the `OpenMetrics` text format, which Prometheus reads.
     #[must_use]
     pub fn text(&self) -> String {
-        self.process.look();
+        self.process.update();
         let mut text = String::new();
         // Writing to a string does not fail.
         let _ = text::encode(&mut text, &self.registry);
@@ -103,12 +103,12 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn what_was_counted_is_told() {
+    fn metrics_are_exported_as_text() {
         let metrics = Metrics::default();
-        metrics.jobs.knows("parse");
-        metrics.jobs.finished("parse", "succeeded", Some(Duration::from_secs(3)));
-        metrics.questions.answered("grounded", "builtin", false, Duration::from_millis(4));
-        let told = metrics.text();
+        metrics.jobs.register("parse");
+        metrics.jobs.record_finished("parse", "succeeded", Some(Duration::from_secs(3)));
+        metrics.questions.record_answer("grounded", "builtin", false, Duration::from_millis(4));
+        let exported = metrics.text();
         for line in [
             "uniground_jobs_finished_total{kind=\"parse\",state=\"succeeded\"} 1",
             "uniground_jobs_finished_total{kind=\"parse\",state=\"failed\"} 0",
@@ -117,15 +117,18 @@ mod tests {
             "# TYPE uniground_build info",
             "# EOF",
         ] {
-            assert!(told.lines().any(|told| told == line), "{line} is not in\n{told}");
+            assert!(
+                exported.lines().any(|exported| exported == line),
+                "{line} is not in\n{exported}"
+            );
         }
-        assert!(told.contains("process_start_time_seconds 1"), "{told}");
+        assert!(exported.contains("process_start_time_seconds 1"), "{exported}");
     }
 
     #[test]
-    fn servers_in_one_process_count_apart() {
+    fn metrics_of_two_servers_are_independent() {
         let (one, other) = (Metrics::default(), Metrics::default());
-        one.questions.failed("overloaded");
+        one.questions.record_failure("overloaded");
         assert!(
             one.text().contains("code=\"overloaded\"")
                 && !other.text().contains("code=\"overloaded\"")

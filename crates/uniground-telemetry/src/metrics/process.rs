@@ -50,7 +50,7 @@ impl ProcessMetrics {
     }
 
     /// Updates the gauges. They stay 0 where the system does not report them.
-    pub(super) fn look(&self) {
+    pub(super) fn update(&self) {
         self.resident.set(
             MemoryUsage::now().and_then(|memory| memory.resident.try_into().ok()).unwrap_or(0),
         );

@@ -124,7 +124,7 @@ impl QuestionMetrics {
     }
 
     /// Counts an answered question. `status` is e.g. `grounded`; `reasoner` is `builtin` or `vlm`.
-    pub fn answered(
+    pub fn record_answer(
         &self,
         status: &'static str,
         reasoner: &'static str,
@@ -137,19 +137,23 @@ impl QuestionMetrics {
     }
 
     /// Counts a failed question. `code` is the code of the problem.
-    pub fn failed(&self, code: &'static str) {
+    pub fn record_failure(&self, code: &'static str) {
         self.answered.get_or_create(&[("status", "failed"), ("reasoner", "none")]).inc();
         self.failures.get_or_create(&[("code", code)]).inc();
     }
 
     /// Counts a finished batch item.
-    pub fn item(&self, status: &str) {
+    pub fn record_batch_item(&self, status: &str) {
         let outcome = STATUSES.into_iter().find(|known| *known == status).unwrap_or("other");
         self.items.get_or_create(&[("outcome", outcome)]).inc();
     }
 
     /// Counts a finished parse, with the duration of each stage.
-    pub fn parsed<'a>(&self, took: Duration, stages: impl IntoIterator<Item = (&'a str, f32)>) {
+    pub fn record_parse<'a>(
+        &self,
+        took: Duration,
+        stages: impl IntoIterator<Item = (&'a str, f32)>,
+    ) {
         self.parses.observe(took.as_secs_f64());
         for (stage, seconds) in stages {
             let stage = STAGES.into_iter().find(|known| *known == stage).unwrap_or("other");
@@ -158,7 +162,7 @@ impl QuestionMetrics {
     }
 
     /// Sets the hits and misses of a cache since the start.
-    pub fn cache(&self, cache: &'static str, hits: u64, misses: u64) {
+    pub fn set_cache_counts(&self, cache: &'static str, hits: u64, misses: u64) {
         for (outcome, looks) in [("hit", hits), ("miss", misses)] {
             self.caches
                 .get_or_create(&[("cache", cache), ("outcome", outcome)])

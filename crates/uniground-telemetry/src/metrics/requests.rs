@@ -101,7 +101,7 @@ pub struct InFlightRequest<'a> {
 
 impl InFlightRequest<'_> {
     /// Sets the status of the response.
-    pub fn answered(mut self, status: u16) {
+    pub fn finish(mut self, status: u16) {
         self.labels.status = status;
     }
 }
@@ -122,9 +122,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn odd_methods_and_paths_make_no_labels_of_their_own() {
+    fn unknown_methods_and_paths_share_one_label() {
         let requests = RequestMetrics::new(&mut Registry::default());
-        requests.begin("BREW", None).answered(405);
+        requests.begin("BREW", None).finish(405);
         drop(requests.begin("GET", Some("/v1/scenes")));
         let of = |method, route: &str, status| {
             requests.finished.get(&Labels { method, route: route.into(), status }).map(|n| n.get())

@@ -59,19 +59,19 @@ impl StoredMetrics {
     }
 
     /// Sets the number of batches in a state.
-    pub fn batches(&self, state: &'static str, batches: u32) {
+    pub fn set_batches(&self, state: &'static str, batches: u32) {
         self.batches.get_or_create(&[("state", state)]).set(batches.into());
     }
 
     /// Sets the disk usage of a kind of files.
-    pub fn blob_bytes(&self, kind: &'static str, bytes: u64) {
+    pub fn set_blob_bytes(&self, kind: &'static str, bytes: u64) {
         self.blob_bytes
             .get_or_create(&[("kind", kind)])
             .set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
     /// Sets whether a component of the service is healthy.
-    pub fn component(&self, component: &'static str, up: bool) {
+    pub fn set_component_health(&self, component: &'static str, up: bool) {
         self.components.get_or_create(&[("component", component)]).set(up.into());
     }
 }

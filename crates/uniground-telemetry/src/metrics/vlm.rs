@@ -82,36 +82,36 @@ impl VlmMetrics {
     }
 
     /// Registers a model, so that its counters start at 0.
-    pub fn knows(&self, outcomes: &[&'static str]) {
+    pub fn register(&self, outcomes: &[&'static str]) {
         for outcome in outcomes {
             self.calls.get_or_create(&[("outcome", outcome)]).inc_by(0);
         }
         for problem in MALFORMED {
             self.malformed.get_or_create(&[("problem", problem)]).inc_by(0);
         }
-        self.counted(0, 0);
+        self.record_tokens(0, 0);
     }
 
     /// Counts a finished call.
-    pub fn called(&self, outcome: &'static str, attempts: u32, took: Duration) {
+    pub fn record_call(&self, outcome: &'static str, attempts: u32, took: Duration) {
         self.calls.get_or_create(&[("outcome", outcome)]).inc();
         self.attempts.inc_by(attempts.into());
         self.duration.observe(took.as_secs_f64());
     }
 
     /// Counts the tokens of a reply.
-    pub fn counted(&self, prompt_tokens: u64, completion_tokens: u64) {
+    pub fn record_tokens(&self, prompt_tokens: u64, completion_tokens: u64) {
         self.tokens.get_or_create(&[("type", "prompt")]).inc_by(prompt_tokens);
         self.tokens.get_or_create(&[("type", "completion")]).inc_by(completion_tokens);
     }
 
     /// Adds spending, US dollars.
-    pub fn paid(&self, usd: f64) {
+    pub fn record_spending(&self, usd: f64) {
         self.spent.inc_by(usd.max(0.0));
     }
 
     /// Counts the purpose of a call, if it repeats an earlier call with a malformed reply.
-    pub fn purpose(&self, purpose: &str) {
+    pub fn record_purpose(&self, purpose: &str) {
         if let Some(problem) = MALFORMED.into_iter().find(|problem| *problem == purpose) {
             self.malformed.get_or_create(&[("problem", problem)]).inc();
         }

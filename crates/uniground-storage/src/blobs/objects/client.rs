@@ -7,7 +7,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 use std::{fmt, io};
-use uniground_client::choose_cryptography;
+use uniground_client::install_crypto_provider;
 
 /// `s3://BUCKET/PREFIX`
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,8 +35,8 @@ impl FromStr for Bucket {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        const WANTED: &str = "\"folder\", or s3://BUCKET/PREFIX";
-        let place = text.strip_prefix("s3://").ok_or(WANTED)?;
+        const EXPECTED: &str = "\"folder\", or s3://BUCKET/PREFIX";
+        let place = text.strip_prefix("s3://").ok_or(EXPECTED)?;
         let (name, prefix) = place.split_once('/').unwrap_or((place, ""));
         let may_be = |c: char| c.is_ascii_alphanumeric() || "-._".contains(c);
         let is_name = name.len() >= 3 && name.chars().all(may_be);
@@ -48,7 +48,7 @@ impl FromStr for Bucket {
         if is_name && is_prefix {
             Ok(Self { name: name.to_owned(), prefix: prefix.to_owned() })
         } else {
-            Err(WANTED)
+            Err(EXPECTED)
         }
     }
 }
@@ -68,9 +68,9 @@ pub enum Links {
 }
 
 /// Timeout for opening a connection.
-const CONNECTING: Duration = Duration::from_secs(2);
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 /// A connection without data for longer counts as lost.
-const SILENCE: Duration = Duration::from_secs(10);
+const READ_TIMEOUT: Duration = Duration::from_secs(10);
 
 impl Bucket {
     /// Returns the objects in the bucket. Address, region and keys come from the usual variables
@@ -85,11 +85,11 @@ impl Bucket {
         links: Links,
         grace: Duration,
     ) -> io::Result<Objects> {
-        choose_cryptography();
+        install_crypto_provider();
         let options = ClientOptions::new()
             .with_timeout_disabled()
-            .with_connect_timeout(CONNECTING)
-            .with_read_timeout(SILENCE);
+            .with_connect_timeout(CONNECT_TIMEOUT)
+            .with_read_timeout(READ_TIMEOUT);
         let retry = RetryConfig {
             backoff: BackoffConfig {
                 init_backoff: Duration::from_millis(100),
@@ -118,7 +118,7 @@ impl Bucket {
         let objects = Objects::new(store.clone(), &self.prefix, grace);
         Ok(match links {
             Links::None => objects,
-            Links::ToObjects => objects.linked_by(store),
+            Links::ToObjects => objects.with_signer(store),
         })
     }
 }
@@ -128,10 +128,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bucket_is_told_by_its_name_and_where_in_it() {
-        let told = |text: &str| text.parse::<Bucket>().map(|bucket| bucket.to_string());
-        assert_eq!(told("s3://rooms/a/b/"), Ok("s3://rooms/a/b".into()));
-        assert_eq!(told("s3://rooms"), Ok("s3://rooms/".into()));
+    fn bucket_urls_are_parsed_and_formatted() {
+        let parse_and_format = |text: &str| text.parse::<Bucket>().map(|bucket| bucket.to_string());
+        assert_eq!(parse_and_format("s3://rooms/a/b/"), Ok("s3://rooms/a/b".into()));
+        assert_eq!(parse_and_format("s3://rooms"), Ok("s3://rooms/".into()));
         for wrong in [
             "rooms",
             "s3://",
@@ -141,7 +141,7 @@ mod tests {
             "s3://user:pass@rooms/x",
             "gs://rooms/x",
         ] {
-            assert!(told(wrong).is_err(), "{wrong}");
+            assert!(parse_and_format(wrong).is_err(), "{wrong}");
         }
     }
 }

@@ -1,7 +1,9 @@
 //! Folders as objects. The files are uploaded first, then the seal; removal goes in reverse order.
 
 use super::super::checksums::DamagedFile;
-use super::{Objects, briefly, edition_of, if_there, sums_of_seal, told};
+use super::{
+    Objects, none_if_missing, parse_edition, parse_seal_checksums, to_io_error, with_timeout,
+};
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::{StreamExt, TryStreamExt, stream};
 use object_store::ObjectStoreExt;
@@ -17,7 +19,7 @@ pub(super) const SEAL: &str = ".sha256sums";
 const FILES_AT_ONCE: usize = 16;
 
 /// Validity of a link. It is followed at once, but a large file may be requested in ranges.
-const LINKS_LIVE: Duration = Duration::from_mins(15);
+const LINK_LIFETIME: Duration = Duration::from_mins(15);
 
 /// Kind and name of a folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,8 +38,8 @@ pub struct Seal {
 /// Which edition of a folder won.
 #[derive(Debug)]
 pub enum SealOutcome {
-    Ours,
-    Theirs(Seal),
+    Sealed,
+    AlreadySealed(Seal),
 }
 
 /// Objects that nothing refers to. They are removed in the background on drop. If the process ends
@@ -52,7 +54,7 @@ pub struct UnsealedObjects {
 }
 
 impl UnsealedObjects {
-    fn of(objects: &Objects, below: Path) -> Self {
+    fn new(objects: &Objects, below: Path) -> Self {
         Self { objects: objects.clone(), below, was: None, is_kept: false }
     }
 
@@ -78,7 +80,7 @@ impl UnsealedObjects {
         let Some((folder, seal)) = self.was.take() else { return Ok(()) };
         // Where the outcome is unknown, orphan collection removes them if needed.
         self.is_kept = true;
-        self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, SealOutcome::Ours);
+        self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, SealOutcome::Sealed);
         Ok(())
     }
 }
@@ -126,12 +128,12 @@ impl Objects {
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn seal(&self, folder: &FolderName) -> io::Result<Option<Seal>> {
         let place = self.folder(folder).join(SEAL);
-        let got = briefly(async {
+        let got = with_timeout(async {
             let got = self.store.get(&place).await?;
             let made = SystemTime::from(got.meta.last_modified);
             Ok((got.bytes().await?, made))
         });
-        let Some((bytes, made)) = if_there(got.await)? else { return Ok(None) };
+        let Some((bytes, made)) = none_if_missing(got.await)? else { return Ok(None) };
         let text = String::from_utf8(bytes.to_vec())
             .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
         Ok(Some(Seal { text, made }))
@@ -149,7 +151,7 @@ impl Objects {
         edition: &str,
         files: Vec<Utf8PathBuf>,
     ) -> io::Result<UnsealedObjects> {
-        let put = self.nobodys(folder, edition);
+        let put = self.unsealed_edition(folder, edition);
         let files = files.into_iter().map(|file| {
             let (from, to) = (local.join(&file), self.file(folder, edition, &file));
             async move { self.put_file(&from, &to).await }
@@ -167,12 +169,12 @@ impl Objects {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                 match self.seal(folder).await? {
                     // This was a retry: the first attempt succeeded, but its response was lost.
-                    Some(seal) if seal.text == text => Ok(SealOutcome::Ours),
-                    Some(theirs) => Ok(SealOutcome::Theirs(theirs)),
+                    Some(seal) if seal.text == text => Ok(SealOutcome::Sealed),
+                    Some(theirs) => Ok(SealOutcome::AlreadySealed(theirs)),
                     None => Err(error),
                 }
             }
-            put => put.map(|()| SealOutcome::Ours),
+            put => put.map(|()| SealOutcome::Sealed),
         }
     }
 
@@ -181,7 +183,7 @@ impl Objects {
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn replace_seal(&self, folder: &FolderName, text: &str) -> io::Result<()> {
-        briefly(self.store.put(&self.folder(folder).join(SEAL), text.to_owned().into()))
+        with_timeout(self.store.put(&self.folder(folder).join(SEAL), text.to_owned().into()))
             .await
             .map(drop)
     }
@@ -193,23 +195,23 @@ impl Objects {
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn unseal(&self, folder: &FolderName) -> io::Result<Option<UnsealedObjects>> {
         let Some(seal) = self.seal(folder).await? else { return Ok(None) };
-        let removed = briefly(self.store.delete(&self.folder(folder).join(SEAL))).await;
-        if_there(removed)?;
-        Ok(edition_of(&seal.text).map(|edition| {
-            let mut unclaimed = self.nobodys(folder, edition);
+        let removed = with_timeout(self.store.delete(&self.folder(folder).join(SEAL))).await;
+        none_if_missing(removed)?;
+        Ok(parse_edition(&seal.text).map(|edition| {
+            let mut unclaimed = self.unsealed_edition(folder, edition);
             unclaimed.was = Some((folder.clone(), seal.text.clone()));
             unclaimed
         }))
     }
 
     /// Returns an edition that no seal refers to.
-    pub fn nobodys(&self, folder: &FolderName, edition: &str) -> UnsealedObjects {
-        UnsealedObjects::of(self, self.edition(folder, edition))
+    pub fn unsealed_edition(&self, folder: &FolderName, edition: &str) -> UnsealedObjects {
+        UnsealedObjects::new(self, self.edition(folder, edition))
     }
 
     /// Returns the checkpoints of a content, to be removed on drop.
-    pub fn loose_stages(&self, hash: &str) -> UnsealedObjects {
-        UnsealedObjects::of(self, self.checkpoints(hash))
+    pub fn unsealed_checkpoints(&self, hash: &str) -> UnsealedObjects {
+        UnsealedObjects::new(self, self.checkpoints(hash))
     }
 
     /// Downloads files of a sealed folder into a local one, named by their index. Returns the
@@ -235,7 +237,7 @@ impl Objects {
     }
 
     /// Returns whether links to files are given out.
-    pub fn gives_links(&self) -> bool {
+    pub fn has_public_links(&self) -> bool {
         self.signer.is_some()
     }
 
@@ -251,7 +253,8 @@ impl Objects {
     ) -> io::Result<Option<String>> {
         let Some(signer) = &self.signer else { return Ok(None) };
         let place = self.file(folder, edition, file);
-        let signed = briefly(signer.signed_url(reqwest::Method::GET, &place, LINKS_LIVE)).await?;
+        let signed =
+            with_timeout(signer.signed_url(reqwest::Method::GET, &place, LINK_LIFETIME)).await?;
         Ok(Some(signed.into()))
     }
 
@@ -259,18 +262,18 @@ impl Objects {
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
-    pub async fn look(&self, folder: &FolderName) -> io::Result<Vec<DamagedFile>> {
+    pub async fn list_missing_files(&self, folder: &FolderName) -> io::Result<Vec<DamagedFile>> {
         let missing = |file: Utf8PathBuf| DamagedFile { file, what: "missing".into() };
         let seal = self.seal(folder).await?;
         let Some((seal, edition)) =
-            seal.as_ref().and_then(|seal| Some((seal, edition_of(&seal.text)?)))
+            seal.as_ref().and_then(|seal| Some((seal, parse_edition(&seal.text)?)))
         else {
             return Ok(vec![missing(Utf8PathBuf::new())]);
         };
         let listed = self.store.list(Some(&self.edition(folder, edition)));
         let there: HashSet<Path> =
-            listed.map_ok(|object| object.location).try_collect().await.map_err(told)?;
-        let files = sums_of_seal(&seal.text).into_keys();
+            listed.map_ok(|object| object.location).try_collect().await.map_err(to_io_error)?;
+        let files = parse_seal_checksums(&seal.text).into_keys();
         Ok(files
             .filter(|file| !there.contains(&self.file(folder, edition, file)))
             .map(missing)

@@ -1,7 +1,7 @@
 //! Listings of the object store, for maintenance.
 
 use super::folders::SEAL;
-use super::{Objects, briefly, told};
+use super::{Objects, to_io_error, with_timeout};
 use camino::Utf8Path;
 use futures::TryStreamExt;
 use object_store::ObjectStoreExt;
@@ -45,7 +45,7 @@ impl Objects {
         let above = self.prefix.clone().join(kind);
         let mut found: BTreeMap<String, FoundFolder> = BTreeMap::new();
         let mut listed = self.store.list(Some(&above));
-        while let Some(object) = listed.try_next().await.map_err(told)? {
+        while let Some(object) = listed.try_next().await.map_err(to_io_error)? {
             let Some(mut parts) = object.location.prefix_match(&above) else { continue };
             let (Some(name), Some(within)) = (parts.next(), parts.next()) else { continue };
             let put = SystemTime::from(object.last_modified);
@@ -71,7 +71,7 @@ impl Objects {
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn has_any(&self, kind: &'static str) -> io::Result<bool> {
         let mut listed = self.store.list(Some(&self.prefix.clone().join(kind)));
-        briefly(async { listed.try_next().await }).await.map(|first| first.is_some())
+        with_timeout(async { listed.try_next().await }).await.map(|first| first.is_some())
     }
 
     fn log(&self, hash: &str, name: &str) -> Path {
@@ -92,7 +92,7 @@ impl Objects {
             let name = object.location.filename().unwrap_or_default().to_owned();
             StoredLog { name, bytes: object.size, put: object.last_modified.into() }
         };
-        listed.map_ok(log).try_collect().await.map_err(told)
+        listed.map_ok(log).try_collect().await.map_err(to_io_error)
     }
 
     /// Uploads the current state of a log.
@@ -116,6 +116,6 @@ impl Objects {
     /// # Errors
     /// [`ObjectStoreUnavailable`](super::ObjectStoreUnavailable).
     pub async fn remove_log(&self, hash: &str, name: &str) -> io::Result<()> {
-        briefly(self.store.delete(&self.log(hash, name))).await
+        with_timeout(self.store.delete(&self.log(hash, name))).await
     }
 }

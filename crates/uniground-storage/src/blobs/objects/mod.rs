@@ -40,7 +40,7 @@ const MARKER: &str = "uniground-data.json";
 /// Pieces of files in memory at once, over all uploads.
 const PIECES: usize = 16;
 /// Timeout for small objects.
-const BRIEFLY: Duration = Duration::from_secs(5);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// An object store and the prefix within it.
 #[derive(Debug, Clone)]
@@ -61,7 +61,7 @@ pub struct Objects {
 pub struct ObjectStoreUnavailable(#[source] Box<dyn std::error::Error + Send + Sync>);
 
 impl ObjectStoreUnavailable {
-    pub(super) fn because(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
+    pub(super) fn wrap(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
         io::Error::other(Self(error.into()))
     }
 
@@ -73,26 +73,26 @@ impl ObjectStoreUnavailable {
 }
 
 /// Converts an error of the object store to an I/O error.
-fn told(error: object_store::Error) -> io::Error {
+fn to_io_error(error: object_store::Error) -> io::Error {
     use object_store::Error;
     match error {
         // Only the store itself can say that an object does not exist. A proxy, or a missing
         // bucket, answers with 404 too.
         Error::NotFound { ref source, .. } => match source.to_string() {
             text if text.contains("status code") && !text.contains("NoSuchKey") => {
-                ObjectStoreUnavailable::because(error)
+                ObjectStoreUnavailable::wrap(error)
             }
             _ => io::Error::new(io::ErrorKind::NotFound, error),
         },
         Error::AlreadyExists { .. } | Error::Precondition { .. } => {
             io::Error::new(io::ErrorKind::AlreadyExists, error)
         }
-        _ => ObjectStoreUnavailable::because(error),
+        _ => ObjectStoreUnavailable::wrap(error),
     }
 }
 
 /// Turns the error "not found" into `None`.
-fn if_there<T>(got: io::Result<T>) -> io::Result<Option<T>> {
+fn none_if_missing<T>(got: io::Result<T>) -> io::Result<Option<T>> {
     match got {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         got => got.map(Some),
@@ -122,12 +122,12 @@ impl Objects {
 
     /// Sets the signer, which enables links to objects.
     #[must_use]
-    pub fn linked_by(self, signer: Arc<dyn Signer>) -> Self {
+    pub fn with_signer(self, signer: Arc<dyn Signer>) -> Self {
         Self { signer: Some(signer), ..self }
     }
 
     /// Blocks on work of the store. Never call this on an async thread.
-    pub fn wait<T>(&self, work: impl Future<Output = T>) -> T {
+    pub fn block_on<T>(&self, work: impl Future<Output = T>) -> T {
         self.runtime.block_on(work)
     }
 
@@ -142,7 +142,7 @@ impl Objects {
     /// [`ObjectStoreUnavailable`].
     pub async fn id(&self) -> io::Result<String> {
         let place = self.prefix.clone().join(MARKER);
-        if let Some(known) = if_there(self.read(&place).await)? {
+        if let Some(known) = none_if_missing(self.read(&place).await)? {
             return Ok(serde_json::from_slice::<Marker>(&known)?.id);
         }
         let marker =
@@ -159,19 +159,19 @@ impl Objects {
     ///
     /// # Errors
     /// [`ObjectStoreUnavailable`].
-    pub async fn reach(&self) -> io::Result<()> {
+    pub async fn check_reachable(&self) -> io::Result<()> {
         self.read(&self.prefix.clone().join(MARKER)).await.map(drop)
     }
 
     /// Reads a small object.
     async fn read(&self, place: &Path) -> io::Result<Vec<u8>> {
-        briefly(async { Ok(self.store.get(place).await?.bytes().await?.to_vec()) }).await
+        with_timeout(async { Ok(self.store.get(place).await?.bytes().await?.to_vec()) }).await
     }
 
     /// Creates a small object if it does not exist. If the store does not support conditional
     /// writes, the last write wins.
     async fn create(&self, place: &Path, bytes: Vec<u8>) -> io::Result<()> {
-        let created = briefly(async {
+        let created = with_timeout(async {
             let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
             match self.store.put_opts(place, bytes.clone().into(), options).await {
                 Err(
@@ -192,35 +192,39 @@ impl Objects {
             .map_ok(|object| object.location)
             .try_collect()
             .await
-            .map_err(told)?;
+            .map_err(to_io_error)?;
         let found = futures::stream::iter(all.into_iter().map(Ok));
-        store.delete_stream(Box::pin(found)).try_for_each(|_| async { Ok(()) }).await.map_err(told)
+        store
+            .delete_stream(Box::pin(found))
+            .try_for_each(|_| async { Ok(()) })
+            .await
+            .map_err(to_io_error)
     }
 }
 
 /// Runs short work with a timeout.
-async fn briefly<T>(work: impl Future<Output = object_store::Result<T>>) -> io::Result<T> {
-    match timeout(BRIEFLY, work).await {
-        Ok(done) => done.map_err(told),
-        Err(_) => Err(ObjectStoreUnavailable::because(format!(
+async fn with_timeout<T>(work: impl Future<Output = object_store::Result<T>>) -> io::Result<T> {
+    match timeout(REQUEST_TIMEOUT, work).await {
+        Ok(done) => done.map_err(to_io_error),
+        Err(_) => Err(ObjectStoreUnavailable::wrap(format!(
             "it took longer than {} s",
-            BRIEFLY.as_secs()
+            REQUEST_TIMEOUT.as_secs()
         ))),
     }
 }
 
 /// Returns the edition that a seal names.
-pub fn edition_of(seal: &str) -> Option<&str> {
+pub fn parse_edition(seal: &str) -> Option<&str> {
     seal.lines().next()?.strip_prefix("# ")
 }
 
 /// Returns the first line of a seal, which is a comment for `sha256sum`.
-pub fn head_of_seal(edition: &str) -> String {
+pub fn seal_header(edition: &str) -> String {
     format!("# {edition}\n")
 }
 
 /// Returns the checksums of a seal, in order.
-pub fn sums_of_seal(seal: &str) -> Sums {
+pub fn parse_seal_checksums(seal: &str) -> Sums {
     seal.lines()
         .filter_map(|line| line.split_once("  "))
         .map(|(sum, file)| (Utf8PathBuf::from(file), sum.to_owned()))

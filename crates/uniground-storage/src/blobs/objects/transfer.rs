@@ -1,6 +1,6 @@
 //! Transfers files to objects and back in pieces: memory use is independent of file size.
 
-use super::{Objects, told};
+use super::{Objects, to_io_error};
 use bytes::{BufMut, BytesMut};
 use camino::Utf8Path;
 use futures::StreamExt;
@@ -15,22 +15,22 @@ use tokio::task::JoinSet;
 /// Larger files are uploaded in pieces of this size.
 const PIECE: usize = 8 << 20;
 /// Pieces of one file transferred concurrently.
-const AT_ONCE: usize = 4;
+const MAX_CONCURRENT_PIECES: usize = 4;
 
 impl Objects {
     /// Uploads a file.
     pub(super) async fn put_file(&self, file: &Utf8Path, place: &Path) -> io::Result<()> {
         let mut file = File::open(file).await?;
-        let room = self.room().await?;
-        let first = piece_of(&mut file).await?;
+        let room = self.acquire_piece_permit().await?;
+        let first = read_piece(&mut file).await?;
         if first.len() < PIECE {
             let put = self.store.put(place, first.freeze().into()).await;
             drop(room);
-            return put.map(drop).map_err(told);
+            return put.map(drop).map_err(to_io_error);
         }
-        let mut upload = self.store.put_multipart(place).await.map_err(told)?;
-        match self.put_pieces(&mut *upload, file, (first, room)).await {
-            Ok(()) => upload.complete().await.map(drop).map_err(told),
+        let mut upload = self.store.put_multipart(place).await.map_err(to_io_error)?;
+        match self.upload_pieces(&mut *upload, file, (first, room)).await {
+            Ok(()) => upload.complete().await.map(drop).map_err(to_io_error),
             Err(error) => {
                 // Its uploaded parts occupy space until the bucket's lifecycle rules remove them.
                 if let Err(left) = upload.abort().await {
@@ -44,7 +44,7 @@ impl Objects {
         }
     }
 
-    async fn put_pieces(
+    async fn upload_pieces(
         &self,
         upload: &mut dyn MultipartUpload,
         mut file: File,
@@ -60,34 +60,34 @@ impl Objects {
                 drop(room);
                 put
             });
-            if on_their_way.len() >= AT_ONCE
+            if on_their_way.len() >= MAX_CONCURRENT_PIECES
                 && let Some(put) = on_their_way.join_next().await
             {
-                put?.map_err(told)?;
+                put?.map_err(to_io_error)?;
             }
             if !is_last {
-                let room = self.room().await?;
-                let piece = piece_of(&mut file).await?;
+                let room = self.acquire_piece_permit().await?;
+                let piece = read_piece(&mut file).await?;
                 next = (!piece.is_empty()).then_some((piece, room));
             }
         }
         while let Some(put) = on_their_way.join_next().await {
-            put?.map_err(told)?;
+            put?.map_err(to_io_error)?;
         }
         Ok(())
     }
 
     /// Waits for a permit to hold one piece in memory.
-    async fn room(&self) -> io::Result<OwnedSemaphorePermit> {
+    async fn acquire_piece_permit(&self) -> io::Result<OwnedSemaphorePermit> {
         self.pieces.clone().acquire_owned().await.map_err(io::Error::other)
     }
 
     /// Downloads an object to a new file. Returns the number of bytes.
     pub(super) async fn get_file(&self, place: &Path, file: &Utf8Path) -> io::Result<u64> {
-        let mut chunks = self.store.get(place).await.map_err(told)?.into_stream();
+        let mut chunks = self.store.get(place).await.map_err(to_io_error)?.into_stream();
         let (mut file, mut bytes) = (File::create(file).await?, 0);
         while let Some(chunk) = chunks.next().await {
-            let chunk = chunk.map_err(told)?;
+            let chunk = chunk.map_err(to_io_error)?;
             file.write_all(&chunk).await?;
             bytes += chunk.len() as u64;
         }
@@ -97,7 +97,7 @@ impl Objects {
 }
 
 /// Reads the next piece of a file; it is shorter at the end of the file.
-async fn piece_of(file: &mut File) -> io::Result<BytesMut> {
+async fn read_piece(file: &mut File) -> io::Result<BytesMut> {
     let left = file.metadata().await?.len();
     let mut piece = BytesMut::with_capacity(PIECE.min(usize::try_from(left).unwrap_or(PIECE)));
     loop {
