@@ -78,7 +78,12 @@ fn without_bundles_built_in_models_are_used() {
             "{:?}",
             chosen.warnings
         );
-        assert_eq!(chosen.summary.matches("uniground models fetch").count(), 2, "{}", chosen.summary);
+        assert_eq!(
+            chosen.summary.matches("uniground models fetch").count(),
+            2,
+            "{}",
+            chosen.summary
+        );
     }
 }
 

@@ -188,7 +188,7 @@ fn set_axis(configuration: &mut Configuration, axis: &str, value: &str) -> anyho
         }
         "names" => configuration.names = parse_word(axis, value, "own, seen")?,
         "candidates" => {
-            configuration.candidates = parse_word(axis, value, "fused, encoder, reasoner")?
+            configuration.candidates = parse_word(axis, value, "fused, encoder, reasoner")?;
         }
         "query_text" => configuration.query_text = parse_word(axis, value, "full, target, mean")?,
         "prompt" => configuration.prompt = parse_word(axis, value, "paper, revised")?,

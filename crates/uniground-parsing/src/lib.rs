@@ -172,15 +172,8 @@ pub fn parse(
         .collect();
     if settings.merging.split_at_depth_edges {
         superpoints.adjacent = watch.time("gaps", |outcome| {
-            let voxel_m = superpoints::voxel_m(&cloud, &settings.superpoints);
-            let kept = gaps::without_depth_edges(
-                &cloud,
-                &superpoints,
-                voxel_m,
-                (&frames, &depths),
-                settings.depth_tolerance,
-                progress,
-            )?;
+            let frames = (&frames[..], &depths);
+            let kept = split_at_depth_edges(&cloud, &superpoints, frames, settings, progress)?;
             outcome.produced = superpoints.adjacent.len() - kept.len();
             Ok::<_, ParseError>(kept)
         })?;
@@ -299,6 +292,25 @@ pub fn parse(
         extent,
         report,
     })
+}
+
+/// Returns the pairs of adjacent superpoints that no depth edge separates.
+fn split_at_depth_edges(
+    cloud: &PointCloud,
+    superpoints: &Superpoints,
+    frames: (&[FrameRef], &DepthCache),
+    settings: &ParsingSettings,
+    progress: &Progress,
+) -> Result<Vec<(u32, u32)>, ParseError> {
+    let voxel_m = superpoints::voxel_m(cloud, &settings.superpoints);
+    gaps::without_depth_edges(
+        cloud,
+        superpoints,
+        voxel_m,
+        frames,
+        settings.depth_tolerance,
+        progress,
+    )
 }
 
 /// A scan in superpoints, with what its frames show of them.

@@ -356,7 +356,7 @@ fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
         );
     };
     with_import(fisheye, |found| {
-        assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE"))
+        assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE"));
     });
     let colmap = |out: &Out| out.put("sparse/0/cameras.bin", [0; 8]);
     with_import(colmap, |found| assert!(found.unwrap_err().to_string().contains("COLMAP")));

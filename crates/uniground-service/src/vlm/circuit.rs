@@ -138,7 +138,7 @@ mod tests {
     fn failures_in_a_row_open_the_circuit() {
         let (circuit, now) = (CircuitBreaker::default(), Instant::now());
         let failing = |calls: u32| {
-            (0..calls).for_each(|_| circuit.record(CallSignal::Failing, "refused", now))
+            (0..calls).for_each(|_| circuit.record(CallSignal::Failing, "refused", now));
         };
         failing(FAILURES - 1);
         circuit.record(CallSignal::Unclear, "refused", now);
