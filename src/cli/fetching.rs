@@ -59,7 +59,7 @@ impl ProgressBarView<'_> {
     fn handle_event(&mut self, event: Event) {
         match event {
             Event::AlreadyInstalled(folder) => {
-                self.print_line(&format!("{folder} is already installed"))
+                self.print_line(&format!("{folder} is already installed"));
             }
             Event::Installed(file) => self.print_line(file.as_str()),
             Event::Started(package, bytes) if io::stderr().is_terminal() => {
