@@ -132,7 +132,7 @@ fn measure(room_m: f32, things: usize) {
     let names = NameIndex::of(&instances);
     let view = SceneView { instances: &instances, extent, names: &names, appearance: None };
     let taken = time_calls(20, |_| {
-        assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty())
+        assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty());
     });
     println!("the graph of {things} things: p50 {:.1} ms", taken[10]);
 }
