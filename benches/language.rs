@@ -62,7 +62,7 @@ fn hall(count: usize) -> Vec<Instance> {
             rotated: None,
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         }
     };

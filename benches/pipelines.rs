@@ -76,7 +76,7 @@ fn pipelines(c: &mut Criterion) {
     group.bench_function("evidence picture: decode, draw, encode", |b| {
         b.iter(|| {
             evidence::picture(
-                &photograph.decode_colour().unwrap(),
+                &photograph.decode_color().unwrap(),
                 &instance.views[0],
                 Picture::Frame,
             )

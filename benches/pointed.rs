@@ -174,7 +174,7 @@ impl Shown {
                         pixels,
                         Some(PhotographPoint {
                             frame: frame.index,
-                            at: decoded.colour_position(u as f32, v as f32),
+                            at: decoded.color_position(u as f32, v as f32),
                         }),
                     );
                 }

@@ -107,7 +107,7 @@ impl Sample {
         let kept = (0..points).map(|i| (i as f64 * every) as usize);
         let cloud = PointCloud {
             positions: kept.clone().map(|i| all.positions[i]).collect(),
-            colours: kept.map(|i| all.colours[i]).collect(),
+            colors: kept.map(|i| all.colors[i]).collect(),
         };
         let frames = self.parsed.frames.clone();
         let render_scene = RenderScene::of_parsed(cloud, &scene.instances);

@@ -140,17 +140,17 @@ pub fn thinning<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
 fn means(cloud: &PointCloud) -> PointCloud {
     let grid = VoxelGrid::new(&cloud.positions, THINNED_M);
     let mut sums = vec![(0.0, Vector3::zeros(), Vector3::zeros()); grid.len()];
-    for ((p, c), &voxel) in cloud.positions.iter().zip(&cloud.colours).zip(&grid.of_point) {
-        let (count, position, colour) = &mut sums[voxel as usize];
+    for ((p, c), &voxel) in cloud.positions.iter().zip(&cloud.colors).zip(&grid.of_point) {
+        let (count, position, color) = &mut sums[voxel as usize];
         *count += 1.0;
         *position += p.coords;
-        *colour += Vector3::from(c.map(f32::from));
+        *color += Vector3::from(c.map(f32::from));
     }
-    let mean = |(count, position, colour): (f32, Vector3<f32>, Vector3<f32>)| {
-        (Point3::from(position / count), <[u8; 3]>::from((colour / count).map(|c| c.round() as u8)))
+    let mean = |(count, position, color): (f32, Vector3<f32>, Vector3<f32>)| {
+        (Point3::from(position / count), <[u8; 3]>::from((color / count).map(|c| c.round() as u8)))
     };
-    let (positions, colours) = sums.into_iter().map(mean).unzip();
-    PointCloud { positions, colours }
+    let (positions, colors) = sums.into_iter().map(mean).unzip();
+    PointCloud { positions, colors }
 }
 
 pub fn normals<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {

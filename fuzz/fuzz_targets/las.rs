@@ -19,7 +19,7 @@ fuzz_target!(|data: &[u8]| {
     let Ok(scan) = ingest::open(&unpacked.path) else { return };
     if let Ok(found) = ingest::inspect(&scan, &ImportSettings::default(), &Progress::silent()) {
         let cloud = found.cloud.unwrap_or_default();
-        assert_eq!(cloud.positions.len(), cloud.colours.len());
+        assert_eq!(cloud.positions.len(), cloud.colors.len());
         assert!(cloud.positions.iter().all(|p| p.iter().all(|v| v.is_finite())));
     }
 });

@@ -294,9 +294,9 @@ fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {
         reprojection_agreement: None,
         warnings: Vec::new(),
     };
-    let colours = positions.iter().map(|p| [(p.x * 40.0) as u8, 90, 120]).collect();
+    let colors = positions.iter().map(|p| [(p.x * 40.0) as u8, 90, 120]).collect();
     SceneBundle {
-        cloud: PointCloud { positions, colours },
+        cloud: PointCloud { positions, colors },
         frames: Vec::new(),
         report,
         additions: Vec::new(),

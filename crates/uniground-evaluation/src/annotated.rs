@@ -119,7 +119,7 @@ impl AnnotatedRoom {
         let mut room = self.clone();
         let cloud = &self.bundle.cloud;
         room.bundle.cloud.positions = order.iter().map(|&i| cloud.positions[i]).collect();
-        room.bundle.cloud.colours = order.iter().map(|&i| cloud.colours[i]).collect();
+        room.bundle.cloud.colors = order.iter().map(|&i| cloud.colors[i]).collect();
         room.truth = order.iter().map(|&i| self.truth[i]).collect();
         room
     }
@@ -282,7 +282,7 @@ mod tests {
             Point3::new(1.0, 0.0, 0.0),
             Point3::new(9.0, 0.0, 0.0),
         ];
-        let cloud = PointCloud { colours: vec![[0; 3]; 3], positions };
+        let cloud = PointCloud { colors: vec![[0; 3]; 3], positions };
         assert_eq!(annotations.label(&cloud), [Some(0), Some(1), None]);
     }
 }

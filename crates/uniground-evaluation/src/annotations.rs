@@ -13,7 +13,7 @@ use serde_json::value::RawValue;
 use std::collections::BTreeMap;
 use std::fs;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::rotated_box::RotatedBox;
 use uniground_geometry::scene::Structure;
 use uniground_geometry::{MAX_COORDINATE_M, Point3, Vector3};
@@ -30,7 +30,7 @@ pub struct SceneObject {
     pub cloud_points: u32,
     pub mean_rgb: Option<[f32; 3]>,
     /// Color names, as annotated.
-    pub colours: Vec<ColourName>,
+    pub colors: Vec<ColorName>,
     /// Name given by an annotator who had only seen a picture of it (`<scene>.names.json`).
     pub seen_as: Option<String>,
 }
@@ -157,7 +157,7 @@ impl Annotations {
             rotated: None,
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         };
         Self { objects: boxes.iter().enumerate().map(object).collect(), of_point: None }
@@ -210,7 +210,7 @@ impl SceneObject {
 fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneObject, Omission> {
     let ObjectRecord { id, name, min, max, obb, cloud_points, mean_rgb, colour } = record;
     let words = colour.unwrap_or_default().replace("gray", "grey");
-    let colours = ColourName::ALL
+    let colors = ColorName::ALL
         .into_iter()
         .filter(|c| words.split_whitespace().any(|word| word == c.word()))
         .collect();
@@ -221,7 +221,7 @@ fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneOb
         rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()),
     });
     let object =
-        SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours, seen_as: None };
+        SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colors, seen_as: None };
     sound(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
@@ -238,7 +238,7 @@ fn of_lookup(
             rotated: (bbox_3d.len() == 9).then_some(rotated),
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         })
         .and_then(sound)

@@ -16,7 +16,7 @@ use super::{EDGES, Export, ObjectDescription, REST, light, unit_corners};
 use serde::Serialize;
 use std::io::{self, BufWriter, Write};
 use uniground_geometry::Point3;
-use uniground_geometry::scene::{Instance, id_colour};
+use uniground_geometry::scene::{Instance, id_color};
 
 /// Column-major matrix that maps `(x, y, z)` to `(x, z, -y)`.
 const Z_UP_TO_Y_UP: [f32; 16] =
@@ -37,7 +37,7 @@ const LINES: u32 = 1;
 const CORNERS_VIEW: usize = 0;
 const EDGES_VIEW: usize = 1;
 const POSITIONS_VIEW: usize = 2;
-const COLOURS_VIEW: usize = 3;
+const COLORS_VIEW: usize = 3;
 const CORNERS: usize = 0;
 const EDGE_INDICES: usize = 1;
 const POINT_MATERIAL: usize = 0;
@@ -45,7 +45,7 @@ const POINT_MATERIAL: usize = 0;
 const CORNERS_BYTES: usize = 8 * 12;
 const EDGES_BYTES: usize = 24 * 2;
 const POSITION_BYTES: usize = 12;
-const COLOUR_BYTES: usize = 12;
+const COLOR_BYTES: usize = 12;
 
 /// Writes a scene as GLB.
 ///
@@ -83,7 +83,7 @@ pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
         out.write_all(&number.to_le_bytes())?;
     }
     let lights: Vec<f32> = (0..=255).map(light).collect();
-    for channel in points().flat_map(|point| export.cloud.colours[point]) {
+    for channel in points().flat_map(|point| export.cloud.colors[point]) {
         out.write_all(&lights[usize::from(channel)].to_le_bytes())?;
     }
     out.flush()
@@ -157,7 +157,7 @@ struct Primitive {
 struct Attributes {
     position: usize,
     #[serde(rename = "COLOR_0", skip_serializing_if = "Option::is_none")]
-    colour: Option<usize>,
+    color: Option<usize>,
 }
 
 #[derive(Serialize)]
@@ -172,7 +172,7 @@ struct Material {
 #[derive(Serialize)]
 struct PbrSurface {
     #[serde(rename = "baseColorFactor")]
-    colour: [f32; 4],
+    color: [f32; 4],
     #[serde(rename = "metallicFactor")]
     metallic: f32,
     #[serde(rename = "roughnessFactor")]
@@ -240,7 +240,7 @@ impl<'a> Document<'a> {
             accessors: box_accessors(),
             buffer_views: buffer_views(count),
             buffers: [Buffer {
-                byte_length: CORNERS_BYTES + EDGES_BYTES + count * (POSITION_BYTES + COLOUR_BYTES),
+                byte_length: CORNERS_BYTES + EDGES_BYTES + count * (POSITION_BYTES + COLOR_BYTES),
             }],
         };
         let mut before = 0;
@@ -276,7 +276,7 @@ impl<'a> Document<'a> {
         let (min, max) = positions.fold(None, |around, p| {
             Some(around.map_or((p, p), |(min, max): (Point3<f32>, _)| (min.inf(&p), p.sup(&max))))
         })?;
-        let (position, colour) = (self.accessors.len(), self.accessors.len() + 1);
+        let (position, color) = (self.accessors.len(), self.accessors.len() + 1);
         self.accessors.push(Accessor {
             buffer_view: POSITIONS_VIEW,
             byte_offset: before * POSITION_BYTES,
@@ -287,15 +287,15 @@ impl<'a> Document<'a> {
             max: Some(max.into()),
         });
         self.accessors.push(Accessor {
-            buffer_view: COLOURS_VIEW,
-            byte_offset: before * COLOUR_BYTES,
+            buffer_view: COLORS_VIEW,
+            byte_offset: before * COLOR_BYTES,
             component_type: FLOAT,
             count: points.len(),
             shape: "VEC3",
             min: None,
             max: None,
         });
-        let attributes = Attributes { position, colour: Some(colour) };
+        let attributes = Attributes { position, color: Some(color) };
         self.meshes.push(Mesh {
             name,
             primitives: [Primitive {
@@ -312,8 +312,8 @@ impl<'a> Document<'a> {
     fn thing(&mut self, thing: &'a Instance, mesh: Option<usize>) {
         let name = thing.label();
         let material = self.materials.len();
-        self.materials.push(Material::of(format!("box of {name}"), id_colour(thing.id.0)));
-        let attributes = Attributes { position: CORNERS, colour: None };
+        self.materials.push(Material::of(format!("box of {name}"), id_color(thing.id.0)));
+        let attributes = Attributes { position: CORNERS, color: None };
         let lines = Primitive { attributes, indices: Some(EDGE_INDICES), material, mode: LINES };
         self.meshes.push(Mesh { name: "box", primitives: [lines] });
         let (half_sin, half_cos) = (thing.oriented_box.yaw_rad / 2.0).sin_cos();
@@ -348,9 +348,9 @@ impl<'a> Document<'a> {
 }
 
 impl Material {
-    fn of(name: String, colour: [u8; 3]) -> Self {
-        let [red, green, blue] = colour.map(light);
-        let surface = PbrSurface { colour: [red, green, blue, 1.0], metallic: 0.0, rough: 1.0 };
+    fn of(name: String, color: [u8; 3]) -> Self {
+        let [red, green, blue] = color.map(light);
+        let surface = PbrSurface { color: [red, green, blue, 1.0], metallic: 0.0, rough: 1.0 };
         Self {
             name,
             pbr_metallic_roughness: surface,
@@ -393,8 +393,8 @@ fn buffer_views(count: usize) -> Vec<BufferView> {
         views.push(view(positions, count * POSITION_BYTES, Some(POSITION_BYTES), VERTICES));
         views.push(view(
             positions + count * POSITION_BYTES,
-            count * COLOUR_BYTES,
-            Some(COLOUR_BYTES),
+            count * COLOR_BYTES,
+            Some(COLOR_BYTES),
             VERTICES,
         ));
     }
@@ -492,8 +492,8 @@ mod tests {
         };
         let turned = |p: &Point3<f32>| [p.x, p.z, -p.y];
         let expected =
-            room.cloud.positions.iter().map(turned).zip(room.cloud.colours.iter().copied());
-        let read = read.positions.iter().map(|p| [p.x, p.y, p.z]).zip(read.colours.iter().copied());
+            room.cloud.positions.iter().map(turned).zip(room.cloud.colors.iter().copied());
+        let read = read.positions.iter().map(|p| [p.x, p.y, p.z]).zip(read.colors.iter().copied());
         assert_eq!(sorted(read.collect()), sorted(expected.collect()));
     }
 

@@ -220,7 +220,7 @@ mod tests {
         ];
         let cloud = PointCloud {
             positions: points.iter().map(|(_, at, _)| Point3::from(*at)).collect(),
-            colours: points.iter().map(|(.., colour)| *colour).collect(),
+            colors: points.iter().map(|(.., color)| *color).collect(),
         };
         Room { cloud, of_point: points.iter().map(|(id, ..)| InstanceId(*id)).collect(), instances }
     }
@@ -305,7 +305,7 @@ mod tests {
         // A floor of 64 x 64 points, listed row by row.
         let positions: Vec<Point3<f32>> =
             (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
-        let cloud = PointCloud { colours: vec![[1, 2, 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[1, 2, 3]; positions.len()], positions };
         let points = |most| Export::new("", &cloud, &[], &[], most).points;
         let chosen = points(256);
         let squares: BTreeSet<(u32, u32)> =

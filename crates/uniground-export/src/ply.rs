@@ -22,7 +22,7 @@ pub fn write_ply(export: &Export, out: impl Write) -> io::Result<()> {
         points.iter().map(|(point, _)| cloud.positions[*point as usize]).collect();
     let of_point = |i: usize| {
         let (point, owner): (u32, InstanceId) = points[i];
-        (cloud.colours[point as usize], Some(owner))
+        (cloud.colors[point as usize], Some(owner))
     };
     scene::write_ply(&comments(title, things), &positions, of_point, out)
 }

@@ -16,7 +16,7 @@ use std::fmt::{self, Display, Formatter};
 use std::io::{self, BufWriter, Seek, Write};
 use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::scene::{Instance, Support, id_colour};
+use uniground_geometry::scene::{Instance, Support, id_color};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
@@ -124,8 +124,8 @@ fn write_points(
     writeln!(out, "        def Points \"{name}\"\n        {{")?;
     write_extent(&extent, POINT_WIDTH_M, out)?;
     write_list("point3f[] points", positions.iter().map(|p| Vec3Text((*p).into())), out)?;
-    let colour = |point: &u32| PointColor(export.cloud.colours[*point as usize], light);
-    write_spread("color3f[] primvars:displayColor", points.iter().map(colour), "vertex", out)?;
+    let color = |point: &u32| PointColor(export.cloud.colors[*point as usize], light);
+    write_spread("color3f[] primvars:displayColor", points.iter().map(color), "vertex", out)?;
     write_spread("float[] widths", [POINT_WIDTH_M], "constant", out)?;
     writeln!(out, "        }}")
 }
@@ -147,7 +147,7 @@ fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io
     )?;
     write_spread(
         "color3f[] primvars:displayColor",
-        [PointColor(id_colour(thing.id.0), light)],
+        [PointColor(id_color(thing.id.0), light)],
         "constant",
         out,
     )?;

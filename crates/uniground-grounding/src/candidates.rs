@@ -22,7 +22,7 @@ const RANK: f32 = 5.0;
 /// appearance compared with the whole question, and its place alone.
 const WEIGHTS: [f32; 4] = [1.0, 1.0, 1.0, 0.5];
 /// Factor for a member of the class without the requested color: colors are the least certain.
-const WITHOUT_COLOUR: f32 = 0.4;
+const WITHOUT_COLOR: f32 = 0.4;
 /// Instances with no side of this length are specks, meters.
 const SPECK_M: f32 = 0.04;
 
@@ -129,9 +129,9 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
 
 /// Returns the worth of a member of the class, `0..=1`: name and relations, then colors.
 fn member(read: &Assessment, i: usize) -> f32 {
-    let colour = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
+    let color = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
     let related = if read.own[i] > 0.0 { read.total[i] / read.own[i] } else { 0.0 };
-    read.nouns[i] * related * (WITHOUT_COLOUR + (1.0 - WITHOUT_COLOUR) * colour)
+    read.nouns[i] * related * (WITHOUT_COLOR + (1.0 - WITHOUT_COLOR) * color)
 }
 
 #[cfg(test)]

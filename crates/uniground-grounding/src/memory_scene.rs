@@ -138,7 +138,7 @@ impl SceneSource for MemoryScene {
     }
 
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
-        self.album.frames.iter().find(|of| of.index == frame)?.decode_colour().ok()
+        self.album.frames.iter().find(|of| of.index == frame)?.decode_color().ok()
     }
 
     fn render_scene(&self) -> Result<Arc<RenderScene>, QuestionError> {

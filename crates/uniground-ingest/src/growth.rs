@@ -70,7 +70,7 @@ pub fn fits(
     let back = world.turn.inverse();
     let sample = known.positions.iter().step_by(known.len().div_ceil(COMPARED_POINTS).max(1));
     let positions: Vec<Point3<f32>> = sample.map(|p| back * p).collect();
-    let sample = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+    let sample = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
     let CheckedConvention { reading, agreement } =
         reprojection::check(&scan, declared, Some(&sample), &frames, &mut warnings).map_err(
             |error| match error {
@@ -197,7 +197,7 @@ fn unknown_surfaces(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> Poi
         (0..fused.len()).into_par_iter().filter(|&i| !is_known(&fused.positions[i])).collect();
     PointCloud {
         positions: new.iter().map(|&i| fused.positions[i]).collect(),
-        colours: new.iter().map(|&i| fused.colours[i]).collect(),
+        colors: new.iter().map(|&i| fused.colors[i]).collect(),
     }
 }
 
@@ -225,7 +225,7 @@ mod tests {
 
     fn cloud(positions: impl IntoIterator<Item = [f32; 3]>) -> PointCloud {
         let positions: Vec<Point3<f32>> = positions.into_iter().map(Point3::from).collect();
-        PointCloud { colours: vec![[9; 3]; positions.len()], positions }
+        PointCloud { colors: vec![[9; 3]; positions.len()], positions }
     }
 
     #[test]

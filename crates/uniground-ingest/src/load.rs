@@ -155,17 +155,17 @@ fn read_own_cloud(
         CoordinateOrigin::At(scan.origin)
     };
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
-    let LoadedCloud { dropped, without_colour, has_colour, thinned, .. } = loaded;
-    if without_colour > 0 {
+    let LoadedCloud { dropped, without_color, has_color, thinned, .. } = loaded;
+    if without_color > 0 {
         warnings.push(format!(
-            "{file}: the colours of {without_colour} points are not numbers: taken as grey"
+            "{file}: the colours of {without_color} points are not numbers: taken as grey"
         ));
     }
     if dropped > 0 {
         warnings
             .push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));
     }
-    if !has_colour {
+    if !has_color {
         warnings.push(format!(
             "{file}: no colour; points are shown grey and colour words can not be answered"
         ));
@@ -241,9 +241,9 @@ fn frame_ref(
     }
     Ok(FrameRef {
         index: raw.index,
-        colour: scan.root.join(&raw.colour),
+        color: scan.root.join(&raw.color),
         depth: scan.root.join(&raw.depth),
-        colour_intrinsics: raw.colour_intrinsics,
+        color_intrinsics: raw.color_intrinsics,
         depth_intrinsics: raw.depth_intrinsics,
         depth_scale_m: reading.depth_scale_m,
         camera_to_world,

@@ -104,9 +104,9 @@ mod tests {
             Intrinsics { width: 64, height: 64, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
         FrameRef {
             index: FrameIndex(index),
-            colour: depth.clone(),
+            color: depth.clone(),
             depth,
-            colour_intrinsics: intrinsics,
+            color_intrinsics: intrinsics,
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::translation(0.0, 0.0, at_m),

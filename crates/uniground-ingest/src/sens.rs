@@ -20,8 +20,8 @@ const MAX_FRAMES: u64 = super::MAX_FRAMES as u64;
 const MAX_PICTURE_BYTES: u64 = 64 << 20;
 const MAX_SIDE: u32 = 8192;
 /// Codecs of color pictures, by their number in the file.
-const COLOUR_PNG: i32 = 1;
-const COLOUR_JPEG: i32 = 2;
+const COLOR_PNG: i32 = 1;
+const COLOR_JPEG: i32 = 2;
 /// The only supported codec of depth pictures.
 const DEPTH_ZLIB: i32 = 1;
 
@@ -67,10 +67,10 @@ pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError
 struct Header {
     name: String,
     /// Row-major 4x4.
-    colour: [f32; 16],
+    color: [f32; 16],
     depth: [f32; 16],
-    colour_codec: i32,
-    colour_size: [u32; 2],
+    color_codec: i32,
+    color_size: [u32; 2],
     depth_size: [u32; 2],
     depth_shift: f32,
     frames: u64,
@@ -105,34 +105,34 @@ pub(super) fn unpack(
         fs::create_dir_all(target.join(folder))
             .map_err(|source| IngestError::reading(folder, source))?;
     }
-    let ending = if header.colour_codec == COLOUR_PNG { "png" } else { "jpg" };
+    let ending = if header.color_codec == COLOR_PNG { "png" } else { "jpg" };
     let mut frames = Vec::new();
     for i in 0..header.frames {
         let at = |e: io::Error| malformed(format!("frame {i}: {e}"));
         let pose: [f32; 16] = floats(&mut source).map_err(at)?;
         let _times = [word(&mut source).map_err(at)?, word(&mut source).map_err(at)?];
-        let (colour_bytes, depth_bytes) =
+        let (color_bytes, depth_bytes) =
             (word(&mut source).map_err(at)?, word(&mut source).map_err(at)?);
-        if colour_bytes.max(depth_bytes) > MAX_PICTURE_BYTES {
+        if color_bytes.max(depth_bytes) > MAX_PICTURE_BYTES {
             return Err(malformed(format!(
                 "frame {i}: a picture of {} bytes",
-                colour_bytes.max(depth_bytes)
+                color_bytes.max(depth_bytes)
             )));
         }
-        let (colour, depth) = (format!("color/{i}.{ending}"), format!("depth/{i}.png"));
-        let picture = exactly(&mut source, colour_bytes).map_err(at)?;
-        out.write(&colour, &picture)?;
+        let (color, depth) = (format!("color/{i}.{ending}"), format!("depth/{i}.png"));
+        let picture = exactly(&mut source, color_bytes).map_err(at)?;
+        out.write(&color, &picture)?;
         let packed = exactly(&mut source, depth_bytes).map_err(at)?;
         out.write(&depth, &depth_png(&packed, header.depth_size).map_err(at)?)?;
         out.write(&format!("pose/{i}.txt"), rows(&pose).as_bytes())?;
-        frames.push(json!({"color": colour, "depth": depth, "pose": format!("pose/{i}.txt")}));
+        frames.push(json!({"color": color, "depth": depth, "pose": format!("pose/{i}.txt")}));
     }
     let camera = |m: &[f32; 16], [width, height]: [u32; 2]| json!({"width": width, "height": height, "fx": m[0], "fy": m[5], "cx": m[2], "cy": m[6]});
     let manifest = json!({
         "format": "uniground-scene/1",
         "name": if header.name.trim().is_empty() { "scene" } else { header.name.trim() },
         "source": "scannet-sens",
-        "intrinsics": camera(&header.colour, header.colour_size),
+        "intrinsics": camera(&header.color, header.color_size),
         "depth_intrinsics": camera(&header.depth, header.depth_size),
         "depth_scale_m": 1.0 / header.depth_shift,
         "frames": frames,
@@ -171,13 +171,12 @@ fn header(source: &mut impl Read) -> io::Result<Header> {
         return Err(strange(format!("a name of {name_bytes} bytes")));
     }
     let name = String::from_utf8_lossy(&exactly(source, name_bytes)?).into_owned();
-    let (colour, _colour_extrinsics): ([f32; 16], [f32; 16]) = (floats(source)?, floats(source)?);
+    let (color, _color_extrinsics): ([f32; 16], [f32; 16]) = (floats(source)?, floats(source)?);
     let (depth, _depth_extrinsics): ([f32; 16], [f32; 16]) = (floats(source)?, floats(source)?);
-    let (colour_codec, depth_codec) =
-        (number(source)?.cast_signed(), number(source)?.cast_signed());
-    if !(colour_codec == COLOUR_PNG || colour_codec == COLOUR_JPEG) || depth_codec != DEPTH_ZLIB {
+    let (color_codec, depth_codec) = (number(source)?.cast_signed(), number(source)?.cast_signed());
+    if !(color_codec == COLOR_PNG || color_codec == COLOR_JPEG) || depth_codec != DEPTH_ZLIB {
         return Err(strange(format!(
-            "its pictures are coded as {colour_codec} and {depth_codec}: JPEG or PNG and zlib are read"
+            "its pictures are coded as {color_codec} and {depth_codec}: JPEG or PNG and zlib are read"
         )));
     }
     let [cw, ch, dw, dh] = [number(source)?, number(source)?, number(source)?, number(source)?];
@@ -191,10 +190,10 @@ fn header(source: &mut impl Read) -> io::Result<Header> {
     let frames = word(source)?;
     Ok(Header {
         name,
-        colour,
+        color,
         depth,
-        colour_codec,
-        colour_size: [cw, ch],
+        color_codec,
+        color_size: [cw, ch],
         depth_size: [dw, dh],
         depth_shift,
         frames,
@@ -268,7 +267,7 @@ mod tests {
         for matrix in [camera, eye, camera, eye] {
             matrix.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
         }
-        [COLOUR_PNG, DEPTH_ZLIB].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        [COLOR_PNG, DEPTH_ZLIB].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
         [4_u32; 4].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
         bytes.extend(1000.0_f32.to_le_bytes());
         bytes.extend(frames.to_le_bytes());

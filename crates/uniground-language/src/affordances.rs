@@ -209,7 +209,7 @@ fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
     let describes = |word: &&str| {
         matches!(
             words::longest(&[word]),
-            Some((Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _))
+            Some((Meaning::Color(_) | Meaning::Trait(_) | Meaning::And, _))
         ) || !Lexicon::get().knows(word)
     };
     let described =
@@ -350,7 +350,7 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
         Some((
             Meaning::Determiner
             | Meaning::Number(_)
-            | Meaning::Colour(_)
+            | Meaning::Color(_)
             | Meaning::Trait(_)
             | Meaning::Same
             | Meaning::Ordinal(_),

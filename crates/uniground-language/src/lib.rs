@@ -31,7 +31,7 @@ pub use doubt::Doubt;
 pub use grammar::parse;
 pub use parsers::{AutoParser, BuiltinParser, FellBack, QueryParser, Reading, VlmParser};
 pub use relation_kinds::RelationKind;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::Structure;
 use uniground_models::attributes::{Lexicon, Noun};
 
@@ -140,11 +140,11 @@ pub struct Phrase {
     /// The words that gave the use: "wine" of "something to pour wine from".
     pub purpose: Vec<String>,
     /// Colors it must have. If there are two, they share its surface: each has to be there.
-    pub colours: Vec<ColourName>,
+    pub colors: Vec<ColorName>,
     /// Whether the colors are approximate ("pinkish"): a similar color may be meant.
     pub roughly: bool,
     /// Colors it must not have: "not red".
-    pub other_than: Vec<ColourName>,
+    pub other_than: Vec<ColorName>,
     /// Traits: "large", "round".
     pub traits: Vec<Trait>,
     /// Words in front of the noun that cannot be checked: "leather", "patterned".
@@ -209,18 +209,18 @@ impl Phrase {
     #[must_use]
     pub fn text(&self) -> String {
         let traits = self.traits.iter().map(|s| s.word());
-        let colours = self
+        let colors = self
             .other_than
             .iter()
             .flat_map(|c| ["not", c.word()])
-            .chain(self.colours.iter().map(|c| c.word()));
+            .chain(self.colors.iter().map(|c| c.word()));
         let head = match (&self.head, self.uses.is_empty()) {
             (head, true) if head.is_empty() => "thing".to_owned(),
             (head, true) => head.clone(),
             (_, false) => format!("something to {}", self.uses.join(" or ")),
         };
         traits
-            .chain(colours)
+            .chain(colors)
             .chain(self.unchecked.iter().map(String::as_str))
             .chain([head.as_str()])
             .collect::<Vec<_>>()

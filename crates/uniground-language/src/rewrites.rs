@@ -194,7 +194,7 @@ fn thing_you_use(tokens: &mut Vec<String>) {
     let describes = |i: usize| match meaning(i) {
         Some(meaning) => matches!(
             meaning,
-            Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler
+            Meaning::Color(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler
         ),
         None => !Lexicon::get().knows(word(i)),
     };
@@ -474,14 +474,14 @@ fn shades(tokens: &mut Vec<String>) {
         "tone", "tones", "shade", "shades", "hue", "hues", "tint", "tints", "color", "colors",
         "colour", "colours",
     ];
-    let colour = |tokens: &[String], i: usize| {
+    let color = |tokens: &[String], i: usize| {
         let run: Vec<&str> = tokens[i.min(tokens.len())..]
             .iter()
             .map(String::as_str)
             .take_while(|t| *t != BREAK)
             .collect();
         match words::longest(&run) {
-            Some((Meaning::Colour(_), length)) => Some(length),
+            Some((Meaning::Color(_), length)) => Some(length),
             _ => None,
         }
     };
@@ -495,15 +495,15 @@ fn shades(tokens: &mut Vec<String>) {
         }
         if is_tone(tokens, i + 1)
             && tokens.get(i + 2).is_some_and(|t| t == "of")
-            && colour(tokens, i + 3).is_some()
+            && color(tokens, i + 3).is_some()
         {
             tokens.drain(i..i + 3);
             continue;
         }
         let mut end = i + 1;
-        while let Some(length) = colour(tokens, end) {
+        while let Some(length) = color(tokens, end) {
             end += length;
-            if tokens.get(end).is_some_and(|t| t == "and") && colour(tokens, end + 1).is_some() {
+            if tokens.get(end).is_some_and(|t| t == "and") && color(tokens, end + 1).is_some() {
                 end += 1;
             }
         }

@@ -104,7 +104,7 @@ fn is_of_themselves(clause: &[String]) -> bool {
     let owns = matches!(word(0), "my" | "our");
     let describes = |word: &String| {
         let known = words::longest(&[word]).map(|(meaning, _)| meaning);
-        matches!(known, Some(Meaning::Determiner | Meaning::Colour(_) | Meaning::Trait(_)))
+        matches!(known, Some(Meaning::Determiner | Meaning::Color(_) | Meaning::Trait(_)))
             || Lexicon::get().knows(word)
     };
     let speaks = clause.is_empty()

@@ -7,7 +7,7 @@ use super::{
 };
 use serde::Deserialize;
 use serde_json::{Value, json};
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_models::chat::{ChatRequest, Part};
 
 /// Version of the prompt. Raise it when the prompt or the schema changes.
@@ -46,7 +46,7 @@ fn schema() -> Value {
     let names =
         |names: Vec<&str>| json!({"type": "array", "items": {"type": "string", "enum": names}});
     let phrases = || json!({"type": "array", "items": {"$ref": "#/$defs/phrase"}});
-    let colours = || ColourName::ALL.iter().map(|c| c.word()).collect::<Vec<_>>();
+    let colors = || ColorName::ALL.iter().map(|c| c.word()).collect::<Vec<_>>();
     let relation = json!({"type": "object", "additionalProperties": false, "required": ["kind", "words", "anchors"], "properties": {
         "kind": {"type": "string", "enum": RelationKind::ALL.map(RelationKind::word)},
         "words": {"type": "string"}, "anchors": phrases(), "negated": {"type": "boolean"}, "rank": {"type": "integer", "minimum": 1},
@@ -56,8 +56,8 @@ fn schema() -> Value {
     }});
     let phrase = json!({"type": "object", "additionalProperties": false, "required": ["noun"], "properties": {
         "noun": {"type": "string"}, "could_be": {"type": "array", "items": {"type": "string"}, "maxItems": MAX_NOUNS},
-        "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colours()),
-        "not_colours": names(colours()), "traits": names(Trait::ALL.iter().map(|t| t.word()).collect()),
+        "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colors()),
+        "not_colours": names(colors()), "traits": names(Trait::ALL.iter().map(|t| t.word()).collect()),
         "count": {"type": ["integer", "null"], "minimum": 0}, "with": phrases(), "without": phrases(),
         "relations": {"type": "array", "items": relation}, "superlative": superlative,
     }});
@@ -90,8 +90,10 @@ struct PhraseJson {
     noun: String,
     could_be: Vec<String>,
     uses: Vec<String>,
-    colours: Vec<String>,
-    not_colours: Vec<String>,
+    #[serde(rename = "colours")]
+    colors: Vec<String>,
+    #[serde(rename = "not_colours")]
+    not_colors: Vec<String>,
     traits: Vec<String>,
     count: Option<u32>,
     with: Vec<PhraseJson>,
@@ -158,11 +160,10 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     if depth > MAX_DEPTH || *parts > MAX_PARTS {
         return Err("the model's answer nests too deep or names too much".into());
     }
-    let named = |known: Option<ColourName>, word: &str| {
+    let named = |known: Option<ColorName>, word: &str| {
         known.ok_or_else(|| format!("the model's answer has an unknown colour {word:?}"))
     };
-    let colour =
-        |word: &String| named(ColourName::ALL.into_iter().find(|c| c.word() == word), word);
+    let color = |word: &String| named(ColorName::ALL.into_iter().find(|c| c.word() == word), word);
     let seen = |word: &String| {
         let known = Trait::ALL.into_iter().find(|t| t.word() == word);
         known.ok_or_else(|| format!("the model's answer has an unknown trait {word:?}"))
@@ -221,8 +222,8 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
         could_be,
         other_things: Vec::new(),
         purpose,
-        colours: json.colours.iter().map(colour).collect::<Result<_, _>>()?,
-        other_than: json.not_colours.iter().map(colour).collect::<Result<_, _>>()?,
+        colors: json.colors.iter().map(color).collect::<Result<_, _>>()?,
+        other_than: json.not_colors.iter().map(color).collect::<Result<_, _>>()?,
         roughly: false,
         traits: json.traits.iter().map(seen).collect::<Result<_, _>>()?,
         unchecked: Vec::new(),

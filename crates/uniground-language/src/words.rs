@@ -3,7 +3,7 @@
 use super::{Look, Measure, RelationKind, Trait, cost};
 use std::collections::HashMap;
 use std::sync::LazyLock;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 
 /// The meaning of a word or a run of words.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,7 +28,7 @@ pub(super) enum Meaning {
     Superlative(Measure),
     Ordinal(u32),
     Number(u32),
-    Colour(ColourName),
+    Color(ColorName),
     Trait(Trait),
     Not,
     /// "or", "nor": continues the negation.
@@ -106,7 +106,7 @@ impl Meaning {
             }
             "ordinal" => Self::Ordinal(which.parse().ok()?),
             "number" => Self::Number(which.parse().ok()?),
-            "colour" => Self::Colour(ColourName::ALL.into_iter().find(|c| c.word() == which)?),
+            "colour" => Self::Color(ColorName::ALL.into_iter().find(|c| c.word() == which)?),
             "trait" => Self::Trait(Trait::ALL.into_iter().find(|t| t.word() == which)?),
             "not" => Self::Not,
             "or" => Self::Or,
@@ -153,7 +153,7 @@ pub(super) fn is_known(word: &str) -> bool {
 }
 
 /// Returns whether words for a color are approximate: "pinkish", "salmon coloured".
-pub(super) fn is_rough_colour(text: &str) -> bool {
+pub(super) fn is_rough_color(text: &str) -> bool {
     ["ish", "orangey", "yellowy", "coloured", "colored"].iter().any(|ending| text.ends_with(ending))
 }
 

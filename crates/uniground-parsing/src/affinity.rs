@@ -159,21 +159,21 @@ fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
 
 /// CIELAB distance and angle at which geometry alone gives a probability of one half that two
 /// patches are different things.
-const HALF_COLOUR: f32 = 18.0;
+const HALF_COLOR: f32 = 18.0;
 const HALF_ANGLE_RAD: f32 = 0.6;
 
 /// Affinity of two patches that no camera sees together: high for one color on one flat surface.
 fn by_geometry(a: &Patch, b: &Patch) -> f32 {
-    let colour = (a.lab - b.lab).norm() / HALF_COLOUR;
+    let color = (a.lab - b.lab).norm() / HALF_COLOR;
     let bend = a.normal.dot(&b.normal).abs().min(1.0).acos() / HALF_ANGLE_RAD;
-    1.0 / (1.0 + colour.powi(2) + bend.powi(2))
+    1.0 / (1.0 + color.powi(2) + bend.powi(2))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
     use uniground_geometry::scene::FrameIndex;
     use uniground_geometry::{Point3, Vector3};
 

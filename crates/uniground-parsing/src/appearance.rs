@@ -82,7 +82,7 @@ pub fn look(
         |frame| {
             progress.check()?;
             let mut seen = boxes[&frame.index].clone();
-            let picture = frame.decode_colour()?;
+            let picture = frame.decode_color()?;
             let corrected = match correction {
                 Some(correction) => {
                     correct(frame, &picture, labelled, correction, &seen, progress)?

@@ -108,19 +108,19 @@ impl KnownMasks {
     #[must_use]
     pub fn of(masks: &IdRuns, frame: &FrameRef) -> Self {
         let masks = masks.unpacked();
-        let (depth, colour) = (frame.depth_camera().intrinsics, frame.colour_camera().intrinsics);
+        let (depth, color) = (frame.depth_camera().intrinsics, frame.color_camera().intrinsics);
         let cells = |length: u32,
-                     [colour_c, colour_f, depth_c, depth_f]: [f32; 4],
+                     [color_c, color_f, depth_c, depth_f]: [f32; 4],
                      depth_length: u32|
          -> Vec<Option<u32>> {
             let pixel = |cell: usize| (cell as f32 + 0.5) * length as f32 / Self::SIZE as f32 - 0.5;
-            let at = |cell| ((pixel(cell) - colour_c) / colour_f * depth_f + depth_c + 0.5).floor();
+            let at = |cell| ((pixel(cell) - color_c) / color_f * depth_f + depth_c + 0.5).floor();
             (0..Self::SIZE)
                 .map(|cell| (0.0..depth_length as f32).contains(&at(cell)).then(|| at(cell) as u32))
                 .collect()
         };
-        let columns = cells(colour.width, [colour.cx, colour.fx, depth.cx, depth.fx], masks.width);
-        let rows = cells(colour.height, [colour.cy, colour.fy, depth.cy, depth.fy], masks.height);
+        let columns = cells(color.width, [color.cx, color.fx, depth.cx, depth.fx], masks.width);
+        let rows = cells(color.height, [color.cy, color.fy, depth.cy, depth.fy], masks.height);
         let ids = rows
             .iter()
             .flat_map(|row| {
@@ -295,9 +295,9 @@ mod tests {
         let depth = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 31.5, cy: 23.5 };
         let frame = FrameRef {
             index: FrameIndex(3),
-            colour: "c".into(),
+            color: "c".into(),
             depth: "d".into(),
-            colour_intrinsics: depth.scaled_to(128, 96),
+            color_intrinsics: depth.scaled_to(128, 96),
             depth_intrinsics: depth,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),

@@ -20,13 +20,13 @@ const RED: Rgb<u8> = Rgb([230, 20, 20]);
 
 /// Draws one evidence picture of a view from its photograph, as JPEG.
 #[must_use]
-pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
+pub fn picture(color: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
     let mask = seen.mask.as_ref().and_then(CellMask::unpacked);
     let (area, around) = match picture {
-        Picture::Crop => (crop_area(seen.box_px, colour.dimensions()), Surroundings::Dimmed),
-        Picture::Frame => ([0, 0, colour.width(), colour.height()], Surroundings::Kept),
+        Picture::Crop => (crop_area(seen.box_px, color.dimensions()), Surroundings::Dimmed),
+        Picture::Frame => ([0, 0, color.width(), color.height()], Surroundings::Kept),
     };
-    let mut drawn = cut(colour, area);
+    let mut drawn = cut(color, area);
     let whole = (0, 0, drawn.width(), drawn.height());
     if let Some(mask) = &mask {
         draw_outline(&mut drawn, whole, mask, shares(seen.box_px, area), around);
@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn the_frame_has_a_red_box_around_the_object_and_the_crop_an_outline() {
-        let colour = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
+        let color = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
         let mask = CellMask::of(8, 8, |column, row| column + row < 8).packed();
         let seen = View {
             frame: FrameIndex(0),
@@ -85,7 +85,7 @@ mod tests {
             mask: Some(mask),
         };
         let decoded =
-            |of| image::load_from_memory(&picture(&colour, &seen, of)).unwrap().into_rgb8();
+            |of| image::load_from_memory(&picture(&color, &seen, of)).unwrap().into_rgb8();
         let (crop, frame) = (decoded(Picture::Crop), decoded(Picture::Frame));
         assert_eq!((crop.dimensions(), frame.dimensions()), ((224, 224), (400, 300)));
         let reddish = |p: &Rgb<u8>| p.0[0] > 150 && p.0[1] < 110;

@@ -55,9 +55,9 @@ mod tests {
         xs.enumerate()
             .map(|(i, x)| FrameRef {
                 index: FrameIndex(i as u32),
-                colour: "c".into(),
+                color: "c".into(),
                 depth: "d".into(),
-                colour_intrinsics: intrinsics,
+                color_intrinsics: intrinsics,
                 depth_intrinsics: intrinsics,
                 depth_scale_m: 0.001,
                 camera_to_world: Isometry3::translation(x, 0.0, 0.0),

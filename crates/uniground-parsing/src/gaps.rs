@@ -147,7 +147,7 @@ mod tests {
     use camino::{Utf8Path, Utf8PathBuf};
     use image::{ImageBuffer, Luma};
     use uniground_geometry::Isometry3;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
     use uniground_geometry::scene::{FrameIndex, Intrinsics, Optics};
 
     const CAMERA: Intrinsics =
@@ -177,7 +177,7 @@ mod tests {
             adjacent: vec![(0, 1)],
             roughness_m: vec![0.0; 2],
         };
-        (PointCloud { colours: vec![[90; 3]; positions.len()], positions }, superpoints)
+        (PointCloud { colors: vec![[90; 3]; positions.len()], positions }, superpoints)
     }
 
     #[test]
@@ -209,9 +209,9 @@ mod tests {
             .unwrap();
         FrameRef {
             index: FrameIndex(index),
-            colour: Utf8PathBuf::new(),
+            color: Utf8PathBuf::new(),
             depth,
-            colour_intrinsics: CAMERA,
+            color_intrinsics: CAMERA,
             depth_intrinsics: CAMERA,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),

@@ -115,7 +115,7 @@ impl LiftingInput<'_> {
                 let images = self.masks.masks(&frame, progress)?;
                 let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
                 let (masks, sharpness) =
-                    (images.iter().map(IdRuns::of).collect(), Sharpness::of(&frame.colour));
+                    (images.iter().map(IdRuns::of).collect(), Sharpness::of(&frame.color));
                 Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks, sharpness })
             },
             |i, frame| {
@@ -215,9 +215,9 @@ mod tests {
         let depth_m = (0..16).map(|i| if i < 12 { 2.0 } else { 0.0 }).collect();
         Frame {
             index: FrameIndex(0),
-            colour: image::RgbImage::new(4, 4),
+            color: image::RgbImage::new(4, 4),
             depth: DepthImage { width: 4, height: 4, depth_m },
-            colour_camera: camera,
+            color_camera: camera,
             depth_camera: camera,
         }
     }
@@ -235,7 +235,7 @@ mod tests {
                 Point3::new(9.0, 0.0, 2.0),
                 Point3::new(0.0, 0.0, -2.0),
             ],
-            colours: vec![[0; 3]; 6],
+            colors: vec![[0; 3]; 6],
         };
         let masks =
             IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
@@ -282,7 +282,7 @@ mod tests {
         let intrinsics = frame.depth_camera.intrinsics;
         let positions: Vec<Point3<f32>> =
             pixels.iter().map(|&(u, v)| intrinsics.unproject(u, v, 2.0)).collect();
-        PointCloud { colours: vec![[0; 3]; positions.len()], positions }
+        PointCloud { colors: vec![[0; 3]; positions.len()], positions }
     }
 
     #[test]
@@ -419,9 +419,9 @@ mod tests {
         let intrinsics = frame().depth_camera.intrinsics;
         let of_number = |&number: &u32| FrameRef {
             index: FrameIndex(number),
-            colour: color.clone(),
+            color: color.clone(),
             depth: depth.clone(),
-            colour_intrinsics: intrinsics,
+            color_intrinsics: intrinsics,
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),

@@ -215,7 +215,7 @@ mod tests {
     use crate::planes::Plane;
     use proptest::prelude::*;
     use std::sync::{Arc, Mutex};
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
     use uniground_geometry::scene::{FrameIndex, Structure};
     use uniground_geometry::{Point3, Vector3};
 

@@ -301,7 +301,7 @@ impl RegionFacts {
 mod tests {
     use super::*;
     use crate::superpoints::Patch;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
 
     /// A block from corner to corner, meters, sampled every two centimeters.
     type Block = ([f32; 3], [f32; 3]);

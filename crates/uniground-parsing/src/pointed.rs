@@ -181,7 +181,7 @@ impl PointedObjectFinder<'_> {
         let frame = frame.decode()?;
         let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
         let cut = match self.segmenter {
-            Some(segmenter) => FrameSegmentation::Encoded(segmenter.encode(&frame.colour)?),
+            Some(segmenter) => FrameSegmentation::Encoded(segmenter.encode(&frame.color)?),
             None => FrameSegmentation::Images(
                 RgbdMasks { settings: self.settings.rgbd_masks }.levels(&frame, &UNEVEN),
             ),
@@ -282,7 +282,7 @@ impl PointedObjectFinder<'_> {
             let own: Vec<&FramePoint> =
                 looked.seen.iter().filter(|point| of_seed.contains(&point.point)).collect();
             let pixels: Vec<(f32, f32)> =
-                own.iter().filter_map(|point| colour_pixel(&looked.frame, point)).collect();
+                own.iter().filter_map(|point| color_pixel(&looked.frame, point)).collect();
             let Some(middle) = medoid(&pixels) else { continue };
             let mut best: Option<(f32, Mask)> = None;
             for (mask, _) in self.masks_at(looked, middle)? {
@@ -345,7 +345,7 @@ impl PointedObjectFinder<'_> {
         stream_frames(
             &frames,
             |frame| {
-                let camera = frame.colour_camera();
+                let camera = frame.color_camera();
                 let seen = of_thing.visible_in(frame, self.settings.depth_tolerance)?;
                 let pixels: Vec<(f32, f32)> = seen
                     .iter()
@@ -409,8 +409,9 @@ impl Mask {
                 images[*level].at(point.cell) == *id
             }
             (Self::Cut { .. }, FrameSegmentation::Encoded(_)) => false,
-            (Self::Decoded { mask, scale, threshold }, _) => colour_pixel(&looked.frame, point)
-                .is_some_and(|at| mask.at(at, *scale) > *threshold),
+            (Self::Decoded { mask, scale, threshold }, _) => {
+                color_pixel(&looked.frame, point).is_some_and(|at| mask.at(at, *scale) > *threshold)
+            }
         }
     }
 }
@@ -456,7 +457,7 @@ impl CloudSubset {
         );
         let radius_m = positions.iter().map(|p| (p - middle).norm()).fold(0.0, f32::max);
         Self {
-            points: PointCloud { colours: vec![[0; 3]; positions.len()], positions },
+            points: PointCloud { colors: vec![[0; 3]; positions.len()], positions },
             middle,
             radius_m,
         }
@@ -478,15 +479,15 @@ impl CloudSubset {
 }
 
 /// Position of a point of the cloud in a frame's color picture; `None` outside.
-fn colour_pixel(frame: &Frame, point: &FramePoint) -> Option<(f32, f32)> {
-    frame.colour_camera.project(&point.position).map(|pixel| (pixel.u, pixel.v))
+fn color_pixel(frame: &Frame, point: &FramePoint) -> Option<(f32, f32)> {
+    frame.color_camera.project(&point.position).map(|pixel| (pixel.u, pixel.v))
 }
 
 /// The mask at a position of the color picture, or the nearest one to it.
 fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16> {
-    let (depth, colour) = (&frame.depth_camera.intrinsics, &frame.colour_camera.intrinsics);
-    let column = ((x - colour.cx) / colour.fx * depth.fx + depth.cx).round() as i32;
-    let row = ((y - colour.cy) / colour.fy * depth.fy + depth.cy).round() as i32;
+    let (depth, color) = (&frame.depth_camera.intrinsics, &frame.color_camera.intrinsics);
+    let column = ((x - color.cx) / color.fx * depth.fx + depth.cx).round() as i32;
+    let row = ((y - color.cy) / color.fy * depth.fy + depth.cy).round() as i32;
     let around =
         |reach: i32| (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)));
     let mut near: Vec<(i32, i32)> = around(AROUND_PX).collect();
@@ -517,7 +518,7 @@ fn view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
     if pixels.len() < LEAST_POINTS / 2 {
         return None;
     }
-    let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
+    let (width, height) = (frame.color_intrinsics.width, frame.color_intrinsics.height);
     let ((left, right), (top, bottom)) = (span(|p| p.0, width), span(|p| p.1, height));
     let box_px = [left, top, right, bottom];
     let mask = Outline::of_points(pixels, box_px).mask.packed();

@@ -339,7 +339,7 @@ mod tests {
             }
             depths.push(depth);
         }
-        cloud.colours = vec![[0; 3]; cloud.positions.len()];
+        cloud.colors = vec![[0; 3]; cloud.positions.len()];
         let superpoints = Superpoints {
             of_point: region_of.clone(),
             patches: Vec::new(),

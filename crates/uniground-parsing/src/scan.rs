@@ -112,7 +112,7 @@ impl ImportedScan {
     pub fn memory_wanted(&self) -> u64 {
         let (_, frames) = self.bundle.in_all();
         let pixels = |frame: &FrameRef| {
-            u64::from(frame.colour_intrinsics.width) * u64::from(frame.colour_intrinsics.height)
+            u64::from(frame.color_intrinsics.width) * u64::from(frame.color_intrinsics.height)
         };
         let largest = frames.iter().map(pixels).max().unwrap_or(0);
         self.bundle.points() as u64 * BYTES_PER_POINT
@@ -147,7 +147,7 @@ impl ImportedScan {
             frames,
             |frame| {
                 progress.check()?;
-                drop((frame.decode_colour(), frame.decode_depth()));
+                drop((frame.decode_color(), frame.decode_depth()));
                 Ok::<_, Cancelled>(())
             },
             |at, ()| progress.report("check_pictures", at as f32 / all),

@@ -228,7 +228,7 @@ fn hanging_together(mut left: BTreeSet<u32>, neighbours: &[Vec<u32>]) -> Vec<Vec
 mod tests {
     use super::*;
     use uniground_geometry::Vector3;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
 
     /// A block from corner to corner, meters, sampled every two centimeters, and its normal.
     type Block = ([f32; 3], [f32; 3], Vector3<f32>);

@@ -99,13 +99,13 @@ fn by_instance(
     frame: &FrameRef,
     points: &[FramePoint],
 ) -> (Vec<InstancePixel>, UnseenPoints) {
-    let colour_camera = frame.colour_camera();
+    let color_camera = frame.color_camera();
     let (mut pixels, mut unseen) = (
         Vec::with_capacity(points.len()),
         UnseenPoints { unknown: vec![0; labels.len()], ..UnseenPoints::default() },
     );
     for &FramePoint { point, position, cell, sight } in points {
-        let Some(pixel) = colour_camera.project(&position) else { continue };
+        let Some(pixel) = color_camera.project(&position) else { continue };
         let (instances, at) = (labels.of(point as usize), (pixel.u, pixel.v));
         match sight {
             PointVisibility::Visible => {
@@ -138,7 +138,7 @@ fn sightings(
     masks: &[IdRuns],
 ) -> Vec<Sighting> {
     let (hits, unseen) = by_instance(labelled.labels, frame, points);
-    let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
+    let (width, height) = (frame.color_intrinsics.width, frame.color_intrinsics.height);
     let agreements = agreements(&hits, labelled.labels.things, masks);
     hits.chunk_by(|a, b| a.instance == b.instance)
         .map(|hits| {
@@ -298,7 +298,7 @@ pub fn choose(
     instances.par_iter_mut().zip(per_instance).for_each(|(instance, seen)| {
         let center = |frame: FrameIndex| {
             let at = frames.binary_search_by_key(&frame, |f| f.index);
-            at.map_or_else(|_| Point3::origin(), |i| Camera::center(&frames[i].colour_camera()))
+            at.map_or_else(|_| Point3::origin(), |i| Camera::center(&frames[i].color_camera()))
         };
         instance.views = spread(judged(seen, sharpness), settings, center);
     });

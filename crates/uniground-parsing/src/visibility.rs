@@ -172,7 +172,7 @@ mod tests {
             outside[0],
             outside[1],
         ];
-        let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
         let seen = Visibility::new(&cloud, &[0; 6], 0.05).in_frame(&camera, &depth);
         assert_eq!(
             seen.iter().map(|seen| (seen.point, seen.cell)).collect::<Vec<_>>(),
@@ -191,7 +191,7 @@ mod tests {
             [at(3.0, 3.0, 2.0); 8],
         ]
         .concat();
-        let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
         let seen = Visibility::new(&cloud, &[0; 32], 0.05).around_frame(&camera, &depth);
         let count = |sight, points: std::ops::Range<u32>| {
             seen.iter().filter(|p| p.sight == sight && points.contains(&p.point)).count()
@@ -219,7 +219,7 @@ mod tests {
                 .filter(|(_, p)| camera.project(p).is_some_and(|pixel| pixel.v < 2.5 && (pixel.z_m - 2.0).abs() <= 1.0))
                 .map(|(i, _)| i)
                 .collect();
-            let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+            let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
             let seen = Visibility::new(&cloud, &group_of, 0.5).in_frame(&camera, &depth);
             prop_assert!(seen.is_sorted_by_key(|seen| group_of[seen.point as usize]));
             let mut found: Vec<u32> = seen.iter().map(|seen| seen.point).collect();

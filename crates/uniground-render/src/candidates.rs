@@ -230,7 +230,7 @@ mod tests {
     #[test]
     fn words_stand_where_things_lie() {
         let mut cloud = PointCloud::default();
-        for (direction, colour) in [
+        for (direction, color) in [
             (Vector3::x(), [255, 0, 0]),
             (-Vector3::x(), [0, 255, 0]),
             (Vector3::y(), [0, 0, 255]),
@@ -240,11 +240,11 @@ mod tests {
                 for j in 0..40 {
                     let across = Vector3::new(i as f32 * 0.01 - 0.2, j as f32 * 0.01 - 0.2, 0.0);
                     cloud.positions.push(Point3::from(direction * 0.9 + across));
-                    cloud.colours.push(colour);
+                    cloud.colors.push(color);
                 }
             }
         }
-        let colour_of = |word: &str| match word.split(' ').next() {
+        let color_of = |word: &str| match word.split(' ').next() {
             Some("left") => [255, 0, 0],
             Some("right") => [0, 255, 0],
             Some("back") => [0, 0, 255],
@@ -277,10 +277,10 @@ mod tests {
                     mark.word,
                     mark.towards
                 );
-                let of_colour = drawn
+                let of_color = drawn
                     .enumerate_pixels()
-                    .filter(|(_, _, p)| p.0 == [colour_of(&mark.word), [255; 3]].concat()[..4]);
-                let places: Vec<_> = of_colour
+                    .filter(|(_, _, p)| p.0 == [color_of(&mark.word), [255; 3]].concat()[..4]);
+                let places: Vec<_> = of_color
                     .map(|(x, y, _)| {
                         nalgebra::Vector2::new(x as f32 - origin.u, y as f32 - origin.v)
                     })
@@ -305,7 +305,7 @@ mod tests {
         cloud.positions.extend(
             (0..500).map(|i| Point3::new((i % 25) as f32 * 0.1, (i / 25) as f32 * 0.1, 0.0)),
         );
-        cloud.colours.extend([[120, 90, 60]; 500]);
+        cloud.colors.extend([[120, 90, 60]; 500]);
         let render_scene = RenderScene::of(cloud);
         let picture = GlobalView::default().draw(&render_scene, &ROOM, &subjects());
         assert_eq!(picture.dimensions(), (3 * 680 + 8, 680));

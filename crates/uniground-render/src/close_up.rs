@@ -72,7 +72,7 @@ mod tests {
         for i in 0..100 {
             for j in 0..100 {
                 cloud.positions.push(Point3::new(i as f32 * 0.03, j as f32 * 0.03, 0.0));
-                cloud.colours.push([120; 3]);
+                cloud.colors.push([120; 3]);
             }
         }
         for i in 0..400 {
@@ -81,7 +81,7 @@ mod tests {
                 1.5 + (i / 20) as f32 * 0.01,
                 2.4,
             ));
-            cloud.colours.push([250, 0, 0]);
+            cloud.colors.push([250, 0, 0]);
         }
         let lamp = Aabb { center: Point3::new(1.6, 1.6, 2.35), size: Vector3::new(0.2, 0.2, 0.1) };
         let red = |shot: &Shot| shot.crop.pixels().filter(|p| p.0 == [250, 0, 0]).count();
@@ -98,13 +98,13 @@ mod tests {
                     j as f32 * 0.05 - 1.5,
                     0.0,
                 ));
-                cloud.colours.push([120; 3]);
+                cloud.colors.push([120; 3]);
                 cloud.positions.push(Point3::new(
                     i as f32 * 0.01 - 0.3,
                     j as f32 * 0.01 - 0.3,
                     0.4,
                 ));
-                cloud.colours.push([250, 0, 0]);
+                cloud.colors.push([250, 0, 0]);
             }
         }
         let aabb = Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::new(0.6, 0.6, 0.4) };

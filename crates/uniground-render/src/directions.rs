@@ -122,8 +122,8 @@ pub(super) fn draw(
             Rgb(INK),
         );
     }
-    for (name, at, colour) in axes {
-        text::draw(picture, name, at.x - 4.0, at.y - 8.0, 14.0, Rgb(colour));
+    for (name, at, color) in axes {
+        text::draw(picture, name, at.x - 4.0, at.y - 8.0, 14.0, Rgb(color));
     }
     taken
 }
@@ -168,18 +168,18 @@ fn triad(
         ("Y", Vector3::y(), [0, 120, 0]),
         ("Z", Vector3::z(), [20, 40, 200]),
     ];
-    let seen = axes.map(|(name, axis, colour)| {
-        (name, on_picture(camera, target, &axis).unwrap_or_default(), colour)
+    let seen = axes.map(|(name, axis, color)| {
+        (name, on_picture(camera, target, &axis).unwrap_or_default(), color)
     });
     let longest = seen.iter().map(|(_, along, _)| along.norm()).fold(1e-6, f32::max);
     seen.into_iter()
-        .map(|(name, along, colour)| {
+        .map(|(name, along, color)| {
             let tip = middle + along / longest * TRIAD_PX;
             let mut path = PathBuilder::new();
             path.move_to(middle.x, middle.y);
             path.line_to(tip.x, tip.y);
             let mut paint = Paint { anti_alias: true, ..Paint::default() };
-            paint.set_color_rgba8(colour[0], colour[1], colour[2], 255);
+            paint.set_color_rgba8(color[0], color[1], color[2], 255);
             if let Some(path) = path.finish() {
                 layer.stroke_path(
                     &path,
@@ -190,7 +190,7 @@ fn triad(
                 );
             }
             let beyond = along.try_normalize(1e-6).unwrap_or_default() * 9.0;
-            (name, tip + beyond, colour)
+            (name, tip + beyond, color)
         })
         .collect()
 }

@@ -34,7 +34,7 @@ pub struct LabelledBox {
 }
 
 impl BoxStyle {
-    fn colour(self) -> [u8; 3] {
+    fn color(self) -> [u8; 3] {
         match self {
             Self::Answer => [0, 150, 60],
             Self::Anchor => [210, 30, 30],
@@ -87,7 +87,7 @@ pub(super) fn draw(
         boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
     {
         let mut paint = Paint::default();
-        let [r, g, b] = labelled.style.colour();
+        let [r, g, b] = labelled.style.color();
         paint.set_color_rgba8(r, g, b, 255);
         layer.fill_rect(*rect, &paint, Transform::identity(), None);
     }
@@ -140,11 +140,11 @@ fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &La
             edge(drawn, camera, (&corners[i], &corners[i | bit]), &mut seen, &mut hidden);
         }
     }
-    let [r, g, b] = labelled.style.colour();
+    let [r, g, b] = labelled.style.color();
     let width = labelled.style.width_px();
-    let mut line = |path: &Path, colour: Color, width: f32, dash: Option<StrokeDash>| {
+    let mut line = |path: &Path, color: Color, width: f32, dash: Option<StrokeDash>| {
         let mut paint = Paint { anti_alias: true, ..Paint::default() };
-        paint.set_color(colour);
+        paint.set_color(color);
         let cap = if dash.is_some() { LineCap::Butt } else { LineCap::Round };
         let stroke = Stroke { width, line_cap: cap, dash, ..Stroke::default() };
         layer.stroke_path(path, &paint, &stroke, Transform::identity(), None);
@@ -222,7 +222,7 @@ fn draw_leader(layer: &mut Pixmap, style: BoxStyle, rect: &Rect, home: Point2<f3
     }
     let Some(path) = path.finish() else { return };
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
-    let [r, g, b] = style.colour();
+    let [r, g, b] = style.color();
     paint.set_color_rgba8(r, g, b, 220);
     layer.stroke_path(
         &path,
@@ -406,7 +406,7 @@ mod tests {
         for i in 0..200 {
             for j in 0..200 {
                 cloud.positions.push(Point3::new(i as f32 * 0.01, -1.0, j as f32 * 0.02 - 2.0));
-                cloud.colours.push([255; 3]);
+                cloud.colors.push([255; 3]);
             }
         }
         let camera =

@@ -171,16 +171,16 @@ fn draw(
     let splats: Vec<(f32, f32, f32, [u8; 3])> = cloud
         .positions
         .par_iter()
-        .zip(&cloud.colours)
+        .zip(&cloud.colors)
         .enumerate()
         .filter(|(i, (p, _))| keep(*i, p))
-        .filter_map(|(_, (p, &colour))| {
-            camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour))
+        .filter_map(|(_, (p, &color))| {
+            camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, color))
         })
         .collect();
     let mut picture = RgbaImage::new(width, height);
     let mut depth_m = vec![f32::INFINITY; (width * height) as usize];
-    for (u, v, z_m, colour) in splats {
+    for (u, v, z_m, color) in splats {
         let half = (camera.intrinsics.fx * size_m / z_m / 2.0).clamp(0.5, MAX_SPLAT_PX / 2.0);
         let span = |at: f32, len: u32| {
             ((at - half + 0.5).max(0.0) as u32)..((at + half + 0.5).max(0.0) as u32).clamp(1, len)
@@ -190,7 +190,7 @@ fn draw(
                 let nearest = &mut depth_m[(row * width + column) as usize];
                 if z_m < *nearest {
                     *nearest = z_m;
-                    let [r, g, b] = colour;
+                    let [r, g, b] = color;
                     picture.put_pixel(column, row, Rgba([r, g, b, 255]));
                 }
             }
@@ -212,9 +212,9 @@ mod tests {
         let mut cloud = PointCloud::default();
         for i in -50..=50 {
             for j in -50..=50 {
-                let (position, colour) = at(i as f32 * 0.02, j as f32 * 0.02);
+                let (position, color) = at(i as f32 * 0.02, j as f32 * 0.02);
                 cloud.positions.push(position);
-                cloud.colours.push(colour);
+                cloud.colors.push(color);
             }
         }
         cloud
@@ -225,7 +225,7 @@ mod tests {
         let mut cloud = grid(|x, y| (Point3::new(x, y, 3.0), [0, 0, 255]));
         let front = grid(|x, y| (Point3::new(x, y, 2.0), [255, 0, 0]));
         cloud.positions.extend(front.positions);
-        cloud.colours.extend(front.colours);
+        cloud.colors.extend(front.colors);
         let drawn = RenderScene::of(cloud)
             .drawn_with_ceiling(&Camera::new(VIEW, &Isometry3::from(Vector3::zeros())));
         let window = drawn
@@ -262,7 +262,7 @@ mod tests {
         let room = |height: f32| {
             let mut cloud = grid(|x, y| (Point3::new(x, y, 0.0), [90; 3]));
             cloud.positions.extend((0..200).map(|i| Point3::new(i as f32 * 0.01, 0.0, height)));
-            cloud.colours.extend([[255; 3]; 200]);
+            cloud.colors.extend([[255; 3]; 200]);
             RenderScene::of(cloud).ceiling_m
         };
         assert!(room(1.0).is_infinite());

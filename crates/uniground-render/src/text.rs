@@ -20,7 +20,7 @@ pub(super) fn draw(
     x: f32,
     y: f32,
     size_px: f32,
-    colour: Rgb<u8>,
+    color: Rgb<u8>,
 ) {
     let Some(font) = FONT.as_ref() else { return };
     for mut glyph in layout(text, size_px).0 {
@@ -36,7 +36,7 @@ pub(super) fn draw(
                 && v < i64::from(picture.height());
             if inside {
                 let below = picture.get_pixel_mut(u as u32, v as u32);
-                for (channel, ink) in below.0.iter_mut().zip(colour.0) {
+                for (channel, ink) in below.0.iter_mut().zip(color.0) {
                     *channel = (f32::from(*channel)
                         + (f32::from(ink) - f32::from(*channel)) * coverage.min(1.0))
                     .round() as u8;

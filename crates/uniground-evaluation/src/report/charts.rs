@@ -41,17 +41,17 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
         );
     }
     for (i, line) in lines.iter().enumerate() {
-        let colour = COLOURS[i % COLOURS.len()];
+        let color = COLOURS[i % COLOURS.len()];
         let path: String =
             line.points.iter().map(|(x, y)| format!("{:.1},{:.1} ", x_of(*x), y_of(*y))).collect();
         let _ = write!(
             svg,
-            "<polyline fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\" points=\"{path}\"/>"
+            "<polyline fill=\"none\" stroke=\"{color}\" stroke-width=\"2\" points=\"{path}\"/>"
         );
         for (x, y) in &line.points {
             let _ = write!(
                 svg,
-                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\" fill=\"{colour}\"/>",
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\" fill=\"{color}\"/>",
                 x_of(*x),
                 y_of(*y)
             );
@@ -61,7 +61,7 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
         let name = super::escaped(&line.name);
         let _ = write!(
             svg,
-            "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>",
+            "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{color}\">{name}</text>",
             WIDTH - 10.0
         );
     }
@@ -78,10 +78,10 @@ pub(super) fn histogram(title: &str, x_label: &str, counts: &[usize]) -> String 
     for (i, &count) in counts.iter().enumerate() {
         let (x, y) = (LEFT + width * i as f32, y_of(count as f32));
         let height = HEIGHT - BOTTOM - y;
-        let colour = COLOURS[0];
+        let color = COLOURS[0];
         let _ = write!(
             svg,
-            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{height:.1}\" fill=\"{colour}\"><title>{count}</title></rect>",
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"{height:.1}\" fill=\"{color}\"><title>{count}</title></rect>",
             width - 1.0
         );
     }

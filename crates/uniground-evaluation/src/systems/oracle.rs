@@ -2,7 +2,7 @@
 
 use crate::annotations::{Annotations, SceneObject};
 use uniground_geometry::boxes::OrientedBox;
-use uniground_geometry::colour::ColourHistogram;
+use uniground_geometry::color::ColorHistogram;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support,
@@ -40,12 +40,12 @@ pub fn instances_of(
 ) -> Vec<Instance> {
     let objects = &annotations.objects;
     let label_of_point = annotations.label(cloud);
-    let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
+    let mut colors: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
     let mut points: Vec<Vec<Point3<f32>>> = vec![Vec::new(); objects.len()];
     for (i, label) in label_of_point.iter().enumerate() {
         if let Some(Ok(object)) = label.map(|label| objects.binary_search_by_key(&label, |o| o.id))
         {
-            colours[object].push(cloud.colours[i]);
+            colors[object].push(cloud.colors[i]);
             points[object].push(cloud.positions[i]);
         }
     }
@@ -61,19 +61,19 @@ pub fn instances_of(
     let supports = supports(&bodies, &structures, floor_z, &Progress::silent())
         .unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
     let build = |(i, object): (usize, &SceneObject)| {
-        let seen = &colours[i];
+        let seen = &colors[i];
         let annotated = object.mean_rgb.map(|rgb| rgb.map(|v| v.clamp(0.0, 255.0) as u8));
         let mean_rgb = mean(seen).or(annotated).unwrap_or([128; 3]);
         let mut instance = Instance {
             oriented_box: oriented_box_of(object),
             point_count: seen.len() as u32,
             mean_rgb,
-            colours: if names == NamedBy::Annotated && !object.colours.is_empty() {
-                ColourHistogram::even(&object.colours)
+            colors: if names == NamedBy::Annotated && !object.colors.is_empty() {
+                ColorHistogram::even(&object.colors)
             } else if seen.is_empty() {
-                ColourHistogram::of([mean_rgb])
+                ColorHistogram::of([mean_rgb])
             } else {
-                ColourHistogram::of(seen.iter().copied())
+                ColorHistogram::of(seen.iter().copied())
             },
             planarity: if seen.is_empty() { UNKNOWN_PLANARITY } else { planarity(&points[i]) },
             structure: structures[i],
@@ -162,7 +162,7 @@ fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<
             label.map(|label| annotations.objects.binary_search_by_key(&label, |o| o.id))
         {
             own.positions.push(cloud.positions[i]);
-            own.colours.push(cloud.colours[i]);
+            own.colors.push(cloud.colors[i]);
             instance_of_point.push(InstanceId(object as u32 + 1));
         }
     }
@@ -178,9 +178,9 @@ pub(super) fn give_name(instance: &mut Instance, name: &str) {
     instance.given_name = Some(name.to_owned());
 }
 
-fn mean(colours: &[[u8; 3]]) -> Option<[u8; 3]> {
-    let n = colours.len() as u64;
+fn mean(colors: &[[u8; 3]]) -> Option<[u8; 3]> {
+    let n = colors.len() as u64;
     let sum =
-        colours.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+        colors.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
     (n > 0).then(|| sum.map(|s| ((s + n / 2) / n) as u8))
 }

@@ -49,9 +49,8 @@ impl Addition {
             .clone()
             .map(|point| before.positions[point])
             .chain(self.new.positions.iter().copied());
-        let colours =
-            kept.map(|point| before.colours[point]).chain(self.new.colours.iter().copied());
-        PointCloud { positions: positions.collect(), colours: colours.collect() }
+        let colors = kept.map(|point| before.colors[point]).chain(self.new.colors.iter().copied());
+        PointCloud { positions: positions.collect(), colors: colors.collect() }
     }
 
     /// Returns the same addition with the paths of its frames changed.

@@ -49,7 +49,7 @@ pub fn write_even_points(
         for steps in steps.to(&cloud.positions[point]) {
             out.write_all(&steps.to_le_bytes())?;
         }
-        out.write_all(&cloud.colours[point])?;
+        out.write_all(&cloud.colors[point])?;
         out.write_all(&instance_of_point[point].0.to_le_bytes()[..3])?;
     }
     out.flush()
@@ -146,7 +146,7 @@ mod tests {
         // A floor of 64 x 64 points, listed row by row.
         let positions: Vec<Point3<f32>> =
             (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
-        let cloud = PointCloud { colours: vec![[1, 2, 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[1, 2, 3]; positions.len()], positions };
         let ids: Vec<InstanceId> = (0..4096).map(InstanceId).collect();
         let points = read(&written(&cloud, &ids));
         for beginning in [64, 300, 1000] {
@@ -171,7 +171,7 @@ mod tests {
         assert_eq!(read(&written(&PointCloud::default(), &[])), []);
         let one = PointCloud {
             positions: vec![Point3::new(1.0, 2.0, 3.0); 3],
-            colours: vec![[9, 8, 7]; 3],
+            colors: vec![[9, 8, 7]; 3],
         };
         let points = read(&written(&one, &[InstanceId(0), InstanceId(70_000), InstanceId(2)]));
         assert!(
@@ -187,7 +187,7 @@ mod tests {
         fn all_points_come_once_and_in_place(positions in prop::collection::vec(prop::array::uniform3(-50.0_f32..50.0), 1..200)) {
             let positions: Vec<Point3<f32>> = positions.into_iter().map(Point3::from).collect();
             let ids: Vec<InstanceId> = (0..positions.len() as u32).map(InstanceId).collect();
-            let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+            let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
             let mut points = read(&written(&cloud, &ids));
             points.sort_by_key(|(.., id)| *id);
             prop_assert_eq!(points.len(), cloud.len());

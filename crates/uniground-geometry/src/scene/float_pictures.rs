@@ -154,13 +154,13 @@ fn tiff(file: &Utf8Path) -> io::Result<Decoder<BufReader<File>>> {
 
 fn read_tiff(file: &Utf8Path) -> io::Result<SingleChannelImage> {
     let mut tiff = tiff(file)?;
-    let (size, colours) = (tiff.dimensions().map_err(damaged)?, tiff.colortype().map_err(damaged)?);
+    let (size, colors) = (tiff.dimensions().map_err(damaged)?, tiff.colortype().map_err(damaged)?);
     let not_depth = || {
         damaged(format!(
-            "it is no depth picture: it must be grey, floats or 16 bits, this is {colours:?}"
+            "it is no depth picture: it must be grey, floats or 16 bits, this is {colors:?}"
         ))
     };
-    if !matches!(colours, tiff::ColorType::Gray(_)) {
+    if !matches!(colors, tiff::ColorType::Gray(_)) {
         return Err(not_depth());
     }
     let (count, numbers) = match tiff.read_image().map_err(damaged)? {

@@ -32,7 +32,7 @@ pub use depth_file::is_compressed_floats;
 pub use embeddings::{Embeddings, Norms};
 pub use even_points::{evenly, write_even_points};
 pub use export::write as write_ply;
-pub use export::{id_colour, read_instance_of_point, write_cloud_ply, write_instances_ply};
+pub use export::{id_color, read_instance_of_point, write_cloud_ply, write_instances_ply};
 pub use float_pictures::{float_picture_size, is_float_picture};
 pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
 pub use frame_embeddings::FrameEmbeddings;

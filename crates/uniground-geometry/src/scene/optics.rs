@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
     /// Lens of the color camera; `None`: the picture is rectified.
-    pub colour_lens: Option<Lens>,
+    pub color_lens: Option<Lens>,
     /// Lens of the depth camera; `None`: the picture is rectified.
     pub depth_lens: Option<Lens>,
     /// A depth camera beside the color camera; `None`: both pictures are seen from one place.
@@ -44,7 +44,7 @@ pub struct DepthSensor {
     /// Intrinsics of the depth picture in the file, pixels.
     pub intrinsics: Intrinsics,
     /// Transform from the depth camera's axes to the color camera's (both OpenCV), meters.
-    pub depth_to_colour: Isometry3<f32>,
+    pub depth_to_color: Isometry3<f32>,
 }
 
 /// A confidence picture of a depth picture.
@@ -123,10 +123,10 @@ impl DepthSensor {
     /// Intrinsics of a depth picture seen from the color camera: no finer than the sensor, so that
     /// measurements leave no holes.
     #[must_use]
-    pub fn registered_intrinsics(&self, colour: &Intrinsics) -> Intrinsics {
-        let scale = (self.intrinsics.fx / colour.fx).clamp(1e-3, 1.0);
+    pub fn registered_intrinsics(&self, color: &Intrinsics) -> Intrinsics {
+        let scale = (self.intrinsics.fx / color.fx).clamp(1e-3, 1.0);
         let size = |pixels: u32| ((pixels as f32 * scale).round() as u32).max(1);
-        colour.scaled_to(size(colour.width), size(colour.height))
+        color.scaled_to(size(color.width), size(color.height))
     }
 
     /// Reprojects the depth picture into the color camera. Of several surfaces in a pixel, the
@@ -137,7 +137,7 @@ impl DepthSensor {
         for (i, &z_m) in depth.depth_m.iter().enumerate().filter(|(_, z)| **z > 0.0) {
             let (u, v) = (i as u32 % depth.width, i as u32 / depth.width);
             let p: Point3<f32> =
-                self.depth_to_colour * self.intrinsics.unproject(u as f32, v as f32, z_m);
+                self.depth_to_color * self.intrinsics.unproject(u as f32, v as f32, z_m);
             let Some(pixel) = target.project(&p) else { continue };
             // Fills the pixels on either side: resampling alone would leave gaps.
             for (column, row) in [(0, 0), (1, 0), (0, 1), (1, 1)]
@@ -199,12 +199,11 @@ mod tests {
     fn a_wall_seen_from_beside_stays_a_wall() {
         let sensor = DepthSensor {
             intrinsics: CAMERA,
-            depth_to_colour: Isometry3::translation(0.05, 0.0, 0.1),
+            depth_to_color: Isometry3::translation(0.05, 0.0, 0.1),
         };
         let depth = DepthImage { width: 64, height: 48, depth_m: vec![2.0; 64 * 48] };
-        let colour =
-            Intrinsics { width: 128, height: 96, fx: 120.0, fy: 120.0, cx: 63.5, cy: 47.5 };
-        let target = sensor.registered_intrinsics(&colour);
+        let color = Intrinsics { width: 128, height: 96, fx: 120.0, fy: 120.0, cx: 63.5, cy: 47.5 };
+        let target = sensor.registered_intrinsics(&color);
         assert_eq!((target.width, target.height), (64, 48));
         let seen = sensor.registered(&depth, &target);
         for u in 8..56 {

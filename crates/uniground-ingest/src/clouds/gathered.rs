@@ -16,8 +16,8 @@ pub struct LoadedCloud {
     /// Points left out because their coordinates are not finite.
     pub dropped: usize,
     /// Number of points whose color is not a number and was replaced by gray.
-    pub without_colour: usize,
-    pub has_colour: bool,
+    pub without_color: usize,
+    pub has_color: bool,
     /// The cloud was thinned out: one of this many points was kept.
     pub thinned: usize,
 }
@@ -59,8 +59,8 @@ impl CloudBuilder {
             cloud: PointCloud::default(),
             offset: [0.0; 3],
             dropped: 0,
-            without_colour: 0,
-            has_colour: false,
+            without_color: 0,
+            has_color: false,
             thinned: 1,
         };
         let origin = match origin {
@@ -76,13 +76,13 @@ impl CloudBuilder {
         self.loaded.thinned = points.div_ceil(self.bounds.kept).max(1);
         let kept = points.div_ceil(self.loaded.thinned);
         self.loaded.cloud.positions.reserve_exact(kept);
-        self.loaded.cloud.colours.reserve_exact(kept);
+        self.loaded.cloud.colors.reserve_exact(kept);
         Ok(())
     }
 
     /// Sets whether the file contains color.
-    pub fn coloured(&mut self, has_colour: bool) {
-        self.loaded.has_colour = has_colour;
+    pub fn colored(&mut self, has_color: bool) {
+        self.loaded.has_color = has_color;
     }
 
     /// Declares single precision. Such coordinates get no offset: far from the origin they are
@@ -93,7 +93,7 @@ impl CloudBuilder {
 
     /// Adds one point, in the file's units.
     #[inline]
-    pub fn push(&mut self, [x, y, z]: [f64; 3], colour: [u8; 3]) {
+    pub fn push(&mut self, [x, y, z]: [f64; 3], color: [u8; 3]) {
         self.seen += 1;
         if self.loaded.thinned > 1 && !(self.seen - 1).is_multiple_of(self.loaded.thinned) {
             return;
@@ -109,14 +109,14 @@ impl CloudBuilder {
             return;
         }
         self.loaded.cloud.positions.push(p);
-        self.loaded.cloud.colours.push(colour);
+        self.loaded.cloud.colors.push(color);
     }
 
     /// Adds a point whose color is not a number.
-    pub fn push_discoloured(&mut self, position: [f64; 3], colour: [u8; 3]) {
+    pub fn push_discoloured(&mut self, position: [f64; 3], color: [u8; 3]) {
         let before = self.loaded.cloud.len();
-        self.push(position, colour);
-        self.loaded.without_colour += self.loaded.cloud.len() - before;
+        self.push(position, color);
+        self.loaded.without_color += self.loaded.cloud.len() - before;
     }
 
     /// Returns the number of points kept so far.
@@ -135,9 +135,9 @@ impl CloudBuilder {
     }
 
     /// Sets the colors of the kept points, for formats where they are known only at the end.
-    pub fn recolour(&mut self, colours: impl Iterator<Item = [u8; 3]>) {
-        for (own, colour) in self.loaded.cloud.colours.iter_mut().zip(colours) {
-            *own = colour;
+    pub fn recolour(&mut self, colors: impl Iterator<Item = [u8; 3]>) {
+        for (own, color) in self.loaded.cloud.colors.iter_mut().zip(colors) {
+            *own = color;
         }
     }
 
@@ -159,7 +159,7 @@ impl CloudBuilder {
         };
         let (mut i, mut j) = (0, 0);
         self.loaded.cloud.positions.retain(|_| every_other(&mut i));
-        self.loaded.cloud.colours.retain(|_| every_other(&mut j));
+        self.loaded.cloud.colors.retain(|_| every_other(&mut j));
         self.loaded.thinned *= 2;
         Ok(())
     }

@@ -172,7 +172,7 @@ fn texture_of(
     mesh: &mut Mesh,
 ) -> Result<Option<u32>, String> {
     let material = primitive.material.and_then(|m| document.materials.get(m));
-    let Some(number) = material.and_then(|m| m.pbr.base_colour_texture.as_ref()).map(|t| t.index)
+    let Some(number) = material.and_then(|m| m.pbr.base_color_texture.as_ref()).map(|t| t.index)
     else {
         return Ok(None);
     };
@@ -204,7 +204,7 @@ fn add(
         return Ok(());
     };
     let positions = buffers.accessor(document, *position, 3)?;
-    let colours = primitive
+    let colors = primitive
         .attributes
         .get("COLOR_0")
         .map(|a| buffers.accessor(document, *a, 3))
@@ -217,13 +217,13 @@ fn add(
     let factor = primitive
         .material
         .and_then(|m| document.materials.get(m))
-        .and_then(|m| m.pbr.base_colour_factor);
-    mesh.has_colour |= colours.is_some() || texture.is_some() || factor.is_some();
+        .and_then(|m| m.pbr.base_color_factor);
+    mesh.has_color |= colors.is_some() || texture.is_some() || factor.is_some();
     let factor = factor.map_or([1.0; 3], |f| [f[0], f[1], f[2]]);
     let corner = |i: usize| -> Result<MeshVertex, String> {
         let p = positions.get(i).ok_or_else(|| format!("vertex {i} is not there"))?;
         let p = to_world.transform_point(&nalgebra::Point3::new(p[0], p[1], p[2]));
-        let own = colours
+        let own = colors
             .as_ref()
             .and_then(|c| c.get(i))
             .map_or([1.0; 3], |c| [c[0] as f32, c[1] as f32, c[2] as f32]);
@@ -259,12 +259,12 @@ fn add(
             }
         }
         POINTS => {
-            let coloured = colours.is_some();
+            let colored = colors.is_some();
             for i in 0..count {
                 let corner = corner(vertex(i))?;
                 mesh.points.push((
                     corner.at,
-                    coloured.then(|| corner.tint.map(|c| (c * 255.0).round() as u8)),
+                    colored.then(|| corner.tint.map(|c| (c * 255.0).round() as u8)),
                 ));
             }
         }
@@ -337,7 +337,7 @@ mod tests {
         let (json, blob) = triangle();
         let loaded = read_bytes(&glb(&json, &blob)).unwrap();
         assert_eq!(loaded.cloud.len(), 5000);
-        assert!(loaded.has_colour && loaded.cloud.colours.iter().all(|c| *c == [255, 0, 0]));
+        assert!(loaded.has_color && loaded.cloud.colors.iter().all(|c| *c == [255, 0, 0]));
         assert!(
             loaded
                 .cloud

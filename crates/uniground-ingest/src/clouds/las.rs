@@ -45,18 +45,18 @@ fn read_compressed(
     let read = AssertUnwindSafe(move || {
         let mut reader = open(root, file, &CloudBounds::OWN)?;
         let header = reader.header();
-        let (points, coloured) = (header.number_of_points(), header.point_format().has_color);
+        let (points, colored) = (header.number_of_points(), header.point_format().has_color);
         gathered.expect(file, usize::try_from(points).unwrap_or(usize::MAX))?;
-        gathered.coloured(coloured);
+        gathered.colored(colored);
         let mut wide: Vec<[u16; 3]> = Vec::new();
         for (row, point) in reader.points().enumerate() {
             let point =
                 point.map_err(|e| IngestError::malformed(file, format!("point {row}: {e}")))?;
-            let colour = point.color.map(|c| [c.red, c.green, c.blue]);
+            let color = point.color.map(|c| [c.red, c.green, c.blue]);
             let before = gathered.len();
             gathered.push([point.x, point.y, point.z], GREY);
-            if coloured && gathered.len() > before {
-                wide.push(colour.unwrap_or_default());
+            if colored && gathered.len() > before {
+                wide.push(color.unwrap_or_default());
             }
         }
         if (gathered.seen() as u64) < points {
@@ -65,7 +65,7 @@ fn read_compressed(
                 format!("truncated: {} of {points} points", gathered.seen()),
             ));
         }
-        if coloured {
+        if colored {
             recolour(&mut gathered, &wide);
         }
         Ok(gathered)

@@ -38,7 +38,7 @@ pub(super) struct Mesh {
     pub textures: Vec<Texture>,
     /// Vertices without faces, with color where `Some`.
     pub points: Vec<([f64; 3], Option<[u8; 3]>)>,
-    pub has_colour: bool,
+    pub has_color: bool,
 }
 
 impl Triangle {
@@ -77,9 +77,9 @@ impl Mesh {
         metres_per_unit: f64,
         gathered: &mut CloudBuilder,
     ) -> Result<(), IngestError> {
-        gathered.coloured(self.has_colour);
-        for (position, colour) in &self.points {
-            gathered.push(*position, colour.unwrap_or(GREY));
+        gathered.colored(self.has_color);
+        for (position, color) in &self.points {
+            gathered.push(*position, color.unwrap_or(GREY));
         }
         if self.triangles.is_empty() {
             return Ok(());
@@ -88,8 +88,8 @@ impl Mesh {
         let mut sampling = MeshSampler::of(area, metres_per_unit)
             .ok_or_else(|| IngestError::malformed(file, "the faces of the mesh have no area"))?;
         for triangle in &self.triangles {
-            sampling.points(triangle, &self.textures, |position, colour| {
-                gathered.push(position, if self.has_colour { colour } else { GREY });
+            sampling.points(triangle, &self.textures, |position, color| {
+                gathered.push(position, if self.has_color { color } else { GREY });
             });
         }
         Ok(())
@@ -125,8 +125,8 @@ impl MeshSampler {
         self.owed += triangle.area() * self.per_area;
         while self.owed >= 1.0 {
             self.owed -= 1.0;
-            let (position, colour) = triangle.at(weights(self.drawn), textures);
-            hand(position, colour);
+            let (position, color) = triangle.at(weights(self.drawn), textures);
+            hand(position, color);
             self.drawn = self.drawn.wrapping_add(1);
         }
     }

@@ -68,10 +68,10 @@ pub(super) fn read(
         }
     }
     let ObjReader { positions, tints, mut mesh, .. } = reading;
-    mesh.has_colour |= !tints.is_empty();
+    mesh.has_color |= !tints.is_empty();
     if mesh.triangles.is_empty() {
-        let colour = |i: usize| tints.get(i).map(|t| t.map(|c| (c * 255.0).round() as u8));
-        mesh.points = positions.iter().enumerate().map(|(i, p)| (*p, colour(i))).collect();
+        let color = |i: usize| tints.get(i).map(|t| t.map(|c| (c * 255.0).round() as u8));
+        mesh.points = positions.iter().enumerate().map(|(i, p)| (*p, color(i))).collect();
     }
     mesh.sample(file, 1.0, &mut gathered)?;
     Ok(gathered)
@@ -186,7 +186,7 @@ impl ObjReader {
                 })?;
                 self.materials.insert(material.clone(), self.mesh.textures.len() as u32);
                 self.mesh.textures.push(texture);
-                self.mesh.has_colour = true;
+                self.mesh.has_color = true;
             }
         }
         Ok(())
@@ -225,7 +225,7 @@ mod tests {
     #[test]
     fn a_square_metre_is_ten_thousand_points_evenly_spread() {
         let loaded = read_files(&[("a.obj", format!("{SQUARE}f 1 2 3 4\n").as_bytes())]).unwrap();
-        assert_eq!((loaded.cloud.len(), loaded.has_colour), (10_000, false));
+        assert_eq!((loaded.cloud.len(), loaded.has_color), (10_000, false));
         for corner in 0..4 {
             let inside = |p: &&uniground_geometry::Point3<f32>| {
                 (p.x > 0.5) == (corner % 2 == 1) && (p.y > 0.5) == (corner / 2 == 1)
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn textures_give_colour() {
+    fn textures_give_color() {
         let mut png = std::io::Cursor::new(Vec::new());
         let picture = image::RgbImage::from_fn(2, 2, |x, y| {
             if (x, y) == (0, 0) { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 0, 255]) }
@@ -249,7 +249,7 @@ mod tests {
             ("t.png", png.get_ref()),
         ])
         .unwrap();
-        for (p, c) in loaded.cloud.positions.iter().zip(&loaded.cloud.colours) {
+        for (p, c) in loaded.cloud.positions.iter().zip(&loaded.cloud.colors) {
             // The picture's first row is at the top: high y.
             assert_eq!(*c, if p.x < 0.5 && p.y > 0.5 { [255, 0, 0] } else { [0, 0, 255] }, "{p}");
         }

@@ -110,7 +110,7 @@ pub(super) fn read(
     let (header, mut source) = open(root, file)?;
     let (xyz, packed) =
         header.wanted().ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
-    gathered.coloured(packed.is_some());
+    gathered.colored(packed.is_some());
     if header.data != PcdEncoding::Ascii && xyz.iter().all(|field| field.size < 8) {
         gathered.single_precision();
     }
@@ -255,7 +255,7 @@ fn read_ascii(
             return Err(format!("truncated: {row} of {} points", header.points));
         }
         let text = std::str::from_utf8(&line).map_err(|_| format!("point {row}: not text"))?;
-        let (mut position, mut colour, mut found) = ([f64::NAN; 3], GREY, 0);
+        let (mut position, mut color, mut found) = ([f64::NAN; 3], GREY, 0);
         for (i, word) in text.split_ascii_whitespace().enumerate().take(most + 1) {
             found = i;
             let number = || {
@@ -271,13 +271,13 @@ fn read_ascii(
                     (_, Ok(bits)) => bits,
                     (_, Err(_)) => number()? as u32,
                 };
-                colour = unpacked(bits.to_le_bytes());
+                color = unpacked(bits.to_le_bytes());
             }
         }
         if found < most {
             return Err(format!("point {row} has {} values, {} at least", found + 1, most + 1));
         }
-        gathered.push(position, colour);
+        gathered.push(position, color);
     }
     Ok(())
 }
@@ -297,10 +297,10 @@ fn read_binary(
         source.read_exact(block).map_err(|e| format!("truncated: {e}"))?;
         for row in block.chunks_exact(header.row_bytes) {
             let position = xyz.map(|field| field.number(&row[field.offset..]));
-            let colour = packed.map_or(GREY, |f| {
+            let color = packed.map_or(GREY, |f| {
                 unpacked([row[f.offset], row[f.offset + 1], row[f.offset + 2], 0])
             });
-            gathered.push(position, colour);
+            gathered.push(position, color);
         }
         left -= rows;
     }
@@ -336,10 +336,10 @@ fn read_compressed(
     let (xyz, packed) = (xyz.map(|field| (field, column(field))), packed.map(column));
     for i in 0..header.points {
         let position = xyz.map(|(field, column)| field.number(&column[i * field.bytes()..]));
-        let colour = packed.map_or(GREY, |column| {
+        let color = packed.map_or(GREY, |column| {
             unpacked([column[i * 4], column[i * 4 + 1], column[i * 4 + 2], 0])
         });
-        gathered.push(position, colour);
+        gathered.push(position, color);
     }
     Ok(())
 }
@@ -435,7 +435,7 @@ mod tests {
         for bytes in [ascii, binary, compressed] {
             let loaded = read_bytes(&bytes).unwrap();
             assert_eq!(
-                (loaded.cloud.positions, loaded.cloud.colours, loaded.dropped),
+                (loaded.cloud.positions, loaded.cloud.colors, loaded.dropped),
                 (vec![Point3::new(1.0, 2.0, 3.0)], vec![[10, 20, 30]], 1)
             );
         }

@@ -28,7 +28,7 @@ enum ColorScale {
 struct Columns {
     /// The columns of x, y and z.
     position: [usize; 3],
-    colour: Option<([usize; 3], ColorScale)>,
+    color: Option<([usize; 3], ColorScale)>,
 }
 
 /// Returns whether a file begins with lines of at least three numbers, after at most a heading or a
@@ -68,7 +68,7 @@ pub(super) fn read(
 ) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let columns = columns(root, file)?;
-    gathered.coloured(columns.colour.is_some());
+    gathered.colored(columns.color.is_some());
     let mut source = open(root, file)?;
     let mut line = Vec::new();
     let (mut number, mut skipped) = (0_usize, 0_usize);
@@ -97,13 +97,13 @@ pub(super) fn read(
             }
             continue;
         }
-        let colour = columns.colour.map_or(GREY, |(at, scale)| {
+        let color = columns.color.map_or(GREY, |(at, scale)| {
             at.map(|i| match scale {
                 ColorScale::Bytes => values[i].round() as u8,
                 ColorScale::Shares => (values[i] * 255.0).round() as u8,
             })
         });
-        gathered.push(columns.position.map(|i| values[i]), colour);
+        gathered.push(columns.position.map(|i| values[i]), color);
         if number.is_multiple_of(1 << 16) {
             gathered.make_room(file)?;
         }
@@ -141,8 +141,8 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
             .all(|row| at.iter().all(|i| row.get(*i).is_none_or(|v| (0.0..=1.0).contains(v))));
         if shares { ColorScale::Shares } else { ColorScale::Bytes }
     };
-    if let Some((position, colour)) = heading {
-        return Ok(Columns { position, colour: colour.map(|at| (at, scale(at))) });
+    if let Some((position, color)) = heading {
+        return Ok(Columns { position, color: color.map(|at| (at, scale(at))) });
     }
     let count = rows.iter().map(Vec::len).min().unwrap_or(3);
     // `x y z intensity r g b` (PTS), `x y z r g b`, or normals instead of colors.
@@ -152,17 +152,17 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
         n if n >= 9 => &[3, 6],
         _ => &[],
     };
-    let is_colour = |first: &usize| {
+    let is_color = |first: &usize| {
         let triples = || rows.iter().map(|row| [row[*first], row[first + 1], row[first + 2]]);
         let bytes = triples().flatten().all(|v| (0.0..=255.0).contains(&v) && v.fract() == 0.0);
         let shares = triples().flatten().all(|v| (0.0..=1.0).contains(&v));
         let unit = triples().all(|t| (t.iter().map(|v| v * v).sum::<f64>() - 1.0).abs() < 0.02);
         (bytes || shares) && !unit
     };
-    let first = candidates.iter().find(|first| is_colour(first));
+    let first = candidates.iter().find(|first| is_color(first));
     Ok(Columns {
         position: [0, 1, 2],
-        colour: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))),
+        color: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))),
     })
 }
 
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn columns_are_told_apart() {
         let (p, c) = (Point3::new(1.0, 2.0, 3.0), [10, 20, 255]);
-        for (name, text, colour) in [
+        for (name, text, color) in [
             ("a.xyz", "1 2 3\n", GREY),
             ("a.xyz", "1 2 3 10 20 255\n", c),
             ("a.txt", "1,2,3,0.0392,0.0784,0.502\n", [10, 20, 128]),
@@ -240,8 +240,8 @@ mod tests {
         ] {
             let loaded = read_text(name, text.as_bytes()).unwrap();
             assert_eq!(
-                (loaded.cloud.positions, loaded.cloud.colours),
-                (vec![p], vec![colour]),
+                (loaded.cloud.positions, loaded.cloud.colors),
+                (vec![p], vec![color]),
                 "{text}"
             );
         }

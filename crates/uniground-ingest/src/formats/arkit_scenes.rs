@@ -16,7 +16,7 @@ use uniground_geometry::up_axis::UpAxis;
 
 const LOOKS_LIKE: &str = "an ARKitScenes scan";
 const TRAJECTORY: &str = "lowres_wide.traj";
-const COLOUR: &str = "lowres_wide";
+const COLOR: &str = "lowres_wide";
 const DEPTH: &str = "lowres_depth";
 const CAMERAS: &str = "lowres_wide_intrinsics";
 const MAX_TRAJECTORY_BYTES: u64 = 32 << 20;
@@ -28,7 +28,7 @@ const NAME_WITHIN_S: f64 = 0.0015;
 /// Returns the folder of the frames: this one, or the only one named `*_frames`.
 fn frames_in(folder: &FolderListing) -> Option<String> {
     let has = |inner: &str| {
-        [TRAJECTORY, COLOUR].iter().any(|name| folder.root.join(inner).join(name).exists())
+        [TRAJECTORY, COLOR].iter().any(|name| folder.root.join(inner).join(name).exists())
     };
     if has("") {
         return Some(String::new());
@@ -45,7 +45,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
     for (name, what) in [
         (TRAJECTORY, "the poses"),
-        (COLOUR, "the pictures"),
+        (COLOR, "the pictures"),
         (DEPTH, "the depth"),
         (CAMERAS, "the cameras"),
     ] {
@@ -63,12 +63,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         true => folder.files(inner.join(name).as_str(), endings),
         false => Ok(Vec::new()),
     };
-    let (colour, depth, confidence) =
-        (list(COLOUR, PICTURES)?, list(DEPTH, DEPTHS)?, list("confidence", &["png"])?);
+    let (color, depth, confidence) =
+        (list(COLOR, PICTURES)?, list(DEPTH, DEPTHS)?, list("confidence", &["png"])?);
     let cameras = list(CAMERAS, &["pincam"])?;
     let times =
         |files: &[Utf8PathBuf]| files.iter().map(|file| pairing::seconds(file)).collect::<Vec<_>>();
-    let own = times(&colour);
+    let own = times(&color);
     let partner = |files: &[Utf8PathBuf]| pairing::nearest(&own, &times(files), NAME_WITHIN_S);
     let (depth_of, camera_of, confidence_of) =
         (partner(&depth), partner(&cameras), partner(&confidence));
@@ -77,7 +77,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     (scan.up, scan.by_gravity) = (Some(UpAxis::Z), true);
     let mut last_camera: Option<(usize, Intrinsics)> = None;
     let mut left_out = 0;
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let pose = own[i].and_then(|time| super::trajectory::at(&poses, time, POSE_WITHIN_S));
         let (Some(pose), Some(depth_at), Some(camera_at)) = (pose, depth_of[i], camera_of[i])
         else {
@@ -91,11 +91,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         last_camera = camera.as_ref().ok().map(|camera| (camera_at, *camera));
         scan.add(camera.map(|camera| RawFrame {
             index: FrameIndex(0),
-            colour: picture.clone(),
+            color: picture.clone(),
             depth: depth[depth_at].clone(),
             pose_file: entry(&trajectory, picture),
             pose,
-            colour_intrinsics: camera,
+            color_intrinsics: camera,
             depth_intrinsics: camera,
             optics: Optics {
                 confidence: confidence_of[i].map(|at| Confidence {
@@ -115,7 +115,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if left_out > 0 {
         scan.warnings.push(format!(
             "{left_out} of {} pictures left out: no depth, camera or pose at their time",
-            colour.len()
+            color.len()
         ));
     }
     scan.cloud =

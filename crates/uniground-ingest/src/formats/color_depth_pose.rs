@@ -11,7 +11,7 @@ use crate::scan::{RawFrame, Scan, usual_depth_scale_m};
 use camino::Utf8PathBuf;
 use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
 
-const COLOUR: &[&str] = &["color", "colour", "rgb", "image", "images"];
+const COLOR: &[&str] = &["color", "colour", "rgb", "image", "images"];
 const DEPTH: &[&str] = &["depth", "depths"];
 const POSE: &[&str] = &["pose", "poses"];
 const CONFIDENCE: &[&str] = &["confidence", "conf"];
@@ -22,7 +22,7 @@ pub(super) const CLOUD: &[&str] =
     &["cloud.", "pointcloud.", "point_cloud.", "points.", "mesh.", "scene."];
 
 pub(super) fn recognises_posed(folder: &FolderListing) -> bool {
-    folder.first_folder(COLOUR).is_some()
+    folder.first_folder(COLOR).is_some()
         && folder.first_folder(DEPTH).is_some()
         && (folder.first_folder(POSE).is_some() || folder.first_file(TRAJECTORIES).is_some())
 }
@@ -38,7 +38,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings))
     };
     let pictures = ScanImages {
-        colour: list(COLOUR, PICTURES)?,
+        color: list(COLOR, PICTURES)?,
         depth: list(DEPTH, DEPTHS)?,
         confidence: list(CONFIDENCE, &["png"])?,
     };
@@ -50,18 +50,18 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             None => PoseFiles::Files(Vec::new()),
         },
     };
-    let Some(first) = pictures.colour.first() else {
+    let Some(first) = pictures.color.first() else {
         return match pictures.depth.first() {
             Some(depth) => Err(pictures.mismatch(&poses, depth.clone())),
             None => Ok(scan),
         };
     };
-    let colour = intrinsics::of_colour(folder, first)?;
+    let color = intrinsics::of_color(folder, first)?;
     add_frames(
         &mut scan,
         &pictures,
         &poses,
-        &FrameCameras { colour, depth: None },
+        &FrameCameras { color, depth: None },
         UnmatchedImages::Damaged,
     )?;
     Ok(scan)
@@ -77,7 +77,7 @@ pub(super) fn own_cloud(folder: &FolderListing) -> Option<Utf8PathBuf> {
 
 /// Pictures of a scan, each list in natural order.
 pub(super) struct ScanImages {
-    pub colour: Vec<Utf8PathBuf>,
+    pub color: Vec<Utf8PathBuf>,
     pub depth: Vec<Utf8PathBuf>,
     /// Confidence of the depth pictures. Frames without it are accepted.
     pub confidence: Vec<Utf8PathBuf>,
@@ -93,7 +93,7 @@ pub(super) enum PoseFiles {
 
 /// Cameras of all frames. If there is no separate depth camera, the color camera is used for depth.
 pub(super) struct FrameCameras {
-    pub colour: Intrinsics,
+    pub color: Intrinsics,
     pub depth: Option<Intrinsics>,
 }
 
@@ -117,7 +117,7 @@ impl ScanImages {
             PoseFiles::List(Trajectory::Timed(poses), _) => poses.len(),
         };
         IngestError::FrameCountMismatch {
-            colour: self.colour.len(),
+            color: self.color.len(),
             depth: self.depth.len(),
             pose,
             first,
@@ -134,12 +134,12 @@ pub(super) fn add_frames(
     cameras: &FrameCameras,
     unmatched: UnmatchedImages,
 ) -> Result<(), IngestError> {
-    let ScanImages { colour, depth, confidence } = pictures;
-    let depth_of = pairing::partners(colour, depth);
-    let pose_of = pose_of_each(colour, poses)?;
-    let confidence_of = pairing::partners(colour, confidence);
+    let ScanImages { color, depth, confidence } = pictures;
+    let depth_of = pairing::partners(color, depth);
+    let pose_of = pose_of_each(color, poses)?;
+    let confidence_of = pairing::partners(color, confidence);
     let mut alone: Vec<Utf8PathBuf> = Vec::new();
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let (Some(depth_at), Some(pose)) = (depth_of[i], &pose_of[i]) else {
             alone.push(picture.clone());
             continue;
@@ -154,12 +154,12 @@ pub(super) fn add_frames(
                 .map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE });
             Ok(RawFrame {
                 index: FrameIndex(0),
-                colour: picture.clone(),
+                color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file,
                 pose,
-                colour_intrinsics: cameras.colour,
-                depth_intrinsics: cameras.depth.unwrap_or(cameras.colour),
+                color_intrinsics: cameras.color,
+                depth_intrinsics: cameras.depth.unwrap_or(cameras.color),
                 optics: Optics { confidence, ..Optics::default() },
             })
         };
@@ -211,19 +211,19 @@ enum PoseSource {
 }
 
 fn pose_of_each(
-    colour: &[Utf8PathBuf],
+    color: &[Utf8PathBuf],
     poses: &PoseFiles,
 ) -> Result<Vec<Option<PoseSource>>, IngestError> {
     Ok(match poses {
         PoseFiles::Files(files) => {
-            let at = pairing::partners(colour, files);
+            let at = pairing::partners(color, files);
             at.into_iter().map(|at| at.map(|at| PoseSource::File(files[at].clone()))).collect()
         }
         PoseFiles::List(Trajectory::Ordered(poses), file) => {
-            if poses.len() != colour.len() {
+            if poses.len() != color.len() {
                 return Err(IngestError::malformed(
                     file,
-                    format!("it holds {} poses for {} colour pictures", poses.len(), colour.len()),
+                    format!("it holds {} poses for {} colour pictures", poses.len(), color.len()),
                 ));
             }
             poses
@@ -240,7 +240,7 @@ fn pose_of_each(
                 let pose = trajectory::at(&poses, time, pairing::SAME_MOMENT_S)?;
                 Some(PoseSource::At(pose, entry(file, format_args!("time {time}"))))
             };
-            colour.iter().map(at).collect()
+            color.iter().map(at).collect()
         }
     })
 }

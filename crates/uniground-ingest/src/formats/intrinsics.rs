@@ -35,17 +35,17 @@ struct Open3d {
 }
 
 /// Returns the file with the color camera's matrix.
-pub(super) fn colour_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
+pub(super) fn color_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder.first_file(&NAMES)
 }
 
 /// Reads the color camera. Matrices without a size apply to the size of the first color picture.
-pub(super) fn of_colour(
+pub(super) fn of_color(
     folder: &FolderListing,
-    first_colour: &Utf8Path,
+    first_color: &Utf8Path,
 ) -> Result<Intrinsics, IngestError> {
-    match colour_file(folder) {
-        Some(file) => of_file(&folder.root, &file, first_colour),
+    match color_file(folder) {
+        Some(file) => of_file(&folder.root, &file, first_color),
         None => Err(IngestError::MissingIntrinsics { file: NAMES[0].into() }),
     }
 }

@@ -171,26 +171,26 @@ fn raw_frame(
     all: Camera,
 ) -> Result<RawFrame, IngestError> {
     let pose_file = entry(Utf8Path::new(FILE), format_args!("frame {number}"));
-    let colour = picture(root, &frame.file_path)?;
+    let color = picture(root, &frame.file_path)?;
     let depth = frame
         .depth_file_path
         .as_ref()
         .ok_or_else(|| IngestError::malformed(&pose_file, "it has no depth_file_path"))?;
     let depth = picture(root, depth)?;
     let camera = frame.camera.or(all);
-    let intrinsics = camera.intrinsics(root, &colour)?;
+    let intrinsics = camera.intrinsics(root, &color)?;
     let pose = matrix(&frame.transform_matrix.concat())
         .ok_or_else(|| IngestError::malformed(&pose_file, "its transform_matrix is not 4x4"))?;
     let lens = camera.lens();
     Ok(RawFrame {
         index: FrameIndex(0),
-        colour,
+        color,
         depth,
         pose_file,
         pose,
-        colour_intrinsics: intrinsics,
+        color_intrinsics: intrinsics,
         depth_intrinsics: intrinsics,
-        optics: Optics { colour_lens: lens, depth_lens: lens, ..Optics::default() },
+        optics: Optics { color_lens: lens, depth_lens: lens, ..Optics::default() },
     })
 }
 

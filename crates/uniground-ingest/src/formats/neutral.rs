@@ -104,20 +104,21 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     let mut scan =
         Scan::new(root, if manifest.source.as_deref() == Some(SENS) { SENS } else { FORMAT });
-    let depth_to_colour = manifest.depth_to_color.as_deref().map(depth_to_colour).transpose()?;
+    let depth_to_color =
+        manifest.depth_to_color.as_deref().map(parse_depth_to_color).transpose()?;
     for (i, frame) in manifest.frames.iter().enumerate() {
-        let colour_intrinsics = frame.intrinsics.or(manifest.intrinsics).ok_or_else(|| {
+        let color_intrinsics = frame.intrinsics.or(manifest.intrinsics).ok_or_else(|| {
             IngestError::MissingIntrinsics { file: format!("scene.json, frame {i}").into() }
         })?;
         let depth_intrinsics = frame.depth_intrinsics.or(manifest.depth_intrinsics);
         // Depth without its own camera uses the color camera's lens.
         let shared = if depth_intrinsics.is_none() { manifest.distortion } else { None };
         let optics = Optics {
-            colour_lens: manifest.distortion.and_then(Lens::or_none),
+            color_lens: manifest.distortion.and_then(Lens::or_none),
             depth_lens: manifest.depth_distortion.or(shared).and_then(Lens::or_none),
-            depth_sensor: depth_to_colour.map(|depth_to_colour| DepthSensor {
-                intrinsics: depth_intrinsics.unwrap_or(colour_intrinsics),
-                depth_to_colour,
+            depth_sensor: depth_to_color.map(|depth_to_color| DepthSensor {
+                intrinsics: depth_intrinsics.unwrap_or(color_intrinsics),
+                parse_depth_to_color,
             }),
             confidence: frame
                 .confidence
@@ -127,11 +128,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         scan.add(read_pose(root, &frame.pose).map(|pose: Matrix4<f64>| RawFrame {
             index: FrameIndex(0),
             pose,
-            colour: frame.color.clone(),
+            color: frame.color.clone(),
             depth: frame.depth.clone(),
             pose_file: frame.pose.clone(),
-            colour_intrinsics,
-            depth_intrinsics: depth_intrinsics.unwrap_or(colour_intrinsics),
+            color_intrinsics,
+            depth_intrinsics: depth_intrinsics.unwrap_or(color_intrinsics),
             optics,
         }))?;
     }
@@ -140,7 +141,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(Scan { name, cloud, up, camera_axes, pose, depth_scale_m, ..scan })
 }
 
-fn depth_to_colour(values: &[f64]) -> Result<uniground_geometry::Isometry3<f32>, IngestError> {
+fn parse_depth_to_color(values: &[f64]) -> Result<uniground_geometry::Isometry3<f32>, IngestError> {
     let bad = |reason: String| IngestError::malformed(FILE, format!("depth_to_color: {reason}"));
     let matrix = super::numbers::matrix(values)
         .ok_or_else(|| bad(format!("it has {} numbers, 16 are expected", values.len())))?;

@@ -13,7 +13,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::Intrinsics;
 
 const LOOKS_LIKE: &str = "an Open3D scene with a trajectory log";
-const COLOUR: &[&str] = &["color", "image", "rgb"];
+const COLOR: &[&str] = &["color", "image", "rgb"];
 const LOGS: &[&str] =
     &["trajectory.log", "scene/trajectory.log", "scene/integrated.log", "odometry.log"];
 const PRIMESENSE: Intrinsics =
@@ -32,21 +32,21 @@ fn log(folder: &FolderListing) -> Option<Utf8PathBuf> {
 
 pub(super) fn recognises(folder: &FolderListing) -> bool {
     folder.has_folder("depth")
-        && folder.first_folder(COLOUR).is_some()
+        && folder.first_folder(COLOR).is_some()
         && !folder.has_folder("pose")
         && log(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
-    let colour = folder.files(folder.first_folder(COLOUR).unwrap_or("color"), PICTURES)?;
+    let color = folder.files(folder.first_folder(COLOR).unwrap_or("color"), PICTURES)?;
     let pictures =
-        ScanImages { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
-    let Some(first) = pictures.colour.first() else {
+        ScanImages { color, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
+    let Some(first) = pictures.color.first() else {
         return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing"));
     };
     let mut scan = Scan::new(&folder.root, "open3d-log");
-    let colour = if intrinsics::colour_file(folder).is_some() {
-        intrinsics::of_colour(folder, first)?
+    let color = if intrinsics::color_file(folder).is_some() {
+        intrinsics::of_color(folder, first)?
     } else {
         scan.warnings.push(
             "nothing says which camera it was: taken as a PrimeSense (525 525 319.5 239.5); intrinsic.txt or camera_intrinsic.json says better"
@@ -60,7 +60,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         &mut scan,
         &pictures,
         &poses,
-        &FrameCameras { colour, depth: None },
+        &FrameCameras { color, depth: None },
         UnmatchedImages::Damaged,
     )?;
     scan.cloud = own_cloud(folder);

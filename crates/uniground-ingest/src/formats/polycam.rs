@@ -73,24 +73,24 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         true => folder.files(&format!("keyframes/{name}"), endings),
         false => Ok(Vec::new()),
     };
-    let (colour, cameras, depth, confidence) = (
+    let (color, cameras, depth, confidence) = (
         list(images, PICTURES)?,
         list(cameras, &["json"])?,
         list("depth", DEPTHS)?,
         list("confidence", &["png"])?,
     );
     let (camera_of, depth_of, confidence_of) = (
-        pairing::partners(&colour, &cameras),
-        pairing::partners(&colour, &depth),
-        pairing::partners(&colour, &confidence),
+        pairing::partners(&color, &cameras),
+        pairing::partners(&color, &depth),
+        pairing::partners(&color, &confidence),
     );
     let mut scan = Scan::new(&folder.root, "polycam");
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let (Some(camera_at), Some(depth_at)) = (camera_of[i], depth_of[i]) else {
             scan.damage.note(IngestError::FrameCountMismatch {
-                colour: colour.len(),
+                color: color.len(),
                 depth: depth.len(),
                 pose: cameras.len(),
                 first: picture.clone(),
@@ -100,11 +100,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         let file = &cameras[camera_at];
         let frame = camera(&folder.root, file).map(|camera| RawFrame {
             index: FrameIndex(0),
-            colour: picture.clone(),
+            color: picture.clone(),
             depth: depth[depth_at].clone(),
             pose_file: file.clone(),
             pose: camera.pose(),
-            colour_intrinsics: camera.intrinsics(),
+            color_intrinsics: camera.intrinsics(),
             depth_intrinsics: camera.intrinsics(),
             optics: Optics {
                 confidence: confidence_of[i].map(|at| Confidence {
@@ -116,7 +116,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         });
         scan.add(frame)?;
     }
-    match colour.is_empty() {
+    match color.is_empty() {
         true => Err(incomplete(LOOKS_LIKE, format!("keyframes/{images}/ is empty"))),
         false => Ok(scan),
     }

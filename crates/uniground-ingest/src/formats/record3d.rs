@@ -78,23 +78,23 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             }
             _ => whole,
         };
-        let [colour, depth, confidence] =
+        let [color, depth, confidence] =
             ["jpg", "depth", "conf"].map(|ending| Utf8PathBuf::from(format!("rgbd/{i}.{ending}")));
         let confidence = folder
             .root
             .join(&confidence)
             .is_file()
             .then_some(Confidence { file: confidence, at_least: LEAST_CONFIDENCE });
-        let missing = [&colour, &depth].into_iter().find(|file| !folder.root.join(file).is_file());
+        let missing = [&color, &depth].into_iter().find(|file| !folder.root.join(file).is_file());
         let frame = match missing {
             Some(file) => Err(IngestError::MissingFile { file: file.clone() }),
             None => Ok(RawFrame {
                 index: FrameIndex(0),
-                colour,
+                color,
                 depth,
                 pose_file: entry(file, format_args!("pose {i}")),
                 pose: pose_of([x, y, z], [qx, qy, qz, qw]),
-                colour_intrinsics: camera,
+                color_intrinsics: camera,
                 depth_intrinsics: camera.scaled_to(dw, dh),
                 optics: Optics { confidence, ..Optics::default() },
             }),

@@ -64,11 +64,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             .collect())
     };
     let pictures = ScanImages {
-        colour: named("frame", PICTURES)?,
+        color: named("frame", PICTURES)?,
         depth: named("depth", DEPTHS)?,
         confidence: Vec::new(),
     };
-    if pictures.colour.is_empty() || pictures.depth.is_empty() {
+    if pictures.color.is_empty() || pictures.depth.is_empty() {
         return Err(incomplete(LOOKS_LIKE, "results/ holds no frame* and depth* pictures"));
     }
     let mut scan = Scan::new(&folder.root, "replica");
@@ -91,8 +91,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         ));
     }
     scan.depth_scale_m = 1.0 / scale;
-    let cameras =
-        FrameCameras { colour: Intrinsics { width, height, fx, fy, cx, cy }, depth: None };
+    let cameras = FrameCameras { color: Intrinsics { width, height, fx, fy, cx, cy }, depth: None };
     let poses = PoseFiles::List(trajectory::read(&folder.root, &traj)?, traj);
     add_frames(&mut scan, &pictures, &poses, &cameras, UnmatchedImages::Damaged)?;
     Ok(scan)

@@ -40,7 +40,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 1)")
     })?;
     let pictures = ScanImages {
-        colour: folder.files(&rgb, PICTURES)?,
+        color: folder.files(&rgb, PICTURES)?,
         depth: folder.files(&depth, DEPTHS)?,
         confidence: Vec::new(),
     };
@@ -52,7 +52,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         scan.warnings
             .push(format!("{file} is taken for the camera's poses; those of a robot's base would need its mounting taken off"));
     }
-    let cameras = FrameCameras { colour: camera(&folder.root, first)?, depth: None };
+    let cameras = FrameCameras { color: camera(&folder.root, first)?, depth: None };
     let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);
     add_frames(&mut scan, &pictures, &poses, &cameras, UnmatchedImages::LeftOut)?;
     scan.cloud = folder

@@ -45,11 +45,11 @@ pub(super) fn recognises(folder: &FolderListing) -> bool {
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
-    let (colour, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
+    let (color, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
     let (taken, confidence) =
         (files(folder, "frame_", &["json"])?, files(folder, "conf_", &["png"])?);
     for (list, what) in [
-        (&colour, "the pictures frame_*.jpg are"),
+        (&color, "the pictures frame_*.jpg are"),
         (&depth, "the depth pictures depth_*.png are"),
         (&taken, "the poses frame_*.json are"),
     ] {
@@ -59,18 +59,18 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     // The app writes more poses than pictures. Depth exists only for pictures.
     let (depth_of, taken_of, confidence_of) = (
-        pairing::partners(&colour, &depth),
-        pairing::partners(&colour, &taken),
-        pairing::partners(&colour, &confidence),
+        pairing::partners(&color, &depth),
+        pairing::partners(&color, &taken),
+        pairing::partners(&color, &confidence),
     );
     let mut scan = Scan::new(root, "3d-scanner-app");
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let frame = || {
             let (Some(depth_at), Some(taken_at)) = (depth_of[i], taken_of[i]) else {
                 return Err(IngestError::FrameCountMismatch {
-                    colour: colour.len(),
+                    color: color.len(),
                     depth: depth.len(),
                     pose: taken.len(),
                     first: picture.clone(),
@@ -85,11 +85,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             let camera = intrinsics::of_values(root, file, &taken.intrinsics, picture)?;
             Ok(RawFrame {
                 index: FrameIndex(0),
-                colour: picture.clone(),
+                color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file: file.to_owned(),
                 pose,
-                colour_intrinsics: camera,
+                color_intrinsics: camera,
                 depth_intrinsics: camera,
                 optics: Optics {
                     confidence: confidence_of[i].map(|at| Confidence {

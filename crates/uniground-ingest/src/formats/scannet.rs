@@ -14,7 +14,7 @@ use nalgebra::Matrix4;
 
 const LOOKS_LIKE: &str = "a ScanNet export";
 const MAX_META_BYTES: u64 = 1 << 20;
-const COLOUR_CAMERA: &str = "intrinsic/intrinsic_color.txt";
+const COLOR_CAMERA: &str = "intrinsic/intrinsic_color.txt";
 const DEPTH_CAMERA: &str = "intrinsic/intrinsic_depth.txt";
 const MESHES: &[&str] = &["_vh_clean_2.ply", "_vh_clean.ply", ".aligned.ply"];
 
@@ -31,7 +31,7 @@ fn is_flat(folder: &FolderListing) -> bool {
             .iter()
             .any(|name| name.ends_with(ending) && name.starts_with(|c: char| c.is_ascii_digit()))
     };
-    has(".jpg") && has(".png") && has(".txt") && intrinsics::colour_file(folder).is_some()
+    has(".jpg") && has(".png") && has(".txt") && intrinsics::color_file(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
@@ -47,25 +47,25 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         (false, true) => folder.files(name, endings),
         (false, false) => Err(incomplete(LOOKS_LIKE, format!("{name}/ is missing"))),
     };
-    let colour_endings = if flat { &["jpg", "jpeg"] } else { PICTURES };
+    let color_endings = if flat { &["jpg", "jpeg"] } else { PICTURES };
     let pictures = ScanImages {
-        colour: list("color", colour_endings)?,
+        color: list("color", color_endings)?,
         depth: list("depth", DEPTHS)?,
         confidence: Vec::new(),
     };
     let poses = list("pose", &["txt"])?;
-    let (Some(colour), Some(depth)) = (pictures.colour.first(), pictures.depth.first()) else {
+    let (Some(color), Some(depth)) = (pictures.color.first(), pictures.depth.first()) else {
         return Err(incomplete(LOOKS_LIKE, "its pictures are missing"));
     };
-    let cameras = if flat || !folder.has_file(COLOUR_CAMERA) {
-        FrameCameras { colour: intrinsics::of_colour(folder, colour)?, depth: None }
+    let cameras = if flat || !folder.has_file(COLOR_CAMERA) {
+        FrameCameras { color: intrinsics::of_color(folder, color)?, depth: None }
     } else {
         let depth_camera = folder
             .has_file(DEPTH_CAMERA)
             .then(|| intrinsics::of_file(root, Utf8Path::new(DEPTH_CAMERA), depth))
             .transpose()?;
         FrameCameras {
-            colour: intrinsics::of_file(root, Utf8Path::new(COLOUR_CAMERA), colour)?,
+            color: intrinsics::of_file(root, Utf8Path::new(COLOR_CAMERA), color)?,
             depth: depth_camera,
         }
     };

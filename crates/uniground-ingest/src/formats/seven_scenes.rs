@@ -51,12 +51,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             .collect())
     };
     let pictures = ScanImages {
-        colour: named(".color.", PICTURES)?,
+        color: named(".color.", PICTURES)?,
         depth: named(".depth.", DEPTHS)?,
         confidence: Vec::new(),
     };
     let poses = named(".pose.", &["txt"])?;
-    let Some(first) = pictures.colour.first() else {
+    let Some(first) = pictures.color.first() else {
         return Err(incomplete(LOOKS_LIKE, "its .color pictures are missing"));
     };
     if pictures.depth.is_empty() {
@@ -79,16 +79,16 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             {
                 scan.depth_scale_m = 1.0 / shift;
             }
-            let colour = camera(&info, &text, "Color")?;
-            FrameCameras { colour, depth: camera(&info, &text, "Depth").ok() }
+            let color = camera(&info, &text, "Color")?;
+            FrameCameras { color, depth: camera(&info, &text, "Depth").ok() }
         }
-        None if intrinsics::colour_file(folder).is_some() => {
-            FrameCameras { colour: intrinsics::of_colour(folder, first)?, depth: None }
+        None if intrinsics::color_file(folder).is_some() => {
+            FrameCameras { color: intrinsics::of_color(folder, first)?, depth: None }
         }
         None => {
             scan.warnings
                 .push("cameras are taken as the Kinect of 7-Scenes (585 585 320 240); intrinsic.txt says better".into());
-            FrameCameras { colour: KINECT, depth: None }
+            FrameCameras { color: KINECT, depth: None }
         }
     };
     add_frames(&mut scan, &pictures, &PoseFiles::Files(poses), &cameras, UnmatchedImages::Damaged)?;

@@ -30,8 +30,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if !folder.has_folder("depth") {
         return Err(incomplete(LOOKS_LIKE, "depth/ is missing"));
     }
-    let colour = if folder.has_folder("rgb") { folder.files("rgb", PICTURES)? } else { Vec::new() };
-    let Some(first) = colour.first() else {
+    let color = if folder.has_folder("rgb") { folder.files("rgb", PICTURES)? } else { Vec::new() };
+    let Some(first) = color.first() else {
         return Err(incomplete(
             LOOKS_LIKE,
             "its video is not decoded here: run `mkdir rgb && ffmpeg -i rgb.mp4 -start_number 0 -q:v 2 rgb/%06d.jpg` in its folder first",
@@ -45,20 +45,20 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         Vec::new()
     };
     let (depth_of, confidence_of) =
-        (pairing::partners(&colour, &depth), pairing::partners(&colour, &confidence));
+        (pairing::partners(&color, &depth), pairing::partners(&color, &confidence));
     let poses = poses(root)?;
     let mut scan = Scan::new(root, "stray-scanner");
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let pose = pairing::number(picture).and_then(|number| poses.get(&number));
         let frame = match (depth_of[i], pose) {
             (Some(depth_at), Some(pose)) => Ok(RawFrame {
                 index: FrameIndex(0),
-                colour: picture.clone(),
+                color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file: entry(Utf8Path::new(ODOMETRY), picture),
                 pose: *pose,
-                colour_intrinsics: camera,
+                color_intrinsics: camera,
                 depth_intrinsics: camera,
                 optics: Optics {
                     confidence: confidence_of[i].map(|at| Confidence {
@@ -69,7 +69,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
                 },
             }),
             _ => Err(IngestError::FrameCountMismatch {
-                colour: colour.len(),
+                color: color.len(),
                 depth: depth.len(),
                 pose: poses.len(),
                 first: picture.clone(),

@@ -31,11 +31,11 @@ pub(super) fn recognises(folder: &FolderListing) -> bool {
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
-    let [colour, depth] = ["rgb.txt", "depth.txt"].map(|name| match folder.has_file(name) {
+    let [color, depth] = ["rgb.txt", "depth.txt"].map(|name| match folder.has_file(name) {
         true => pictures(root, name),
         false => Err(incomplete(LOOKS_LIKE, format!("{name} is missing"))),
     });
-    let ((colour, heading), (depth, _)) = (colour?, depth?);
+    let ((color, heading), (depth, _)) = (color?, depth?);
     let poses_file = folder.first_file(POSES).ok_or_else(|| {
         incomplete(LOOKS_LIKE, "groundtruth.txt is missing: a trajectory in its format (timestamp tx ty tz qx qy qz qw) will do")
     })?;
@@ -48,15 +48,15 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     poses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut scan = Scan::new(root, "tum-rgbd");
     scan.depth_scale_m = 1.0 / 5000.0;
-    let Some(first) = colour.first() else {
+    let Some(first) = color.first() else {
         return Err(incomplete(LOOKS_LIKE, "rgb.txt lists no pictures"));
     };
     let (camera, lens) = camera(folder, &heading, &first.1, &mut scan)?;
     let times =
         |list: &[(f64, Utf8PathBuf)]| list.iter().map(|(t, _)| Some(*t)).collect::<Vec<_>>();
-    let partner = pairing::nearest(&times(&colour), &times(&depth), pairing::SAME_MOMENT_S);
+    let partner = pairing::nearest(&times(&color), &times(&depth), pairing::SAME_MOMENT_S);
     let (mut alone, mut untracked) = (0, 0);
-    for ((time, picture), partner) in colour.iter().zip(partner) {
+    for ((time, picture), partner) in color.iter().zip(partner) {
         let Some(partner) = partner else {
             alone += 1;
             continue;
@@ -67,19 +67,19 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         };
         scan.frames.push(RawFrame {
             index: FrameIndex(0),
-            colour: picture.clone(),
+            color: picture.clone(),
             depth: depth[partner].1.clone(),
             pose_file: entry(&poses_file, format_args!("time {time}")),
             pose,
-            colour_intrinsics: camera,
+            color_intrinsics: camera,
             depth_intrinsics: camera,
-            optics: Optics { colour_lens: lens, depth_lens: lens, ..Optics::default() },
+            optics: Optics { color_lens: lens, depth_lens: lens, ..Optics::default() },
         });
     }
     if alone + untracked > 0 {
         scan.warnings.push(format!(
             "of {} colour pictures {alone} have no depth picture and {untracked} no pose within {} ms: left out",
-            colour.len(),
+            color.len(),
             pairing::SAME_MOMENT_S * 1000.0
         ));
     }
@@ -126,8 +126,8 @@ fn camera(
     first: &Utf8Path,
     scan: &mut Scan,
 ) -> Result<(Intrinsics, Option<Lens>), IngestError> {
-    if intrinsics::colour_file(folder).is_some() {
-        return Ok((intrinsics::of_colour(folder, first)?, None));
+    if intrinsics::color_file(folder).is_some() {
+        return Ok((intrinsics::of_color(folder, first)?, None));
     }
     let (width, height) = SIZE;
     let of = |fx, fy, cx, cy| Intrinsics { width, height, fx, fy, cx, cy };

@@ -30,8 +30,8 @@ pub(super) struct PixelSample {
     /// Weight of the measurement. Near and frontal views have the largest weight.
     pub weight: f32,
     /// Weight of the color. Sharp pictures have the largest weight.
-    pub colour_weight: f32,
-    pub colour: [u8; 3],
+    pub color_weight: f32,
+    pub color: [u8; 3],
 }
 
 const TILE: u32 = 16;
@@ -39,9 +39,9 @@ const TILE: u32 = 16;
 impl FusionFrame {
     pub fn of(frame: &Frame, settings: &FusionSettings) -> Self {
         let (width, height) = (frame.depth.width, frame.depth.height);
-        let colours = frame.colour_on_depth_grid();
-        let sharpness = sharpness(&colours, width);
-        let mut pixels = Vec::with_capacity(colours.len());
+        let colors = frame.color_on_depth_grid();
+        let sharpness = sharpness(&colors, width);
+        let mut pixels = Vec::with_capacity(colors.len());
         for v in 0..height {
             for u in 0..width {
                 let z_m = frame.depth.at((u, v));
@@ -50,12 +50,12 @@ impl FusionFrame {
                     && !on_silhouette(frame, u, v, z_m, settings.silhouette_tolerance);
                 let weight =
                     if usable { facing(frame, u, v, z_m) / (z_m * z_m).max(0.01) } else { 0.0 };
-                let colour = colours[(v * width + u) as usize];
+                let color = colors[(v * width + u) as usize];
                 pixels.push(PixelSample {
                     depth_m: if usable { z_m } else { 0.0 },
                     weight,
-                    colour_weight: weight * weight * sharpness,
-                    colour,
+                    color_weight: weight * weight * sharpness,
+                    color,
                 });
             }
         }
@@ -163,15 +163,15 @@ fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
 
 /// Returns the mean difference of brightness between neighboring pixels of a row. Pictures with
 /// motion blur have small differences.
-fn sharpness(colours: &[[u8; 3]], width: u32) -> f32 {
+fn sharpness(colors: &[[u8; 3]], width: u32) -> f32 {
     let brightness = |c: &[u8; 3]| c.iter().map(|&v| i32::from(v)).sum::<i32>();
     let differences = |row: &[[u8; 3]]| {
         row.windows(2)
             .map(|pair| i64::from((brightness(&pair[0]) - brightness(&pair[1])).abs()))
             .sum::<i64>()
     };
-    let sum: i64 = colours.chunks(width.max(1) as usize).map(differences).sum();
-    1.0 + sum as f32 / colours.len().max(1) as f32
+    let sum: i64 = colors.chunks(width.max(1) as usize).map(differences).sum();
+    1.0 + sum as f32 / colors.len().max(1) as f32
 }
 
 fn on_silhouette(frame: &Frame, u: u32, v: u32, z_m: f32, tolerance: f32) -> bool {

@@ -120,9 +120,9 @@ mod tests {
         noise_mm: u32,
         depth_mm: impl Fn(u32, u32) -> u32,
     ) -> FrameRef {
-        let (colour, depth) =
+        let (color, depth) =
             (folder.join(format!("{index}.png")), folder.join(format!("{index}-depth.png")));
-        RgbImage::from_pixel(SIZE, SIZE, image::Rgb([10, 200, 30])).save(&colour).unwrap();
+        RgbImage::from_pixel(SIZE, SIZE, image::Rgb([10, 200, 30])).save(&color).unwrap();
         let shake = |u: u32, v: u32| {
             (u * 7919 + v * 104_729 + index * 31_337) * 2_654_435 % (2 * noise_mm + 1)
         };
@@ -137,9 +137,9 @@ mod tests {
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
         FrameRef {
             index: FrameIndex(index),
-            colour,
+            color,
             depth,
-            colour_intrinsics: intrinsics,
+            color_intrinsics: intrinsics,
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::from_parts(Translation3::from(at), turn),
@@ -163,7 +163,7 @@ mod tests {
         let off = |p: &uniground_geometry::Point3<f32>| (p.y - 2.0).abs();
         let mean = cloud.positions.iter().map(off).sum::<f32>() / cloud.len() as f32;
         assert!(mean < 0.01, "{mean} m from the wall on average, each measurement 0.02");
-        assert!(cloud.colours.iter().all(|c| *c == [10, 200, 30]));
+        assert!(cloud.colors.iter().all(|c| *c == [10, 200, 30]));
         let again = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
         assert_eq!(cloud, again);
     }

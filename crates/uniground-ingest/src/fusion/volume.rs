@@ -21,9 +21,9 @@ struct Voxel {
     /// in front of the surface, `-1..=1`.
     distance: f32,
     weight: f32,
-    colour_weight: f32,
+    color_weight: f32,
     /// Color in 256ths.
-    colour: [u16; 3],
+    color: [u16; 3],
     /// Number of frames that saw a surface within the truncation distance.
     views: u16,
 }
@@ -90,7 +90,7 @@ impl Volume {
         let mut cloud = PointCloud::default();
         for part in parts {
             cloud.positions.extend(part.positions);
-            cloud.colours.extend(part.colours);
+            cloud.colors.extend(part.colors);
         }
         cloud
     }
@@ -137,9 +137,9 @@ impl Volume {
                 let mut position = corner + Vector3::from(at.map(|k| k as f32 + 0.5)) * voxel_m;
                 position[axis] += share * voxel_m;
                 cloud.positions.push(position);
-                cloud.colours.push(std::array::from_fn(|c| {
-                    let mixed = f32::from(here.colour[c]) * (1.0 - share)
-                        + f32::from(there.colour[c]) * share;
+                cloud.colors.push(std::array::from_fn(|c| {
+                    let mixed = f32::from(here.color[c]) * (1.0 - share)
+                        + f32::from(there.color[c]) * share;
                     (mixed / 256.0).round().min(255.0) as u8
                 }));
             }
@@ -201,9 +201,9 @@ impl Voxel {
             return;
         }
         self.views = self.views.saturating_add(1);
-        self.colour_weight += seen.colour_weight;
-        let share = seen.colour_weight / self.colour_weight.max(f32::MIN_POSITIVE);
-        for (mean, &now) in self.colour.iter_mut().zip(&seen.colour) {
+        self.color_weight += seen.color_weight;
+        let share = seen.color_weight / self.color_weight.max(f32::MIN_POSITIVE);
+        for (mean, &now) in self.color.iter_mut().zip(&seen.color) {
             *mean = (f32::from(*mean) + (f32::from(now) * 256.0 - f32::from(*mean)) * share).round()
                 as u16;
         }

@@ -252,7 +252,7 @@ mod tests {
                             low[axis] + (high[axis] - low[axis]) * k as f32 / steps(axis) as f32
                         };
                         cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
-                        cloud.colours.push([128; 3]);
+                        cloud.colors.push([128; 3]);
                     }
                 }
             }

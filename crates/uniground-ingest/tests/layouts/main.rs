@@ -52,7 +52,7 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
         .count();
     // Where a silhouette falls between two pixels either may be right.
     assert!(off * 50 < expected.len(), "{what}, frame {i}: {off} of {} pixels", expected.len());
-    assert!(frame.decode_colour().is_ok(), "{what}, frame {i}");
+    assert!(frame.decode_color().is_ok(), "{what}, frame {i}");
 }
 
 type Write = fn(&Out);
@@ -366,6 +366,6 @@ fn what_lacks_something_is_told_what_it_looks_like() {
 fn the_size_of_the_test_pictures_is_what_they_say() {
     imported(writers::plain, |found| {
         let frame = found.unwrap().frames.remove(0);
-        assert_eq!(frame.decode_colour().unwrap().dimensions(), (CAMERA.width, CAMERA.height));
+        assert_eq!(frame.decode_color().unwrap().dimensions(), (CAMERA.width, CAMERA.height));
     });
 }

@@ -9,7 +9,7 @@ mod wordnet;
 
 pub use lexicon::{Lexicon, Noun, Place, Range, Shape};
 use rayon::prelude::*;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::{Instance, NameGuess, Structure, Support};
 pub use wordnet::{Kinship, WordNet};
 
@@ -80,7 +80,7 @@ fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
         Shape::Flat => odd_unless(ramp(instance.planarity, 0.2, 0.6)),
         Shape::Bushy => {
             odd_unless(roughness(instance))
-                * if instance.colours.share(ColourName::Green) < LEAST_GREEN {
+                * if instance.colors.share(ColorName::Green) < LEAST_GREEN {
                     ODD_SHAPE
                 } else {
                     1.0
@@ -95,7 +95,7 @@ fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
 /// Returns how much a thing looks like leaves, `0..=1`: rough, and mostly green. A thing that is
 /// green everywhere was dyed or painted.
 fn foliage(instance: &Instance) -> f32 {
-    let green = instance.colours.share(ColourName::Green);
+    let green = instance.colors.share(ColorName::Green);
     roughness(instance) * ramp(green, 0.2, 0.4) * ramp(green, 0.9, 0.75)
 }
 
@@ -111,8 +111,8 @@ fn ramp(value: f32, from: f32, to: f32) -> f32 {
 
 /// Returns how well a color word describes an instance, `0..=1`.
 #[must_use]
-pub fn colour_fit(colour: ColourName, instance: &Instance) -> f32 {
-    instance.colours.describes(colour)
+pub fn color_fit(color: ColorName, instance: &Instance) -> f32 {
+    instance.colors.describes(color)
 }
 
 /// Names all instances, in two rounds: the second uses the names of the things they stand on, such
@@ -190,7 +190,7 @@ fn place_of(instance: &Instance) -> Place {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use uniground_geometry::colour::ColourHistogram;
+    use uniground_geometry::color::ColorHistogram;
     use uniground_geometry::scene::InstanceId;
     use uniground_testing::thing;
 
@@ -226,7 +226,7 @@ mod tests {
         let names = |rgb: &[[u8; 3]], planarity| {
             let standing = thing(1, [0.0, 0.0], [0.7, 0.68, 1.4], 0.0, Support::Floor, [60; 3]);
             let guesses = name_guesses(&Instance {
-                colours: ColourHistogram::of(rgb.iter().copied()),
+                colors: ColorHistogram::of(rgb.iter().copied()),
                 planarity,
                 ..standing
             });

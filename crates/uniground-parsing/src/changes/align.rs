@@ -176,7 +176,7 @@ mod tests {
                 ]);
             }
         }
-        PointCloud { colours: vec![[0; 3]; positions.len()], positions }
+        PointCloud { colors: vec![[0; 3]; positions.len()], positions }
     }
 
     #[test]

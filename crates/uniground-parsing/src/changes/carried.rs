@@ -79,7 +79,7 @@ mod tests {
             .flat_map(|owner| (0..100).map(move |i| (InstanceId(owner), position(owner, i))));
         let (instance_of_point, positions): (Vec<_>, Vec<_>) = owned.unzip();
         ParsedScene {
-            cloud: PointCloud { colours: vec![[90; 3]; positions.len()], positions },
+            cloud: PointCloud { colors: vec![[90; 3]; positions.len()], positions },
             superpoint_of_point: vec![0; instance_of_point.len()],
             instance_of_point,
             instances,

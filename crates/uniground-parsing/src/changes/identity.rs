@@ -116,7 +116,7 @@ mod tests {
         let positions = vec![Point3::origin(); owners.len()];
         let rows: Vec<f32> = (0..instances.len()).flat_map(|i| [i as f32 + 1.0, 0.0]).collect();
         ParsedScene {
-            cloud: PointCloud { colours: vec![[0; 3]; positions.len()], positions },
+            cloud: PointCloud { colors: vec![[0; 3]; positions.len()], positions },
             instance_of_point: owners.iter().copied().map(InstanceId).collect(),
             superpoint_of_point: vec![0; owners.len()],
             embeddings: Some(Embeddings::new(2, &rows)),

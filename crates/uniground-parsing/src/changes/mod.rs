@@ -192,7 +192,7 @@ impl<'a> ObjectPlaces<'a> {
 const SAME_SIZE: f32 = 0.7;
 const SIZE_SLACK_M: f32 = 0.04;
 /// Minimum color similarity.
-const SAME_COLOUR: f32 = 0.5;
+const SAME_COLOR: f32 = 0.5;
 
 /// Pairs things that disappeared with similar things that appeared, as moved. Most similar pairs
 /// first.
@@ -235,7 +235,7 @@ fn alike(a: &Instance, b: &Instance) -> Option<f32> {
         .zip(sides(b))
         .map(|(a, b)| (a.min(b) + SIZE_SLACK_M) / a.max(b).max(f32::MIN_POSITIVE));
     let size = shares.fold(1.0, f32::min).min(1.0);
-    let colour: f32 = a.colours.0.iter().zip(b.colours.0).map(|(a, b)| a.min(b)).sum();
+    let color: f32 = a.colors.0.iter().zip(b.colors.0).map(|(a, b)| a.min(b)).sum();
     let name = if a.label() == b.label() { 0.5 } else { 0.0 };
-    (size >= SAME_SIZE && colour >= SAME_COLOUR).then_some(size + colour + name)
+    (size >= SAME_SIZE && color >= SAME_COLOR).then_some(size + color + name)
 }

@@ -18,7 +18,7 @@ pub use single::{merged, of_points};
 use std::collections::BTreeMap;
 pub use support::{Body, supports};
 use uniground_geometry::boxes::{Aabb, OrientedBox};
-use uniground_geometry::colour::ColourHistogram;
+use uniground_geometry::color::ColorHistogram;
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::moments::Moments;
 use uniground_geometry::progress::{Cancelled, Progress};
@@ -136,7 +136,7 @@ pub fn build<'a>(
             oriented_box: shape.oriented_box,
             point_count: shape.point_count,
             mean_rgb: shape.mean_rgb,
-            colours: shape.colours,
+            colors: shape.colors,
             planarity: shape.planarity,
             structure,
             support,
@@ -314,7 +314,7 @@ struct RegionShape {
     raw_box: Aabb,
     oriented_box: OrientedBox,
     mean_rgb: [u8; 3],
-    colours: ColourHistogram,
+    colors: ColorHistogram,
     planarity: f32,
 }
 
@@ -328,21 +328,21 @@ impl RegionShape {
     ) -> Self {
         let positions: Vec<Point3<f32>> =
             members.iter().map(|&i| cloud.positions[i as usize]).collect();
-        let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
+        let colors = || members.iter().map(|&i| cloud.colors[i as usize]);
         let raw_box = Aabb::around(&positions)
             .unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         let (aabb, oriented_box) = bounds::robust(&positions, noise_m, relief, settings);
         let planarity = planarity(&positions);
         let n = members.len().max(1) as u64;
         let sum =
-            colours().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+            colors().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
         Self {
             point_count: members.len() as u32,
             aabb,
             raw_box,
             oriented_box,
             mean_rgb: sum.map(|s| ((s + n / 2) / n) as u8),
-            colours: ColourHistogram::of(colours()),
+            colors: ColorHistogram::of(colors()),
             planarity,
         }
     }
@@ -426,7 +426,7 @@ mod tests {
             .into_iter()
             .flat_map(|(r, n)| std::iter::repeat_n(r, n))
             .collect();
-        let cloud = PointCloud { colours: vec![[90; 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[90; 3]; positions.len()], positions };
         let superpoints = Superpoints {
             of_point: region_of.clone(),
             patches: Vec::new(),

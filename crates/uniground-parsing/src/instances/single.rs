@@ -85,7 +85,7 @@ pub fn of_points(
         oriented_box: shape.oriented_box,
         point_count: shape.point_count,
         mean_rgb: shape.mean_rgb,
-        colours: shape.colours,
+        colors: shape.colors,
         planarity: shape.planarity,
         support,
         ..Instance::from_box(id, shape.aabb)

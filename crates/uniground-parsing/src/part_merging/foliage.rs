@@ -5,7 +5,7 @@
 use super::{RegionFacts, united};
 use crate::superpoints::Superpoints;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::union_find::UnionFind;
 
 /// Minimum share of green points for a piece to be part of a plant.
@@ -35,7 +35,7 @@ pub(super) fn gather(
         let [all, green] = &mut points[region as usize];
         *all += patch.points as f32;
         *green +=
-            if ColourName::of(&patch.lab) == ColourName::Green { patch.points as f32 } else { 0.0 };
+            if ColorName::of(&patch.lab) == ColorName::Green { patch.points as f32 } else { 0.0 };
     }
     let is_leaves = |i: usize| {
         !parts[i].is_structural
@@ -104,7 +104,7 @@ fn is_pot(part: &RegionFacts, leaves: &Aabb) -> bool {
 mod tests {
     use super::*;
     use crate::superpoints::Patch;
-    use uniground_geometry::colour::lab_of_srgb;
+    use uniground_geometry::color::lab_of_srgb;
     use uniground_geometry::{Point3, Vector3};
 
     const LEAF: [u8; 3] = [50, 120, 40];

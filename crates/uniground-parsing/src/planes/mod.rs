@@ -81,7 +81,7 @@ impl Planes {
                     .iter()
                     .copied()
                     .min_by(|&a, &b| differs(a).total_cmp(&differs(b)).then(a.cmp(&b)));
-                if let Some(whole) = alike.filter(|&r| differs(r) < SAME_COLOUR) {
+                if let Some(whole) = alike.filter(|&r| differs(r) < SAME_COLOR) {
                     sets.union(whole as u32, patch as u32);
                 }
             }
@@ -95,7 +95,7 @@ impl Planes {
 /// the building.
 const MAX_PATCH_M2: f32 = 0.15;
 /// CIELAB distance within which a patch has the color of its plane.
-const SAME_COLOUR: f32 = 10.0;
+const SAME_COLOR: f32 = 10.0;
 
 /// Points count as on a plane within three times the noise of the scan, but at least within this
 /// distance, meters.
@@ -450,7 +450,7 @@ mod tests {
                     let at =
                         |axis: usize, k: u32| low[axis] + k as f32 * STEP_M + shake(axis as u32);
                     cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
-                    cloud.colours.push([grey; 3]);
+                    cloud.colors.push([grey; 3]);
                 }
             }
         }
@@ -513,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn small_patches_of_its_colour_return_to_the_wall() {
+    fn small_patches_of_its_color_return_to_the_wall() {
         let superpoints = Superpoints {
             of_point: vec![],
             patches: [(10_000, 80.0), (50, 78.0), (50, 20.0), (50, 80.0)]
@@ -521,7 +521,7 @@ mod tests {
                     points,
                     center: Point3::origin(),
                     normal: Vector3::z(),
-                    lab: uniground_geometry::colour::Lab::new(l, 0.0, 0.0),
+                    lab: uniground_geometry::color::Lab::new(l, 0.0, 0.0),
                 })
                 .to_vec(),
             adjacent: vec![],

@@ -9,14 +9,14 @@ use crate::superpoints::{Patch, Superpoints};
 use std::cell::LazyCell;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use uniground_geometry::boxes::{Aabb, OrientedBox};
-use uniground_geometry::colour::Lab;
+use uniground_geometry::color::Lab;
 use uniground_geometry::scene::Structure;
 use uniground_geometry::union_find::UnionFind;
 use uniground_geometry::voxels::VoxelKey;
 use uniground_geometry::{Point3, Vector3};
 
 /// CIELAB distance within which superpoints have one color, with lightness counted half.
-const SAME_COLOUR: f32 = 12.0;
+const SAME_COLOR: f32 = 12.0;
 /// Minimum distance between hues, at the floor's lightness. A superpoint below it is the floor
 /// under another light.
 const OTHER_HUE: f32 = 5.0;
@@ -58,13 +58,13 @@ pub(super) fn take_off(
             .filter(|(_, plane)| **plane == Some(k))
             .map(|(s, _)| s)
             .collect();
-        let Some(colour) = colour(&on, &superpoints.patches) else { continue };
+        let Some(color) = color(&on, &superpoints.patches) else { continue };
         let points = |group: &[u32]| {
             group.iter().map(|&s| superpoints.patches[s as usize].points).sum::<u32>() as f32
         };
         let m2_per_point = plane.area_m2 / points(&on);
         let (odd, own): (Vec<u32>, Vec<u32>) =
-            on.iter().partition(|&&s| is_other(&superpoints.patches[s as usize].lab, &colour));
+            on.iter().partition(|&&s| is_other(&superpoints.patches[s as usize].lab, &color));
         let floor = LazyCell::new(|| cells(scan, own.into_iter()));
         let is_rug = |group: &Vec<u32>| {
             let area_m2 = points(group) * m2_per_point;
@@ -135,7 +135,7 @@ fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) ->
 }
 
 /// The most common color of these superpoints.
-fn colour(on: &[u32], patches: &[Patch]) -> Option<Lab> {
+fn color(on: &[u32], patches: &[Patch]) -> Option<Lab> {
     let patch = |s: u32| &patches[s as usize];
     let alike =
         |s: u32| on.iter().copied().filter(move |&other| is_same(&patch(other).lab, &patch(s).lab));
@@ -149,7 +149,7 @@ fn colour(on: &[u32], patches: &[Patch]) -> Option<Lab> {
 
 fn is_same(a: &Lab, b: &Lab) -> bool {
     let apart = a - b;
-    Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOUR
+    Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOR
 }
 
 /// Whether it is another color, and not the floor's color under more or less light. Light scales
@@ -181,7 +181,7 @@ fn connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>>
 mod tests {
     use super::*;
     use uniground_geometry::Vector3;
-    use uniground_geometry::colour::lab_of_srgb;
+    use uniground_geometry::color::lab_of_srgb;
     use uniground_geometry::scene::PointCloud;
 
     const WOOD: [u8; 3] = [120, 85, 55];
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rug_of_another_colour_is_no_floor() {
+    fn a_rug_of_another_color_is_no_floor() {
         assert_eq!(taken_off(&[(5, RED), (6, RED), (9, RED), (10, RED)]), [5, 6, 9, 10]);
         assert_eq!(taken_off(&[(12, RED)]), [12], "in a corner");
         assert_eq!(taken_off(&[(5, [200, 170, 140])]), [5], "a light one");

@@ -2,7 +2,7 @@
 //! what frames saw of them stays valid. New points are divided into new superpoints.
 
 use super::{Patch, Superpoints, coarsened_to, compute, relabelled};
-use uniground_geometry::colour::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, lab_of_srgb};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{Addition, PointCloud};
@@ -103,7 +103,7 @@ fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
         .fold(Matrix3::zeros(), |sum, d: Vector3<f32>| sum + d * d.transpose());
     let lab = points
         .iter()
-        .map(|&point| lab_of_srgb(cloud.colours[point as usize]))
+        .map(|&point| lab_of_srgb(cloud.colors[point as usize]))
         .fold(Lab::zeros(), |sum, lab| sum + lab);
     Patch {
         points: points.len() as u32,
@@ -147,12 +147,12 @@ mod tests {
     use super::*;
 
     /// A square of one meter in the plane, with a point every centimeter, starting at `x`.
-    fn square(x: f32, z: f32, colour: [u8; 3]) -> PointCloud {
+    fn square(x: f32, z: f32, color: [u8; 3]) -> PointCloud {
         let at = (0..100).flat_map(|i| {
             (0..100).map(move |j| Point3::new(x + i as f32 * 0.01, j as f32 * 0.01, z))
         });
         let positions: Vec<Point3<f32>> = at.collect();
-        PointCloud { colours: vec![colour; positions.len()], positions }
+        PointCloud { colors: vec![color; positions.len()], positions }
     }
 
     fn addition(kept: Vec<u32>, new: PointCloud) -> Addition {
@@ -191,8 +191,8 @@ mod tests {
     fn what_stays_keeps_its_superpoint_and_touches_what_is_new() {
         let (mut floor, more) = (square(0.0, 0.0, [120; 3]), square(1.0, 0.0, [120; 3]));
         // The red half, nearer to the origin, is removed.
-        let reds = floor.positions.iter().zip(&mut floor.colours).filter(|(p, _)| p.x < 0.5);
-        reds.for_each(|(_, colour)| *colour = [200, 40, 40]);
+        let reds = floor.positions.iter().zip(&mut floor.colors).filter(|(p, _)| p.x < 0.5);
+        reds.for_each(|(_, color)| *color = [200, 40, 40]);
         let kept: Vec<u32> =
             (0..floor.len() as u32).filter(|&i| floor.positions[i as usize].x >= 0.5).collect();
         let (first, now, number) = grow(&floor, &addition(kept.clone(), more));

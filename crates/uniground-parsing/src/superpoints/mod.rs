@@ -12,7 +12,7 @@ pub use growth::grown;
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use uniground_geometry::colour::Lab;
+use uniground_geometry::color::Lab;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::voxels::typical_spacing_m;
@@ -178,23 +178,23 @@ mod tests {
             for j in 0..50 {
                 let (a, b) = (i as f32 * 0.01, j as f32 * 0.01);
                 cloud.positions.push(Point3::new(a, b, 0.0));
-                cloud.colours.push([200, 40, 40]);
+                cloud.colors.push([200, 40, 40]);
                 cloud.positions.push(Point3::new(a, 0.0, b + 0.01));
-                cloud.colours.push([40, 40, 200]);
+                cloud.colors.push([40, 40, 200]);
             }
         }
         cloud
     }
 
     #[test]
-    fn a_coloured_corner_is_not_straddled() {
+    fn a_colored_corner_is_not_straddled() {
         let cloud = corner();
         let superpoints = compute_silently(&cloud);
         let mut red = vec![0_u32; superpoints.patches.len()];
         let mut all = red.clone();
-        for (label, colour) in superpoints.of_point.iter().zip(&cloud.colours) {
+        for (label, color) in superpoints.of_point.iter().zip(&cloud.colors) {
             all[*label as usize] += 1;
-            red[*label as usize] += u32::from(colour[0] > 100);
+            red[*label as usize] += u32::from(color[0] > 100);
         }
         let pure: u32 = red.iter().zip(&all).map(|(&r, &n)| r.max(n - r)).sum();
         let purity = pure as f32 / cloud.len() as f32;
@@ -212,10 +212,8 @@ mod tests {
                 })
             };
             let positions: Vec<_> = piece(0.0).chain(piece(0.5 + gap_m)).collect();
-            let superpoints = compute_silently(&PointCloud {
-                colours: vec![[90; 3]; positions.len()],
-                positions,
-            });
+            let superpoints =
+                compute_silently(&PointCloud { colors: vec![[90; 3]; positions.len()], positions });
             let (lower, upper) = (superpoints.of_point[199], superpoints.of_point[200]);
             // Neighbors that continue each other become one superpoint.
             lower == upper || superpoints.adjacent.contains(&(lower.min(upper), lower.max(upper)))
@@ -243,10 +241,10 @@ mod tests {
     fn odd_clouds_are_labelled_too() {
         let same = PointCloud {
             positions: vec![Point3::new(1.0, 2.0, 3.0); 100],
-            colours: vec![[9; 3]; 100],
+            colors: vec![[9; 3]; 100],
         };
         assert_eq!(compute_silently(&same).patches.len(), 1);
-        let one = PointCloud { positions: vec![Point3::origin()], colours: vec![[0; 3]] };
+        let one = PointCloud { positions: vec![Point3::origin()], colors: vec![[0; 3]] };
         assert_eq!(compute_silently(&one).of_point, [0]);
         let none = compute_silently(&PointCloud::default());
         assert!(none.of_point.is_empty() && none.patches.is_empty());
@@ -258,7 +256,7 @@ mod tests {
         #[test]
         fn labels_are_a_partition(points in prop::collection::vec((-1.0_f32..1.0, -1.0_f32..1.0, -0.2_f32..0.2), 1..400)) {
             let positions: Vec<_> = points.into_iter().map(|(x, y, z)| Point3::new(x, y, z)).collect();
-            let cloud = PointCloud { colours: vec![[120, 90, 60]; positions.len()], positions };
+            let cloud = PointCloud { colors: vec![[120, 90, 60]; positions.len()], positions };
             let superpoints = compute_silently(&cloud);
             let mut counts = vec![0; superpoints.patches.len()];
             superpoints.of_point.iter().for_each(|&l| counts[l as usize] += 1);

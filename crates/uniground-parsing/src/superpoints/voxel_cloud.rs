@@ -2,7 +2,7 @@
 
 use super::Patch;
 use rayon::prelude::*;
-use uniground_geometry::colour::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, lab_of_srgb};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
@@ -205,7 +205,7 @@ fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<ScatterMoments>, Vec
                 continue;
             };
             m.add(&cloud.positions[i]);
-            labs[v as usize - first] += lab_of_srgb(cloud.colours[i]);
+            labs[v as usize - first] += lab_of_srgb(cloud.colors[i]);
         }
         for (lab, m) in labs.iter_mut().zip(moments) {
             *lab /= m.count;

@@ -39,7 +39,7 @@ fn view_of(
         oriented_box,
         point_count,
         mean_rgb,
-        colours,
+        colors,
         planarity,
         structure,
         support,
@@ -52,7 +52,7 @@ fn view_of(
         dismissed,
         gone,
     } = instance;
-    let colours = colours
+    let colours = colors
         .dominant()
         .into_iter()
         .map(|(name, share)| (name.word().to_owned(), share))

@@ -88,8 +88,8 @@ pub fn read_photograph(
         Ok(_) => {
             let frames = read_frames(blobs, parse, content).ok()??;
             let frame = frames.into_iter().find(|of| of.index == frame)?;
-            let colour = blobs.file(content, &frame.colour).map_err(|error| error.to_string());
-            colour.and_then(|_colour| frame.decode_colour().map_err(|error| error.to_string()))
+            let color = blobs.file(content, &frame.color).map_err(|error| error.to_string());
+            color.and_then(|_color| frame.decode_color().map_err(|error| error.to_string()))
         }
         Err(error) => Err(error.to_string()),
     };
@@ -195,9 +195,9 @@ pub fn write(
     for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
         let file = photograph(parse, frame.index);
         // The pixel coordinates of views refer to pinhole pictures.
-        match frame.optics.colour_lens {
-            None => drop(fs::copy(&frame.colour, file)?),
-            Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
+        match frame.optics.color_lens {
+            None => drop(fs::copy(&frame.color, file)?),
+            Some(_) => fs::write(file, jpeg(&frame.decode_color().map_err(ParseError::from)?))?,
         }
     }
     Ok(())

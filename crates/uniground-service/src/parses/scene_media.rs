@@ -179,7 +179,7 @@ impl MediaService {
         let blobs = self.blobs.clone();
         let frames = spawn_blocking(move || read_frames(&blobs, &folder, &content)).await??;
         let view = |frame: FrameRef| {
-            let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
+            let Intrinsics { width, height, fx, fy, cx, cy } = frame.color_intrinsics;
             let pose = frame.camera_to_world.to_homogeneous();
             let camera_to_world =
                 std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
@@ -212,15 +212,15 @@ impl MediaService {
                 .into_iter()
                 .find(|frame| frame.index.0 == index)
                 .ok_or(Error::FrameNotFound { index })?;
-            let colour = blobs.file(&content, &frame.colour)?;
-            Ok::<_, Error>((frame, colour))
+            let color = blobs.file(&content, &frame.color)?;
+            Ok::<_, Error>((frame, color))
         });
-        let (frame, colour) = found.await??;
+        let (frame, color) = found.await??;
         if !with_instances {
-            return Ok(EvidenceFile::Stored(colour));
+            return Ok(EvidenceFile::Stored(color));
         }
         let drawn = self.draw(scene, move |_, scene| {
-            let _colour = colour;
+            let _color = color;
             scene.photograph_with_instances(&frame)
         });
         drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))

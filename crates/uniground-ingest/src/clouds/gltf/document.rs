@@ -71,9 +71,9 @@ pub(super) struct Material {
 #[serde(default)]
 pub(super) struct PbrMaterial {
     #[serde(rename = "baseColorTexture")]
-    pub base_colour_texture: Option<TextureReference>,
+    pub base_color_texture: Option<TextureReference>,
     #[serde(rename = "baseColorFactor")]
-    pub base_colour_factor: Option<[f32; 4]>,
+    pub base_color_factor: Option<[f32; 4]>,
 }
 
 #[derive(Deserialize)]

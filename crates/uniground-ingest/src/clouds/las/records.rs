@@ -20,7 +20,7 @@ pub(super) struct LasRecords {
     /// Number of bytes of the file from its first record on.
     file_bytes: u64,
     /// Offset of red, green and blue, 16 bits each.
-    colour: Option<usize>,
+    color: Option<usize>,
     scale: [f64; 3],
     offset: [f64; 3],
 }
@@ -45,14 +45,14 @@ impl LasRecords {
         }
         let three = |from: usize| [0, 1, 2].map(|i| f64::from_le_bytes(at(&header, from + 8 * i)));
         let bytes = usize::from(u16::from_le_bytes(at(&header, 105)));
-        let colour = match format {
+        let color = match format {
             2 => Some(20),
             3 | 5 => Some(28),
             7 | 8 | 10 => Some(30),
             0 | 1 | 4 | 6 | 9 => None,
             _ => return Err(malformed("its points are of a format that is not read")),
         };
-        if bytes < colour.map_or(20, |colour| colour + 6) {
+        if bytes < color.map_or(20, |color| color + 6) {
             return Err(malformed("its point records are too short"));
         }
         let is_long = header[25] >= 4 && header.len() == LONG_HEADER;
@@ -69,7 +69,7 @@ impl LasRecords {
             points,
             bytes,
             file_bytes,
-            colour,
+            color,
             scale: three(131),
             offset: three(155),
         }))
@@ -96,7 +96,7 @@ impl LasRecords {
         mut gathered: CloudBuilder,
     ) -> Result<CloudBuilder, IngestError> {
         gathered.expect(file, usize::try_from(self.points).unwrap_or(usize::MAX))?;
-        gathered.coloured(self.colour.is_some());
+        gathered.colored(self.color.is_some());
         let per_block = (BLOCK_BYTES / self.bytes).max(1);
         let mut block = vec![0; per_block * self.bytes];
         let mut wide: Vec<[u16; 3]> = Vec::new();
@@ -119,18 +119,17 @@ impl LasRecords {
                 };
                 let before = gathered.len();
                 gathered.push([axis(0), axis(1), axis(2)], GREY);
-                if let Some(colour) = self.colour
+                if let Some(color) = self.color
                     && gathered.len() > before
                 {
                     wide.push(
-                        [0, 2, 4]
-                            .map(|i| u16::from_le_bytes([row[colour + i], row[colour + i + 1]])),
+                        [0, 2, 4].map(|i| u16::from_le_bytes([row[color + i], row[color + i + 1]])),
                     );
                 }
             }
             left -= rows as u64;
         }
-        if self.colour.is_some() {
+        if self.color.is_some() {
             super::recolour(&mut gathered, &wide);
         }
         Ok(gathered)
@@ -173,9 +172,9 @@ mod tests {
     }
 
     #[test]
-    fn colours_of_eight_bits_are_taken_as_such() {
+    fn colors_of_eight_bits_are_taken_as_such() {
         let loaded = read(&las()).unwrap();
-        assert_eq!((loaded.cloud.positions[1].z, loaded.cloud.colours[0]), (3.5, [10, 20, 200]));
+        assert_eq!((loaded.cloud.positions[1].z, loaded.cloud.colors[0]), (3.5, [10, 20, 200]));
     }
 
     #[test]

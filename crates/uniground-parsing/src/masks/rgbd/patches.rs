@@ -21,14 +21,14 @@ pub(super) fn cut(surfaces: &SurfaceGrid, settings: &RgbdSettings) -> Vec<u32> {
         .links()
         .filter(|&(a, b)| surfaces.continuous(a, b))
         .map(|(a, b)| {
-            let colour = (surfaces.labs[a] - surfaces.labs[b]).norm() / settings.colour_edge;
+            let color = (surfaces.labs[a] - surfaces.labs[b]).norm() / settings.colour_edge;
             let bend = bend(surfaces, a, b).to_degrees();
             let shape = if bend > 0.0 {
                 bend / settings.concave_edge_deg
             } else {
                 -bend / settings.convex_edge_deg
             };
-            (colour.max(shape), a as u32, b as u32)
+            (color.max(shape), a as u32, b as u32)
         })
         .collect();
     edges.sort_unstable_by(|x, y| x.0.total_cmp(&y.0).then((x.1, x.2).cmp(&(y.1, y.2))));

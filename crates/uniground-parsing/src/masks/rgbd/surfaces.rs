@@ -1,6 +1,6 @@
 //! A frame as a grid of surface elements in camera axes.
 
-use uniground_geometry::colour::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, lab_of_srgb};
 use uniground_geometry::scene::{DepthImage, Frame};
 use uniground_geometry::{Point3, Vector3};
 
@@ -28,7 +28,7 @@ impl SurfaceGrid {
             (frame.depth.width / stride).max(1) as usize,
             (frame.depth.height / stride).max(1) as usize,
         );
-        let colours = frame.colour_on_depth_grid();
+        let colors = frame.color_on_depth_grid();
         let (mut depth_m, mut points, mut labs) = (Vec::new(), Vec::new(), Vec::new());
         for row in 0..height as u32 {
             for column in 0..width as u32 {
@@ -36,7 +36,7 @@ impl SurfaceGrid {
                 let z = depth_or_bridge(&frame.depth, u, v);
                 depth_m.push(z);
                 points.push(intrinsics.unproject(u as f32, v as f32, z));
-                labs.push(lab_of_srgb(block_mean(&colours, &frame.depth, u, v, stride)));
+                labs.push(lab_of_srgb(block_mean(&colors, &frame.depth, u, v, stride)));
             }
         }
         let spacing_per_m = stride as f32 / intrinsics.fx;
@@ -183,13 +183,13 @@ fn depth_or_bridge(depth: &DepthImage, u: u32, v: u32) -> f32 {
 }
 
 /// Mean color of a block of pixels: halves noise and texture before edges are detected.
-fn block_mean(colours: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
+fn block_mean(colors: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
     let mut sum = [0_u32; 3];
     let mut count = 0;
     for row in v..(v + stride).min(depth.height) {
         for column in u..(u + stride).min(depth.width) {
-            let colour = colours[(row * depth.width + column) as usize];
-            (0..3).for_each(|c| sum[c] += u32::from(colour[c]));
+            let color = colors[(row * depth.width + column) as usize];
+            (0..3).for_each(|c| sum[c] += u32::from(color[c]));
             count += 1;
         }
     }

@@ -7,7 +7,7 @@ use super::surfaces::SurfaceGrid;
 use nalgebra::SymmetricEigen;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
-use uniground_geometry::colour::Lab;
+use uniground_geometry::color::Lab;
 use uniground_geometry::union_find::UnionFind;
 use uniground_geometry::{Matrix3, Vector3};
 
@@ -105,7 +105,7 @@ fn cost(a: &PatchRegion, b: &PatchRegion, border: &RegionBorder, settings: &Rgbd
     if border.continuous < 0.5 * border.links {
         return f32::INFINITY;
     }
-    let colour = (a.lab - b.lab).norm() / settings.join_colour;
+    let color = (a.lab - b.lab).norm() / settings.join_colour;
     let bend_deg = (border.bend / border.continuous).to_degrees();
     let concave = bend_deg.max(0.0) / settings.join_concave_deg;
     // A thing on a plane meets it in a valley and is separate. The sides of a box meet in a ridge
@@ -117,7 +117,7 @@ fn cost(a: &PatchRegion, b: &PatchRegion, border: &RegionBorder, settings: &Rgbd
         [false, false] => 0.0,
         _ => 0.3,
     };
-    colour + concave + apart
+    color + concave + apart
 }
 
 /// Concave bend above which a plane ends, degrees.

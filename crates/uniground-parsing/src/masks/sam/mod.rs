@@ -111,7 +111,7 @@ impl MaskSource for SamMasks<'_> {
 
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         let mut candidates = Vec::new();
-        let (width, height) = frame.colour.dimensions();
+        let (width, height) = frame.color.dimensions();
         let points = self.settings.points_per_side;
         let wanted = match self.settings.prompts {
             SamPrompts::Grid => spots::grid((width, height), points, true),
@@ -122,7 +122,7 @@ impl MaskSource for SamMasks<'_> {
                 wanted
             }
         };
-        let encoded = self.frames.of(frame.index, &frame.colour)?;
+        let encoded = self.frames.of(frame.index, &frame.color)?;
         let whole = CropWindow {
             left: 0,
             top: 0,
@@ -137,7 +137,7 @@ impl MaskSource for SamMasks<'_> {
                 |length: u32| ((length as f32 * (0.5 + QUARTER_OVERLAP)) as u32).clamp(1, length);
             let (w, h) = (reach(width), reach(height));
             for (left, top) in [(0, 0), (width - w, 0), (0, height - h), (width - w, height - h)] {
-                let quarter = imageops::crop_imm(&frame.colour, left, top, w, h).to_image();
+                let quarter = imageops::crop_imm(&frame.color, left, top, w, h).to_image();
                 let encoded = self.frames.segmenter.encode(&quarter)?;
                 let window = CropWindow {
                     left,
@@ -296,7 +296,7 @@ pub(super) mod tests {
         let intrinsics =
             Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 47.5, cy: 31.5 };
         let camera = Camera::new(intrinsics, &Isometry3::identity());
-        let colour = RgbImage::from_fn(96, 64, |x, y| {
+        let color = RgbImage::from_fn(96, 64, |x, y| {
             if (30..60).contains(&x) && (20..44).contains(&y) {
                 Rgb([220, 30, 30])
             } else {
@@ -304,7 +304,7 @@ pub(super) mod tests {
             }
         });
         let depth = DepthImage { width: 96, height: 64, depth_m: vec![2.0; 96 * 64] };
-        Frame { index: FrameIndex(0), colour, depth, colour_camera: camera, depth_camera: camera }
+        Frame { index: FrameIndex(0), color, depth, color_camera: camera, depth_camera: camera }
     }
 
     fn masks(bundle: &str, settings: SamSettings) -> IdImage {

@@ -40,8 +40,8 @@ fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> 
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];
     // The position of each column and row of the depth image in the color picture.
-    let columns: Vec<f32> = (0..width).map(|u| frame.colour_position(u as f32, 0.0).0).collect();
-    let rows: Vec<f32> = (0..height).map(|v| frame.colour_position(0.0, v as f32).1).collect();
+    let columns: Vec<f32> = (0..width).map(|u| frame.color_position(u as f32, 0.0).0).collect();
+    let rows: Vec<f32> = (0..height).map(|v| frame.color_position(0.0, v as f32).1).collect();
     let mut low = LowMask {
         logits: vec![OUTSIDE; segmenter.mask_size().pow(2)],
         predicted_iou: 0.0,
@@ -49,8 +49,8 @@ fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> 
     };
     for (id, mask) in (1..=u16::MAX).zip(masks) {
         mask.patch.spread(threshold + OUTSIDE, &mut low.logits);
-        let (colour_width, colour_height) = frame.colour.dimensions();
-        let [left, top, right, bottom] = bounds(mask, colour_width, colour_height);
+        let (color_width, color_height) = frame.color.dimensions();
+        let [left, top, right, bottom] = bounds(mask, color_width, color_height);
         for (v, y) in rows.iter().enumerate().filter(|(_, y)| (top..=bottom).contains(*y)) {
             for (u, x) in columns.iter().enumerate().filter(|(_, x)| (left..=right).contains(*x)) {
                 let at = (x - mask.window.left as f32, y - mask.window.top as f32);

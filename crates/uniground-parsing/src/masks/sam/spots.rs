@@ -82,13 +82,12 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
     segments_found
         .into_iter()
         .map(|s| {
-            let at =
-                frame.colour_position((s.middle.1 % width) as f32, (s.middle.1 / width) as f32);
+            let at = frame.color_position((s.middle.1 % width) as f32, (s.middle.1 / width) as f32);
             PromptPoint { at, unless: SkipCondition::OfSize(s.pixels as f32 / total) }
         })
         .filter(|spot| {
             let inside = |at: f32, length: u32| at > -0.5 && at < length as f32 - 0.5;
-            inside(spot.at.0, frame.colour.width()) && inside(spot.at.1, frame.colour.height())
+            inside(spot.at.0, frame.color.width()) && inside(spot.at.1, frame.color.height())
         })
         .collect()
 }

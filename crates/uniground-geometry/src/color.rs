@@ -46,7 +46,7 @@ fn lab_curve(t: f32) -> f32 {
 /// The eleven basic color terms of English (Berlin and Kay), plus beige, which furniture needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum ColourName {
+pub enum ColorName {
     /// CIELAB lightness below 20 with chroma below 12, or below 28 with chroma below 9.
     Black,
     /// Lightness from 72, chroma below 9.
@@ -73,8 +73,8 @@ pub enum ColourName {
     Beige,
 }
 
-impl ColourName {
-    /// In order of declaration, which is the order of [`ColourHistogram`].
+impl ColorName {
+    /// In order of declaration, which is the order of [`ColorHistogram`].
     pub const ALL: [Self; 12] = [
         Self::Black,
         Self::White,
@@ -199,7 +199,7 @@ impl ColourName {
     /// How well this name may stand for `other`, since people disagree at the borders, in `0..=1`.
     #[must_use]
     pub fn kinship(self, other: Self) -> f32 {
-        use ColourName::{
+        use ColorName::{
             Beige, Black, Blue, Brown, Grey, Orange, Pink, Purple, Red, White, Yellow,
         };
         if self == other {
@@ -223,17 +223,17 @@ impl ColourName {
     }
 }
 
-/// Share of each color name among an instance's points, in the order of [`ColourName::ALL`]; sums
+/// Share of each color name among an instance's points, in the order of [`ColorName::ALL`]; sums
 /// to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct ColourHistogram(pub [f32; 12]);
+pub struct ColorHistogram(pub [f32; 12]);
 
-impl ColourHistogram {
+impl ColorHistogram {
     /// Counts 8-bit sRGB colors by name; all shares are 0 when there are none.
-    pub fn of(colours: impl IntoIterator<Item = [u8; 3]>) -> Self {
+    pub fn of(colors: impl IntoIterator<Item = [u8; 3]>) -> Self {
         let mut counts = [0_u32; 12];
-        for rgb in colours {
-            counts[ColourName::of(&lab_of_srgb(rgb)) as usize] += 1;
+        for rgb in colors {
+            counts[ColorName::of(&lab_of_srgb(rgb)) as usize] += 1;
         }
         let total = counts.iter().sum::<u32>().max(1) as f32;
         Self(counts.map(|n| n as f32 / total))
@@ -241,7 +241,7 @@ impl ColourHistogram {
 
     /// A histogram with equal shares of these names.
     #[must_use]
-    pub fn even(names: &[ColourName]) -> Self {
+    pub fn even(names: &[ColorName]) -> Self {
         let mut shares = [0.0; 12];
         names.iter().for_each(|&name| shares[name as usize] += 1.0 / names.len() as f32);
         Self(shares)
@@ -249,14 +249,14 @@ impl ColourHistogram {
 
     /// Share of the points with exactly this name, `0..=1`; similar names do not count.
     #[must_use]
-    pub fn share(&self, name: ColourName) -> f32 {
+    pub fn share(&self, name: ColorName) -> f32 {
         self.0[name as usize]
     }
 
     /// Names by descending share, without those under 10 %.
     #[must_use]
-    pub fn dominant(&self) -> Vec<(ColourName, f32)> {
-        let mut named: Vec<_> = ColourName::ALL
+    pub fn dominant(&self) -> Vec<(ColorName, f32)> {
+        let mut named: Vec<_> = ColorName::ALL
             .into_iter()
             .map(|n| (n, self.share(n)))
             .filter(|(_, s)| *s >= 0.1)
@@ -269,8 +269,8 @@ impl ColourHistogram {
     /// the points with this name. Similar names count less: a brown desk may be called orange, but
     /// not if an orange one is next to it.
     #[must_use]
-    pub fn describes(&self, name: ColourName) -> f32 {
-        let kin: f32 = ColourName::ALL
+    pub fn describes(&self, name: ColorName) -> f32 {
+        let kin: f32 = ColorName::ALL
             .into_iter()
             .filter(|other| *other != name)
             .map(|other| self.share(other) * name.kinship(other))
@@ -297,8 +297,8 @@ mod tests {
     }
 
     #[test]
-    fn everyday_colours_get_their_names() {
-        use ColourName::*;
+    fn everyday_colors_get_their_names() {
+        use ColorName::*;
         for (rgb, name) in [
             ([10, 10, 10], Black),
             ([240, 240, 240], White),
@@ -316,14 +316,14 @@ mod tests {
             ([90, 120, 200], Blue),
             ([160, 110, 60], Brown),
         ] {
-            assert_eq!(ColourName::of(&lab_of_srgb(rgb)), name, "{rgb:?} {:?}", lab_of_srgb(rgb));
+            assert_eq!(ColorName::of(&lab_of_srgb(rgb)), name, "{rgb:?} {:?}", lab_of_srgb(rgb));
         }
     }
 
     #[test]
     fn kinship_is_symmetric() {
-        for a in ColourName::ALL {
-            for b in ColourName::ALL {
+        for a in ColorName::ALL {
+            for b in ColorName::ALL {
                 assert_eq!(a.kinship(b), b.kinship(a));
             }
         }
