@@ -6,7 +6,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::geometry::statistics::largest;
+use uniground_core::geometry::statistics::largest_indices;
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
 use uniground_core::language::parse;
@@ -117,7 +117,7 @@ fn shortlisting(c: &mut Criterion) {
         drop(row);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(cores).build().unwrap();
         group.bench_function(format!("{count} instances, {cores} cores"), |b| {
-            b.iter(|| pool.install(|| largest(&embeddings.cosines(black_box(&query)), 5)));
+            b.iter(|| pool.install(|| largest_indices(&embeddings.cosines(black_box(&query)), 5)));
         });
     }
     group.finish();

@@ -219,7 +219,7 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
     writeln!(io::stdout(), "{}", created.secret)?;
     eprintln!(
         "a key that may {}, shown this once: Authorization: Bearer {}_…",
-        created.key.scope.word(),
+        created.key.scope.as_str(),
         created.key.prefix
     );
     Ok(())

@@ -70,7 +70,7 @@ pub(super) fn render(
             page,
             "<tr><td class=\"n\">{}<td>{}<td>{}<td>{}<td>{}<td class=\"n\">{}<td>{}</tr>",
             instance.id,
-            instance.level.word(),
+            instance.level.as_str(),
             escaped(instance.label()),
             triple(instance.aabb.center.into()),
             triple(instance.aabb.size.into()),

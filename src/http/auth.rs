@@ -47,8 +47,8 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     if caller.scope < wanted {
         let detail = format!(
             "this key may {:?}, this needs a key that may {:?}",
-            caller.scope.word(),
-            wanted.word()
+            caller.scope.as_str(),
+            wanted.as_str()
         );
         return limited(
             ProblemResponse::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(),

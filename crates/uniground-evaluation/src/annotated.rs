@@ -174,7 +174,7 @@ impl Annotations {
         let mut near: VoxelMap<Vec<LabelledPoint>> = VoxelMap::default();
         if let Some(of_point) = self.of_point.as_ref().filter(|ids| ids.len() == cloud.len()) {
             for (p, &id) in cloud.positions.iter().zip(of_point) {
-                near.entry(VoxelKey::of(p, NEAR_M)).or_default().push((*p, id));
+                near.entry(VoxelKey::containing(p, NEAR_M)).or_default().push((*p, id));
             }
         }
         AnnotatedMasks { annotations: Arc::new(self.clone()), near: Arc::new(near) }
@@ -225,7 +225,7 @@ impl AnnotatedMasks {
         if self.near.is_empty() {
             return self.annotations.at(p, 0.01 + 0.003 * z_m * z_m).unwrap_or_default();
         }
-        let center = VoxelKey::of(p, NEAR_M);
+        let center = VoxelKey::containing(p, NEAR_M);
         let mut best = (NEAR_M * NEAR_M, 0);
         for d in 0..27 {
             let key = center.offset([d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1]);

@@ -198,7 +198,7 @@ impl SceneObject {
     pub fn structure(&self) -> Option<Structure> {
         [Structure::Floor, Structure::Ceiling, Structure::Wall]
             .into_iter()
-            .find(|s| s.word() == self.name)
+            .find(|s| s.as_str() == self.name)
     }
 
     #[must_use]
@@ -212,7 +212,7 @@ fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneOb
     let words = colour.unwrap_or_default().replace("gray", "grey");
     let colors = ColorName::ALL
         .into_iter()
-        .filter(|c| words.split_whitespace().any(|word| word == c.word()))
+        .filter(|c| words.split_whitespace().any(|word| word == c.as_str()))
         .collect();
     let aabb = Aabb::from_corners(Point3::from(min), Point3::from(max));
     let rotated = obb.map(|TurnedRecord { center, size, yaw_deg }| RotatedBox {

@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 use uniground_geometry::Vector3;
 use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::scene::{
-    Instance, InstanceId, Level, Owners, PointCloud, Structure, Support, evenly,
+    Instance, InstanceId, Level, Owners, PointCloud, Structure, Support, evenly_spread_order,
 };
 
 /// Name of the points that belong to no thing.
@@ -52,15 +52,17 @@ impl<'a> Export<'a> {
         instances: &'a [Instance],
         most: usize,
     ) -> Self {
-        let owners = Owners::of(instance_of_point, instances);
+        let owners = Owners::new(instance_of_point, instances);
         let mut chosen: Vec<u32> = match cloud.len() > most {
-            true => evenly(&cloud.positions).take(most).map(|point| point as u32).collect(),
+            true => {
+                evenly_spread_order(&cloud.positions).take(most).map(|point| point as u32).collect()
+            }
             false => (0..cloud.len() as u32).collect(),
         };
         chosen.sort_unstable();
         let owner = |point: u32| {
             let found = instance_of_point.get(point as usize).copied().unwrap_or_default();
-            owners.of_point(found, &cloud.positions[point as usize])
+            owners.owner_of(found, &cloud.positions[point as usize])
         };
         let points = chosen.into_iter().map(|point| (point, owner(point))).collect();
         Self {
@@ -111,7 +113,7 @@ impl<'a> ObjectDescription<'a> {
     fn of(instance: &'a Instance) -> Self {
         let guess = instance.names.first().filter(|_| instance.structure.is_none());
         let label = match instance.structure {
-            Some(structure) => structure.word(),
+            Some(structure) => structure.as_str(),
             None => guess.map_or("object", |guess| &guess.name),
         };
         Self {

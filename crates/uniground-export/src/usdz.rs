@@ -92,9 +92,9 @@ fn write_attributes(of: &ObjectDescription, out: &mut impl Write) -> io::Result<
     if let Some(confidence) = confidence {
         attribute("float", "confidence", confidence)?;
     }
-    attribute("string", "level", &QuotedText(level.word()))?;
+    attribute("string", "level", &QuotedText(level.as_str()))?;
     if let Some(structure) = structure {
-        attribute("string", "structure", &QuotedText(structure.word()))?;
+        attribute("string", "structure", &QuotedText(structure.as_str()))?;
     }
     attribute("float3", "box:center", &Vec3Text(aabb.center.into()))?;
     attribute("float3", "box:size", &Vec3Text(aabb.size.into()))?;

@@ -9,7 +9,7 @@ pub type Lab = Vector3<f32>;
 
 /// Converts 8-bit sRGB to CIELAB under D65.
 #[must_use]
-pub fn lab_of_srgb(rgb: [u8; 3]) -> Lab {
+pub fn srgb_to_lab(rgb: [u8; 3]) -> Lab {
     let [r, g, b] = rgb.map(|channel| LINEAR[usize::from(channel)]);
     // sRGB primaries to XYZ, divided by the D65 white point.
     let x = (0.412_456 * r + 0.357_576 * g + 0.180_438 * b) / 0.950_47;
@@ -92,7 +92,7 @@ impl ColorName {
 
     /// The English word, lower case.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Black => "black",
             Self::White => "white",
@@ -114,7 +114,7 @@ impl ColorName {
     /// Thresholds follow the usual centroids of the basic terms: browns are dark oranges, beiges
     /// pale ones, pinks pale reds.
     #[must_use]
-    pub fn of(lab: &Lab) -> Self {
+    pub fn from_lab(lab: &Lab) -> Self {
         let lightness = lab.x;
         let chroma = lab.y.hypot(lab.z);
         let hue_deg = lab.z.atan2(lab.y).to_degrees().rem_euclid(360.0);
@@ -198,7 +198,7 @@ impl ColorName {
 
     /// How well this name may stand for `other`, since people disagree at the borders, in `0..=1`.
     #[must_use]
-    pub fn kinship(self, other: Self) -> f32 {
+    pub fn similarity(self, other: Self) -> f32 {
         use ColorName::{
             Beige, Black, Blue, Brown, Grey, Orange, Pink, Purple, Red, White, Yellow,
         };
@@ -230,10 +230,10 @@ pub struct ColorHistogram(pub [f32; 12]);
 
 impl ColorHistogram {
     /// Counts 8-bit sRGB colors by name; all shares are 0 when there are none.
-    pub fn of(colors: impl IntoIterator<Item = [u8; 3]>) -> Self {
+    pub fn from_colors(colors: impl IntoIterator<Item = [u8; 3]>) -> Self {
         let mut counts = [0_u32; 12];
         for rgb in colors {
-            counts[ColorName::of(&lab_of_srgb(rgb)) as usize] += 1;
+            counts[ColorName::from_lab(&srgb_to_lab(rgb)) as usize] += 1;
         }
         let total = counts.iter().sum::<u32>().max(1) as f32;
         Self(counts.map(|n| n as f32 / total))
@@ -241,7 +241,7 @@ impl ColorHistogram {
 
     /// A histogram with equal shares of these names.
     #[must_use]
-    pub fn even(names: &[ColorName]) -> Self {
+    pub fn uniform(names: &[ColorName]) -> Self {
         let mut shares = [0.0; 12];
         names.iter().for_each(|&name| shares[name as usize] += 1.0 / names.len() as f32);
         Self(shares)
@@ -269,11 +269,11 @@ impl ColorHistogram {
     /// the points with this name. Similar names count less: a brown desk may be called orange, but
     /// not if an orange one is next to it.
     #[must_use]
-    pub fn describes(&self, name: ColorName) -> f32 {
+    pub fn name_fit(&self, name: ColorName) -> f32 {
         let kin: f32 = ColorName::ALL
             .into_iter()
             .filter(|other| *other != name)
-            .map(|other| self.share(other) * name.kinship(other))
+            .map(|other| self.share(other) * name.similarity(other))
             .sum();
         (self.share(name) / 0.6 + kin).min(1.0)
     }
@@ -291,7 +291,7 @@ mod tests {
             ([0, 0, 255], [32.30, 79.19, -107.86]),
             ([128, 128, 128], [53.59, 0.0, 0.0]),
         ] {
-            let lab = lab_of_srgb(rgb);
+            let lab = srgb_to_lab(rgb);
             assert!((lab - Lab::from(expected)).norm() < 0.3, "{rgb:?} gave {lab:?}");
         }
     }
@@ -316,7 +316,12 @@ mod tests {
             ([90, 120, 200], Blue),
             ([160, 110, 60], Brown),
         ] {
-            assert_eq!(ColorName::of(&lab_of_srgb(rgb)), name, "{rgb:?} {:?}", lab_of_srgb(rgb));
+            assert_eq!(
+                ColorName::from_lab(&srgb_to_lab(rgb)),
+                name,
+                "{rgb:?} {:?}",
+                srgb_to_lab(rgb)
+            );
         }
     }
 
@@ -324,7 +329,7 @@ mod tests {
     fn kinship_is_symmetric() {
         for a in ColorName::ALL {
             for b in ColorName::ALL {
-                assert_eq!(a.kinship(b), b.kinship(a));
+                assert_eq!(a.similarity(b), b.similarity(a));
             }
         }
     }

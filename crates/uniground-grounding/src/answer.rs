@@ -229,22 +229,23 @@ impl Grounding {
 /// Returns dominant color and best name, such as "red sofa", whatever the question says.
 pub(super) fn described(instance: &Instance) -> String {
     let says_color = |name: &String| {
-        name.split_whitespace().any(|word| ColorName::ALL.iter().any(|color| color.word() == word))
+        name.split_whitespace()
+            .any(|word| ColorName::ALL.iter().any(|color| color.as_str() == word))
     };
     if let Some(name) = instance.given_name.as_ref().filter(|name| says_color(name)) {
         return name.clone();
     }
     match instance.colors.dominant().first() {
-        Some((color, _)) => format!("{} {}", color.word(), instance.label()),
+        Some((color, _)) => format!("{} {}", color.as_str(), instance.label()),
         None => instance.label().to_owned(),
     }
 }
 
 fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let target = &parsed.target;
-    let traits = target.traits.iter().map(|s| s.word().to_owned());
-    let colors = target.colors.iter().map(|c| c.word().to_owned());
-    let other_than = target.other_than.iter().map(|c| format!("not {}", c.word()));
+    let traits = target.traits.iter().map(|s| s.as_str().to_owned());
+    let colors = target.colors.iter().map(|c| c.as_str().to_owned());
+    let other_than = target.other_than.iter().map(|c| format!("not {}", c.as_str()));
     let with = target.with.iter().map(|w| {
         let count = w.phrase.count.map_or_else(String::new, |n| format!("{n} "));
         format!("{} {count}{}", if w.absent { "without" } else { "with" }, w.phrase.text())
@@ -299,7 +300,7 @@ fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
 /// Returns a superlative in words: "tallest", "leftmost, number 2".
 pub(super) fn superlative_words(superlative: &Superlative) -> String {
     match superlative.rank {
-        0 | 1 => superlative.measure.word().to_owned(),
-        rank => format!("{}, number {rank}", superlative.measure.word()),
+        0 | 1 => superlative.measure.as_str().to_owned(),
+        rank => format!("{}, number {rank}", superlative.measure.as_str()),
     }
 }

@@ -19,7 +19,7 @@ use places::ranked;
 use std::cell::OnceCell;
 use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
-use uniground_geometry::statistics::largest;
+use uniground_geometry::statistics::largest_indices;
 use uniground_geometry::{Point2, Point3, Vector3};
 use uniground_language::{ME, Meaning, Phrase, Relation, RelationKind, zones};
 
@@ -200,7 +200,7 @@ impl<'a> Assessor<'a> {
     #[must_use]
     pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<(usize, f32)> {
         let total = self.assess(phrase).total;
-        let best = largest(&total, most);
+        let best = largest_indices(&total, most);
         let of_best = best.first().map_or(1.0, |&i| total[i].max(f32::EPSILON));
         let shares = best.into_iter().map(|i| (i, total[i] / of_best));
         shares.filter(|&(i, share)| total[i] > 0.0 && share >= MAY_BE_MEANT).collect()
@@ -593,7 +593,7 @@ mod tests {
 
     fn relation(kind: RelationKind, anchors: &[&str]) -> Relation {
         let anchors = anchors.iter().map(|head| said(head)).collect();
-        Relation { kind, text: kind.word().into(), anchors, negated: false, rank: 1 }
+        Relation { kind, text: kind.as_str().into(), anchors, negated: false, rank: 1 }
     }
 
     fn lamp_that(relations: Vec<Relation>) -> Phrase {

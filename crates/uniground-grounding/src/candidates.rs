@@ -11,7 +11,7 @@ use super::assess::{Assessment, Assessor};
 use super::choose_level::one_per_place;
 use super::readings::Readings;
 use super::{Appearance, Candidate, CandidateSource};
-use uniground_geometry::statistics::largest;
+use uniground_geometry::statistics::largest_indices;
 use uniground_language::{Meaning, ParsedQuery, Phrase};
 
 /// An instance whose name fits the noun at least this well is a member of the class.
@@ -62,7 +62,7 @@ pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
 
 /// Returns indices of the instances with a score above 0, best first.
 fn best(scores: &[f32], top_k: usize) -> Vec<usize> {
-    largest(scores, top_k).into_iter().filter(|&i| scores[i] > 0.0).collect()
+    largest_indices(scores, top_k).into_iter().filter(|&i| scores[i] > 0.0).collect()
 }
 
 /// Returns the instances that fit the whole question, then those that stand where it says, whatever

@@ -8,7 +8,7 @@ use super::names::GivenName;
 use super::readings::{Reading, Readings};
 use super::solid::Solid;
 use std::collections::HashSet;
-use uniground_geometry::color::{ColorName, lab_of_srgb};
+use uniground_geometry::color::{ColorName, srgb_to_lab};
 use uniground_geometry::scene::{Instance, Level, Support};
 use uniground_language::{Meaning, Phrase, Trait};
 use uniground_models::attributes::{self, Noun, noun_fit};
@@ -210,7 +210,7 @@ pub fn trait_fits(
     asked: Trait,
 ) -> Vec<f32> {
     let squareness = |solid: &Solid| solid.sides().1 / solid.sides().0.max(1e-3);
-    let lightness = |i: usize| lab_of_srgb(instances[i].mean_rgb).x;
+    let lightness = |i: usize| srgb_to_lab(instances[i].mean_rgb).x;
     // For pictures and shelves on a wall "the high one" means the one that hangs high; for
     // instances on the floor it means the tall one.
     let hanging = |i: usize| matches!(instances[i].support, Support::Wall { .. });

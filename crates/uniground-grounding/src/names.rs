@@ -211,7 +211,7 @@ fn structure_in(words: &[String]) -> Option<Structure> {
 /// Returns the words of a name up to the first that leads to another thing. "and" leads to another
 /// thing, except between colors.
 fn main_words(name: &str) -> impl Iterator<Item = String> {
-    let is_color = |word: &String| ColorName::ALL.iter().any(|color| color.word() == word);
+    let is_color = |word: &String| ColorName::ALL.iter().any(|color| color.as_str() == word);
     let mut words: Vec<String> = Vec::new();
     for word in name
         .split(|c: char| !c.is_alphanumeric())

@@ -48,7 +48,7 @@ pub fn entries(instances: &[Instance]) -> Vec<Entry> {
         let colors = colors_of(instance);
         for (name, weight) in names_of(instance) {
             for &color in &colors {
-                let key = (name.clone(), color.map(ColorName::word));
+                let key = (name.clone(), color.map(ColorName::as_str));
                 let entry = best.entry(key).or_insert(Entry { name: name.clone(), color, weight });
                 entry.weight = entry.weight.max(weight);
             }
@@ -183,7 +183,7 @@ mod tests {
         ];
         let known: Vec<_> = entries(&room)
             .into_iter()
-            .map(|e| (e.name, e.color.map(ColorName::word), e.weight))
+            .map(|e| (e.name, e.color.map(ColorName::as_str), e.weight))
             .collect();
         assert_eq!(
             known,

@@ -111,8 +111,8 @@ pub fn add(
     let (skipped, all) = (scan.frames_skipped, scan.frames.len());
     let FitReport { mut frames, mut warnings, .. } = fits(scan, to_scene, known, first)?;
     let fused =
-        fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.part(0.2, 0.7))?;
-    let looking = progress.part(0.7, 1.0);
+        fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.sub_range(0.2, 0.7))?;
+    let looking = progress.sub_range(0.7, 1.0);
     let looks = count_free_space::<IngestError>(&known.positions, &frames, |i| {
         Ok(looking.report("look_through", i as f32 / all as f32)?)
     })?;
@@ -171,14 +171,14 @@ impl<'a> NearbyPoints<'a> {
     fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
         let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
         for (p, i) in points.iter().zip(0..) {
-            by_voxel.entry(VoxelKey::of(p, within_m)).or_default().push(i);
+            by_voxel.entry(VoxelKey::containing(p, within_m)).or_default().push(i);
         }
         Self { points, within_m, by_voxel }
     }
 
     /// Returns whether any indexed point lies within reach of `p`.
     fn any(&self, p: &Point3<f32>) -> bool {
-        let key = VoxelKey::of(p, self.within_m);
+        let key = VoxelKey::containing(p, self.within_m);
         let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
         around
             .filter_map(|key| self.by_voxel.get(&key))

@@ -35,7 +35,7 @@ pub fn load(
     progress: &Progress,
 ) -> Result<SceneBundle, IngestError> {
     let InspectedScan { mut frames, cloud, mut report } =
-        inspect(scan, settings, &progress.part(0.0, 0.2))?;
+        inspect(scan, settings, &progress.sub_range(0.0, 0.2))?;
     let cloud = if let Some(cloud) = cloud {
         cloud
     } else {
@@ -43,7 +43,7 @@ pub fn load(
             &mut frames,
             &settings.fusion,
             &mut report.warnings,
-            &progress.part(0.2, 1.0),
+            &progress.sub_range(0.2, 1.0),
         )?;
         let undecodable = report.frames - frames.len() as u32;
         report.frames -= undecodable;
@@ -104,7 +104,7 @@ pub fn inspect(
     };
     let upright = match &own_cloud {
         Some(own) if frames.is_empty() => levelling::of_cloud(&own.cloud, said, &mut warnings)?,
-        _ => levelling::of_frames(&frames, said, &mut warnings, &progress.part(0.5, 1.0))?,
+        _ => levelling::of_frames(&frames, said, &mut warnings, &progress.sub_range(0.5, 1.0))?,
     };
     let to_scene = ToScene::new(scan, &upright, own_cloud.as_ref(), reading.metres_per_unit)?;
     for frame in &mut frames {

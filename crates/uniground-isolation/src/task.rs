@@ -75,9 +75,9 @@ impl Task {
             Self::Import { content, settings, checkpoints, origin } => {
                 let checkpoints = Checkpoints::kept_in(checkpoints, origin);
                 let imported =
-                    import_scan(content, settings, &checkpoints, &progress.part(0.0, 0.8))
+                    import_scan(content, settings, &checkpoints, &progress.sub_range(0.0, 0.8))
                         .and_then(|scan| {
-                            scan.try_pictures(&progress.part(0.8, 1.0))?;
+                            scan.try_pictures(&progress.sub_range(0.8, 1.0))?;
                             Ok(TaskOutcome::Imported { stages: scan.stages().to_vec() })
                         });
                 imported.map_err(|error| of_import(error, content))

@@ -167,7 +167,7 @@ impl Jobs {
     pub fn notify_worker<K: JobKind>(&self, row: JobRow) -> Job {
         match row.state {
             JobState::Queued => self.bell(K::NAME).notify_one(),
-            state if state.is_final() => self.metrics.jobs.finished(K::NAME, state.word(), None),
+            state if state.is_final() => self.metrics.jobs.finished(K::NAME, state.as_str(), None),
             _ => {}
         }
         job_of(row, Timestamp::now())
@@ -233,7 +233,7 @@ impl Jobs {
         }
         let job = self.get(id).await?;
         if was_queued && let Some(kind) = self.lanes().into_keys().find(|kind| *kind == job.kind) {
-            self.metrics.jobs.finished(kind, job.state.word(), None);
+            self.metrics.jobs.finished(kind, job.state.as_str(), None);
         }
         Ok(job)
     }

@@ -137,7 +137,7 @@ impl Jobs {
             Err(error) => {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "job payload could not be read");
-                self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
+                self.metrics.jobs.finished(K::NAME, JobState::Failed.as_str(), None);
                 return self
                     .record(
                         &hold,
@@ -247,7 +247,7 @@ impl Jobs {
             JobOutcome::Again { .. } => return self.metrics.jobs.retried(kind),
             JobOutcome::PutBack => return,
         };
-        self.metrics.jobs.finished(kind, state.word(), Some(took));
+        self.metrics.jobs.finished(kind, state.as_str(), Some(took));
     }
 
     /// Stores the end of a job. Retries until the store accepts it or the server stops. Otherwise

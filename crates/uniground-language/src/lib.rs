@@ -101,12 +101,12 @@ pub enum Look {
 }
 
 impl Look {
-    /// All three values, to find one by its [`word`](Self::word).
+    /// All three values, to find one by its [`as_str`](Self::as_str).
     pub const ALL: [Self; 3] = [Self::Facing, Self::From, Self::BackTo];
 
     /// Returns its name in data.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Facing => "facing",
             Self::From => "from",
@@ -208,12 +208,12 @@ impl Phrase {
     /// Returns the phrase in words: "small red chair".
     #[must_use]
     pub fn text(&self) -> String {
-        let traits = self.traits.iter().map(|s| s.word());
+        let traits = self.traits.iter().map(|s| s.as_str());
         let colors = self
             .other_than
             .iter()
-            .flat_map(|c| ["not", c.word()])
-            .chain(self.colors.iter().map(|c| c.word()));
+            .flat_map(|c| ["not", c.as_str()])
+            .chain(self.colors.iter().map(|c| c.as_str()));
         let head = match (&self.head, self.uses.is_empty()) {
             (head, true) if head.is_empty() => "thing".to_owned(),
             (head, true) => head.clone(),
@@ -268,7 +268,7 @@ pub enum Trait {
 }
 
 impl Trait {
-    /// All ten values, to find one by its [`word`](Self::word).
+    /// All ten values, to find one by its [`as_str`](Self::as_str).
     pub const ALL: [Self; 10] = [
         Self::Large,
         Self::Small,
@@ -284,7 +284,7 @@ impl Trait {
 
     /// Returns its name in data and in texts.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Large => "large",
             Self::Small => "small",
@@ -354,7 +354,7 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// All eleven values, to find one by its [`word`](Self::word).
+    /// All eleven values, to find one by its [`as_str`](Self::as_str).
     pub const ALL: [Self; 11] = [
         Self::Largest,
         Self::Smallest,
@@ -371,7 +371,7 @@ impl Measure {
 
     /// Returns its name in data and in texts.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Largest => "largest",
             Self::Smallest => "smallest",

@@ -21,7 +21,7 @@ const RED: Rgb<u8> = Rgb([230, 20, 20]);
 /// Draws one evidence picture of a view from its photograph, as JPEG.
 #[must_use]
 pub fn picture(color: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
-    let mask = seen.mask.as_ref().and_then(CellMask::unpacked);
+    let mask = seen.mask.as_ref().and_then(CellMask::from_view_mask);
     let (area, around) = match picture {
         Picture::Crop => (crop_area(seen.box_px, color.dimensions()), Surroundings::Dimmed),
         Picture::Frame => ([0, 0, color.width(), color.height()], Surroundings::Kept),
@@ -77,7 +77,7 @@ mod tests {
     #[test]
     fn the_frame_has_a_red_box_around_the_object_and_the_crop_an_outline() {
         let color = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
-        let mask = CellMask::of(8, 8, |column, row| column + row < 8).packed();
+        let mask = CellMask::from_fn(8, 8, |column, row| column + row < 8).to_view_mask();
         let seen = View {
             frame: FrameIndex(0),
             visible_points: 9,

@@ -146,7 +146,7 @@ pub fn parse(
     let mut watch = Stopwatch::default();
     let ends = perception.ends();
 
-    let perceiving = progress.part(0.0, ends[1]);
+    let perceiving = progress.sub_range(0.0, ends[1]);
     let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
         lift_frames::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
@@ -184,7 +184,7 @@ pub fn parse(
         group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
-        let viewing = progress.part(ends[5], ends[6]);
+        let viewing = progress.sub_range(ends[5], ends[6]);
         let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
         let flats = FlatCandidates::of(
             &cloud,
@@ -199,7 +199,7 @@ pub fn parse(
         Ok::<_, ParseError>(sighted)
     })?;
     let built = watch.time("instances", |outcome| {
-        let building = progress.part(ends[6], ends[7]);
+        let building = progress.sub_range(ends[6], ends[7]);
         let built = instances::build(
             &cloud,
             &superpoints,
@@ -219,7 +219,7 @@ pub fn parse(
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
             let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-            let looking = progress.part(ends[7], FRAMES_LOOKED_AT);
+            let looking = progress.sub_range(ends[7], FRAMES_LOOKED_AT);
             let (rows, outlines) = appearance::look(
                 &frames,
                 &instances,
@@ -253,7 +253,7 @@ pub fn parse(
                 &frames,
                 encoder,
                 &settings.appearance,
-                &progress.part(FRAMES_LOOKED_AT, 1.0),
+                &progress.sub_range(FRAMES_LOOKED_AT, 1.0),
             )?;
             outcome.produced = seen.as_ref().map_or(0, FrameEmbeddings::len);
             Ok::<_, ParseError>(seen)
@@ -318,8 +318,12 @@ fn group(
     let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
     let ends = perception.ends();
     let planes = watch.time("planes", |outcome| {
-        let planes =
-            planes::find(cloud, superpoints, &centers(frames), &progress.part(ends[1], ends[2]))?;
+        let planes = planes::find(
+            cloud,
+            superpoints,
+            &centers(frames),
+            &progress.sub_range(ends[1], ends[2]),
+        )?;
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
     })?;
@@ -331,7 +335,7 @@ fn group(
                 &planes,
                 tables,
                 &settings.merging,
-                &progress.part(ends[2], ends[3]),
+                &progress.sub_range(ends[2], ends[3]),
             )
         };
         let (regions, reused) =
@@ -357,13 +361,13 @@ fn group(
             &planes,
             freed,
             &settings.part_merging,
-            &progress.part(ends[3], ends[4]),
+            &progress.sub_range(ends[3], ends[4]),
         )?;
         outcome.produced = count(&joined);
         Ok::<_, ParseError>(joined)
     })?;
     let proposals = watch.time("hierarchy", |outcome| {
-        let proposing = progress.part(ends[4], ends[4]);
+        let proposing = progress.sub_range(ends[4], ends[4]);
         let proposals = hierarchy::propose(
             superpoints,
             &planes,
@@ -380,7 +384,7 @@ fn group(
     let region_of = match settings.refine_borders {
         false => region_of,
         true => watch.time("refinement", |outcome| {
-            let refining = progress.part(ends[4], ends[5]);
+            let refining = progress.sub_range(ends[4], ends[5]);
             let refined =
                 refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
             outcome.produced = count(&refined);

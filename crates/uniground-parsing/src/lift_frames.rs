@@ -63,7 +63,7 @@ pub(super) fn perceive(
             superpoints::compute(
                 &cloud,
                 &settings.superpoints,
-                &progress.part(0.0, superpoints_end),
+                &progress.sub_range(0.0, superpoints_end),
             )
         };
         let (superpoints, reused) =
@@ -93,9 +93,9 @@ pub(super) fn perceive(
     let all_frames = (frames.len()
         + additions.iter().map(|addition| addition.frames.len()).sum::<usize>())
     .max(1) as f32;
-    let lifting_progress = progress.part(superpoints_end, 1.0);
+    let lifting_progress = progress.sub_range(superpoints_end, 1.0);
     let mut lifted = watch.time("masks_and_lifting", |outcome| {
-        let looking = lifting_progress.part(0.0, frames.len() as f32 / all_frames);
+        let looking = lifting_progress.sub_range(0.0, frames.len() as f32 / all_frames);
         let (lifted, reused) =
             lifting_of(&cloud, &superpoints, "lifting", checkpoints, &frames, &looking)?;
         *outcome = StageOutcome { produced: masks_in(&lifted), reused };
@@ -106,9 +106,10 @@ pub(super) fn perceive(
         watch.time("growth", |outcome| {
             let before = frames.len() as f32 / all_frames;
             let new = frame_sampling::sample(&addition.frames, &settings.frame_sampling);
-            let looking = lifting_progress.part(before, before + new.len() as f32 / all_frames);
+            let looking =
+                lifting_progress.sub_range(before, before + new.len() as f32 / all_frames);
             checkpoints = checkpoints.depending_on(&addition.made_of);
-            cloud = addition.applied_to(&cloud);
+            cloud = addition.apply_to(&cloud);
             let compute = || {
                 superpoints::grown(&superpoints, addition, &cloud, &settings.superpoints, &looking)
             };

@@ -27,7 +27,10 @@ impl Outline {
     /// spacing of points, and gaps are closed.
     #[must_use]
     pub fn of_points(pixels: &[(f32, f32)], box_px: [u32; 4]) -> Self {
-        let mask = cells(pixels, box_px, ROUNDS).closed().filled().without_crumbs(CRUMB_SHARE);
+        let mask = cells(pixels, box_px, ROUNDS)
+            .close_gaps()
+            .fill_holes()
+            .without_small_pieces(CRUMB_SHARE);
         Self { box_px, mask }
     }
 
@@ -41,10 +44,10 @@ impl Outline {
         let at = |low: u32, length: u32, cell: u32, cells: u32| {
             low as f32 + (cell as f32 + 0.5) * length as f32 / cells as f32
         };
-        let mask = CellMask::of(columns, rows, |column, row| {
+        let mask = CellMask::from_fn(columns, rows, |column, row| {
             inside((at(left, width, column, columns), at(top, height, row, rows)))
         });
-        Self { box_px, mask: mask.closed().filled().without_crumbs(CRUMB_SHARE) }
+        Self { box_px, mask: mask.close_gaps().fill_holes().without_small_pieces(CRUMB_SHARE) }
     }
 
     /// Number of pixels of the picture that show the instance.
@@ -112,8 +115,8 @@ pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
             (y - top as f32) / (bottom - top) as f32,
         ));
     }
-    let own = own.closed();
-    own.count() as f32 / own.joined(&whole).count().max(1) as f32
+    let own = own.close_gaps();
+    own.count() as f32 / own.union(&whole).count().max(1) as f32
 }
 
 #[cfg(test)]
@@ -148,7 +151,7 @@ mod tests {
         let l_shape = [grid(0..20, 0..200, 4), grid(0..200, 180..200, 4)].concat();
         let outline = Outline::of_points(&l_shape, [0, 0, 200, 200]);
         assert!((0.15..0.3).contains(&outline.mask.share()), "{}", outline.mask.share());
-        assert!(!outline.mask.covers((0.6, 0.4)) && outline.mask.covers((0.04, 0.4)));
+        assert!(!outline.mask.contains((0.6, 0.4)) && outline.mask.contains((0.04, 0.4)));
     }
 
     #[test]

@@ -245,7 +245,7 @@ impl RegionFacts {
     fn of(positions: &[Point3<f32>]) -> Self {
         /// Share of the points ignored at either end, so that outliers do not make a leg thick.
         const TRIM: f32 = 0.02;
-        let axes = SymmetricEigen::new(Moments::of(positions).covariance).eigenvectors;
+        let axes = SymmetricEigen::new(Moments::from_points(positions).covariance).eigenvectors;
         let range = |of: &dyn Fn(&Point3<f32>) -> f32| {
             let mut values: Vec<f32> = positions.iter().map(of).collect();
             (

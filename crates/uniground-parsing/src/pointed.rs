@@ -311,7 +311,7 @@ impl PointedObjectFinder<'_> {
     fn hanging_together(&self, points: &[u32], seed: &[u32]) -> Vec<u32> {
         let spacing = typical_spacing_m(&self.cloud.positions);
         let edge_m = (GAP_SPACINGS * spacing).max(LEAST_GAP_M);
-        let key = |point: u32| VoxelKey::of(&self.cloud.positions[point as usize], edge_m);
+        let key = |point: u32| VoxelKey::containing(&self.cloud.positions[point as usize], edge_m);
         let mut voxels: VoxelMap<Vec<u32>> = VoxelMap::default();
         points.iter().for_each(|&point| voxels.entry(key(point)).or_default().push(point));
         let mut starts: Vec<VoxelKey> = seed.iter().map(|&point| key(point)).collect();
@@ -464,7 +464,7 @@ impl CloudSubset {
     }
 
     fn may_be_in(&self, frame: &FrameRef) -> bool {
-        frame.depth_camera().may_show(&self.middle, self.radius_m)
+        frame.depth_camera().can_show(&self.middle, self.radius_m)
     }
 
     fn visible_in(

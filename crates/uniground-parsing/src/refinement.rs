@@ -75,13 +75,13 @@ pub fn refine(
     )?;
     let mut near: VoxelMap<Vec<u32>> = VoxelMap::default();
     for (p, &region) in cloud.positions.iter().zip(&region_of) {
-        let here = near.entry(VoxelKey::of(p, REACH_M)).or_default();
+        let here = near.entry(VoxelKey::containing(p, REACH_M)).or_default();
         if !here.contains(&region) {
             here.push(region);
         }
     }
     let is_near = |p, region: u32| {
-        let key = VoxelKey::of(p, REACH_M);
+        let key = VoxelKey::containing(p, REACH_M);
         let holds = |key: VoxelKey| near.get(&key).is_some_and(|regions| regions.contains(&region));
         holds(key) || NEIGHBOURS_26.iter().any(|&d| holds(key.offset(d)))
     };

@@ -83,8 +83,9 @@ pub fn parse_scan(
     progress: &Progress,
 ) -> Result<ParsedScan, ScanError> {
     let imported = share_of_import(&chosen(settings.models, models));
-    let scan = import_scan(content, &settings.import, checkpoints, &progress.part(0.0, imported))?;
-    cut_scan(scan, settings, models, checkpoints, &progress.part(imported, 1.0))
+    let scan =
+        import_scan(content, &settings.import, checkpoints, &progress.sub_range(0.0, imported))?;
+    cut_scan(scan, settings, models, checkpoints, &progress.sub_range(imported, 1.0))
 }
 
 /// The share of a parse's time that the import takes with these models. Networks, if used, take
@@ -110,7 +111,7 @@ impl ImportedScan {
     /// Estimates the memory that parsing takes in the current thread pool, bytes, without networks.
     #[must_use]
     pub fn memory_wanted(&self) -> u64 {
-        let (_, frames) = self.bundle.in_all();
+        let (_, frames) = self.bundle.combine_additions();
         let pixels = |frame: &FrameRef| {
             u64::from(frame.color_intrinsics.width) * u64::from(frame.color_intrinsics.height)
         };
@@ -264,7 +265,7 @@ fn import(
         let bundle = uniground_ingest::load(
             &uniground_ingest::open(&first)?,
             settings,
-            &progress.part(0.0, share(1)),
+            &progress.sub_range(0.0, share(1)),
         )?;
         Ok::<_, ScanError>(bundle.with_paths(|path| below(&first, path)))
     };
@@ -280,7 +281,7 @@ fn import(
         let load = || {
             may_load()?;
             let (first, looking) =
-                (bundle.next_frame(), progress.part(share(number), share(number + 1)));
+                (bundle.next_frame(), progress.sub_range(share(number), share(number + 1)));
             let to_scene = part.to_scene.unwrap_or(to_scene);
             let addition = uniground_ingest::add(
                 uniground_ingest::open(&folder)?,
@@ -295,7 +296,7 @@ fn import(
         };
         let (addition, reused) = checkpoints.once(&format!("import{number}"), &(), load)?;
         all_reused &= reused;
-        known = Some(addition.applied_to(cloud));
+        known = Some(addition.apply_to(cloud));
         bundle.additions.push(addition.with_paths(|path| folder.join(path)));
     }
     Ok((bundle, all_reused))
@@ -308,7 +309,7 @@ fn cut_with(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScan, ScanError> {
-    let (import, frames) = bundle.in_all();
+    let (import, frames) = bundle.combine_additions();
     let names = names_of(models);
     let parsing = &settings.parsing;
     let rgbd = RgbdMasks { settings: parsing.rgbd_masks };

@@ -76,7 +76,7 @@ impl Visibility {
         let mut order: Vec<(u32, VoxelKey, u32)> = (0_u32..)
             .zip(positions)
             .zip(group_of)
-            .map(|((point, p), &group)| (group, VoxelKey::of(p, CLUSTER_M), point))
+            .map(|((point, p), &group)| (group, VoxelKey::containing(p, CLUSTER_M), point))
             .collect();
         order.par_sort_unstable();
         let points: Vec<(Point3<f32>, u32)> =
@@ -123,7 +123,7 @@ impl Visibility {
         self.clusters
             .par_iter()
             .with_min_len(64)
-            .filter(|cluster| camera.may_show(&cluster.center, cluster.radius_m))
+            .filter(|cluster| camera.can_show(&cluster.center, cluster.radius_m))
             .flat_map_iter(|cluster| &self.points[cluster.points.clone()])
             .filter_map(|&(position, point)| {
                 let pixel = camera.project(&position)?;

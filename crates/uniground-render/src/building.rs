@@ -261,7 +261,7 @@ impl Opening {
 impl PlaneRect {
     /// Fits a rectangle to the points on a plane.
     fn fitted(on: &[Point3<f32>], instance: &Instance, structure: Structure) -> Self {
-        let Moments { mean: middle, covariance } = Moments::of(on);
+        let Moments { mean: middle, covariance } = Moments::from_points(on);
         let (variance, normal) = least_axis(&covariance);
         let along = Vector3::z().cross(&normal).try_normalize(1e-3).unwrap_or_else(Vector3::x);
         let up = normal.cross(&along);

@@ -364,7 +364,7 @@ mod tests {
     /// and its box, and no dimming.
     #[test]
     fn an_object_whose_mask_is_known_stands_out() {
-        let mask = CellMask::of(4, 4, |column, _| column < 2);
+        let mask = CellMask::from_fn(4, 4, |column, _| column < 2);
         let shot = Shot { mask: Some((mask, [0.25, 0.25, 0.75, 0.75])), ..shot(640, 480) };
         let collage =
             Collage { max_shots: 1, ..Collage::default() }.draw(22, std::slice::from_ref(&shot));

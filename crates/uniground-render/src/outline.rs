@@ -49,7 +49,7 @@ pub fn draw_outline(
     };
     let inside: Vec<bool> = (0..height)
         .flat_map(|y| (0..width).map(move |x| (x, y)))
-        .map(|(x, y)| mask.covers((share(x, width, l, r), share(y, height, t, b))))
+        .map(|(x, y)| mask.contains((share(x, width, l, r), share(y, height, t, b))))
         .collect();
     let is_inside = |x: i64, y: i64| {
         (0..i64::from(width)).contains(&x)
@@ -106,7 +106,7 @@ mod tests {
         draw_outline(
             &mut picture,
             (10, 0, 100, 100),
-            &CellMask::of(8, 8, |_, _| true),
+            &CellMask::from_fn(8, 8, |_, _| true),
             [0.25, 0.25, 0.75, 0.75],
             around,
         );
@@ -154,7 +154,7 @@ mod tests {
         draw_outline(
             &mut picture,
             (20, 20, 20, 20),
-            &CellMask::of(4, 4, |_, _| true),
+            &CellMask::from_fn(4, 4, |_, _| true),
             [0.5, 0.5, 1.5, 1.5],
             Surroundings::Kept,
         );

@@ -46,7 +46,7 @@ impl Shot {
         let mask = view
             .mask
             .as_ref()
-            .and_then(CellMask::unpacked)
+            .and_then(CellMask::from_view_mask)
             .map(|mask| (mask, shares(view.box_px, area)));
         Self { mask, taken: Some((view.frame, area)), ..Self::new(crop, photograph, view.box_px) }
     }
@@ -140,12 +140,12 @@ mod tests {
 
     #[test]
     fn a_shot_knows_where_its_thing_is_in_both_pictures() {
-        let mask = CellMask::of(10, 10, |column, _| column < 5);
+        let mask = CellMask::from_fn(10, 10, |column, _| column < 5);
         let view = View {
             frame: FrameIndex(0),
             visible_points: 9,
             box_px: [300, 200, 320, 230],
-            mask: Some(mask.packed()),
+            mask: Some(mask.to_view_mask()),
         };
         let shot = Shot::of_view(RgbImage::new(640, 480), &view);
         assert_eq!((shot.crop.dimensions(), shot.frame.dimensions()), ((224, 224), (640, 480)));

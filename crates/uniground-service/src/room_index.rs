@@ -104,7 +104,7 @@ impl RoomSearch {
             let known = entries(&parse.instances).into_iter();
             let known = known.map(|entry| RoomEntry {
                 name: entry.name,
-                color: entry.color.map_or("", ColorName::word),
+                color: entry.color.map_or("", ColorName::as_str),
                 weight: entry.weight,
             });
             let seen = parse.embeddings.as_ref().filter(|_| keeps_vectors).map(|embeddings| {
@@ -143,7 +143,7 @@ impl RoomSearch {
                     let counts = sought.weigh_entry(
                         at,
                         fit,
-                        ColorName::ALL.into_iter().find(|known| known.word() == color),
+                        ColorName::ALL.into_iter().find(|known| known.as_str() == color),
                         weight,
                     );
                     let best =
@@ -219,7 +219,7 @@ impl RoomSearch {
             for color in colors {
                 found.extend(
                     self.room_index_repository
-                        .rooms_with(name, Some(color.word()), labels, ROOMS)
+                        .rooms_with(name, Some(color.as_str()), labels, ROOMS)
                         .await?,
                 );
             }

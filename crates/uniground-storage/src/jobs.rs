@@ -208,7 +208,7 @@ impl JobRepository {
         let mut which = SqlFilter::behind("SELECT * FROM jobs WHERE true");
         which.and("id <", cursor);
         which.and("kind =", kind.as_ref());
-        which.and("state =", state.map(JobState::word));
+        which.and("state =", state.map(JobState::as_str));
         which.and("subject =", subject.as_ref());
         which.first("id DESC", limit, &self.database.reader).await
     }
@@ -356,7 +356,7 @@ impl JobRepository {
         let (code, detail) = error.unzip();
         let (message, detail) = (message.map(without_nul), detail.map(without_nul));
         let ended = sqlx::query(sql)
-            .bind(state.word())
+            .bind(state.as_str())
             .bind(message.as_deref())
             .bind(code)
             .bind(detail.as_deref())

@@ -30,7 +30,7 @@ pub fn thing(
     Instance {
         point_count: 1000,
         mean_rgb: rgb,
-        colors: ColorHistogram::of([rgb]),
+        colors: ColorHistogram::from_colors([rgb]),
         planarity: 0.3,
         support,
         height_above_floor_m: base,

@@ -69,11 +69,11 @@ pub fn instances_of(
             point_count: seen.len() as u32,
             mean_rgb,
             colors: if names == NamedBy::Annotated && !object.colors.is_empty() {
-                ColorHistogram::even(&object.colors)
+                ColorHistogram::uniform(&object.colors)
             } else if seen.is_empty() {
-                ColorHistogram::of([mean_rgb])
+                ColorHistogram::from_colors([mean_rgb])
             } else {
-                ColorHistogram::of(seen.iter().copied())
+                ColorHistogram::from_colors(seen.iter().copied())
             },
             planarity: if seen.is_empty() { UNKNOWN_PLANARITY } else { planarity(&points[i]) },
             structure: structures[i],

@@ -35,7 +35,7 @@ pub fn write_even_points(
     instance_of_point: &[InstanceId],
     out: impl Write,
 ) -> io::Result<()> {
-    let steps = GridStep::over(&cloud.positions);
+    let steps = GridStep::covering(&cloud.positions);
     let GridStep { origin, step } = steps;
     let mut out = io::BufWriter::new(out);
     out.write_all(b"UGP1")?;
@@ -45,8 +45,8 @@ pub fn write_even_points(
     for number in [origin.x, origin.y, origin.z, step] {
         out.write_all(&number.to_le_bytes())?;
     }
-    for point in evenly(&cloud.positions) {
-        for steps in steps.to(&cloud.positions[point]) {
+    for point in evenly_spread_order(&cloud.positions) {
+        for steps in steps.quantize(&cloud.positions[point]) {
             out.write_all(&steps.to_le_bytes())?;
         }
         out.write_all(&cloud.colors[point])?;
@@ -57,12 +57,15 @@ pub fn write_even_points(
 
 /// Returns the indices of all points, in an order of which every prefix is an even sample of the
 /// whole. The order is always the same.
-pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
-    let steps = GridStep::over(positions);
-    let mut along_curve: Vec<(u64, u32)> =
-        positions.par_iter().map(|p| morton(steps.to(p))).zip(0..positions.len() as u32).collect();
+pub fn evenly_spread_order(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
+    let steps = GridStep::covering(positions);
+    let mut along_curve: Vec<(u64, u32)> = positions
+        .par_iter()
+        .map(|p| morton_code(steps.quantize(p)))
+        .zip(0..positions.len() as u32)
+        .collect();
     along_curve.par_sort_unstable();
-    every_nth_first(positions.len()).map(move |place| along_curve[place].1 as usize)
+    bit_reversed_order(positions.len()).map(move |place| along_curve[place].1 as usize)
 }
 
 /// Steps from the minimum corner of a cloud's box.
@@ -73,13 +76,13 @@ struct GridStep {
 }
 
 impl GridStep {
-    fn over(positions: &[Point3<f32>]) -> Self {
+    fn covering(positions: &[Point3<f32>]) -> Self {
         let extent = Aabb::around(positions)
             .unwrap_or(Aabb { center: Point3::origin(), size: crate::Vector3::zeros() });
         Self { origin: extent.min(), step: (extent.size.max() / STEPS).max(SMALLEST_STEP_M) }
     }
 
-    fn to(&self, p: &Point3<f32>) -> [u16; 3] {
+    fn quantize(&self, p: &Point3<f32>) -> [u16; 3] {
         <[f32; 3]>::from((p - self.origin) / self.step)
             .map(|steps| steps.round().clamp(0.0, STEPS) as u16)
     }
@@ -87,7 +90,7 @@ impl GridStep {
 
 /// Position along a space-filling curve: neighbors on it are neighbors in space. Interleaves the
 /// bits of the three numbers.
-fn morton(steps: [u16; 3]) -> u64 {
+fn morton_code(steps: [u16; 3]) -> u64 {
     let spread = |number: u16| {
         let mut bits = u64::from(number);
         for (shift, mask) in
@@ -103,7 +106,7 @@ fn morton(steps: [u16; 3]) -> u64 {
 
 /// Returns `0..count` in an order of which every prefix is spread evenly over the whole: the bits
 /// of a counter, reversed.
-fn every_nth_first(count: usize) -> impl Iterator<Item = usize> {
+fn bit_reversed_order(count: usize) -> impl Iterator<Item = usize> {
     let bits = usize::BITS - count.saturating_sub(1).leading_zeros();
     let reversed = move |counter: usize| {
         if bits == 0 { 0 } else { counter.reverse_bits() >> (usize::BITS - bits) }

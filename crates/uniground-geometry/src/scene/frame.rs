@@ -146,7 +146,7 @@ impl FrameRef {
         let image = self.read_picture(&self.color)?.into_rgb8();
         self.expect_size(&self.color, image.dimensions(), &self.color_intrinsics)?;
         Ok(match &self.optics.color_lens {
-            Some(lens) => lens.rectified(&image, &self.color_intrinsics),
+            Some(lens) => lens.rectify(&image, &self.color_intrinsics),
             None => image,
         })
     }
@@ -162,25 +162,28 @@ impl FrameRef {
         let mut depth = depth_file::read(self, (camera.width, camera.height))?;
         self.expect_size(&self.depth, (depth.width, depth.height), &camera)?;
         if let Some(Confidence { file, at_least }) = confidence {
-            self.leave_out_unsure(&mut depth, file, *at_least)?;
+            self.remove_low_confidence(&mut depth, file, *at_least)?;
         }
         if let Some(lens) = depth_lens {
-            depth = lens.rectified_depth(&depth, &camera);
+            depth = lens.rectify_depth(&depth, &camera);
         }
         Ok(match depth_sensor {
-            Some(sensor) => sensor.registered(&depth, &self.depth_intrinsics),
+            Some(sensor) => sensor.register(&depth, &self.depth_intrinsics),
             None => depth,
         })
     }
 
-    fn leave_out_unsure(
+    fn remove_low_confidence(
         &self,
         depth: &mut DepthImage,
         file: &Utf8Path,
         at_least: u8,
     ) -> Result<(), FrameError> {
-        let unreadable =
-            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let unreadable = |source| FrameError::Unreadable {
+            frame: self.index,
+            file: relative_name(file),
+            source,
+        };
         let sure = if depth_file::is_compressed_floats(file).map_err(unreadable)? {
             // Pixels of the depth picture's own size.
             let bytes =
@@ -209,8 +212,11 @@ impl FrameRef {
     }
 
     pub(super) fn read_picture(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
-        let unreadable =
-            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let unreadable = |source| FrameError::Unreadable {
+            frame: self.index,
+            file: relative_name(file),
+            source,
+        };
         let mut reader = ImageReader::open(file)
             .map_err(unreadable)?
             .with_guessed_format()
@@ -220,7 +226,7 @@ impl FrameRef {
         reader.limits(limits);
         reader.decode().map_err(|source| FrameError::Undecodable {
             frame: self.index,
-            file: in_scene(file),
+            file: relative_name(file),
             source,
         })
     }
@@ -237,7 +243,7 @@ impl FrameRef {
         }
         Err(FrameError::WrongSize {
             frame: self.index,
-            file: in_scene(file),
+            file: relative_name(file),
             found_width,
             found_height,
             width,
@@ -250,7 +256,7 @@ impl FrameRef {
 const MAX_PICTURE_BYTES: u64 = 256 << 20;
 
 /// The last two path components: the name that the uploader knows, without the server's folders.
-pub(super) fn in_scene(file: &Utf8Path) -> Utf8PathBuf {
+pub(super) fn relative_name(file: &Utf8Path) -> Utf8PathBuf {
     let mut tail: Vec<_> = file.components().rev().take(2).collect();
     tail.reverse();
     tail.into_iter().collect()

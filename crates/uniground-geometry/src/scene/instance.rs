@@ -91,7 +91,7 @@ impl Instance {
 
     /// Whether it was created after the parse: for a question, or by merging others.
     #[must_use]
-    pub fn came_later(&self) -> bool {
+    pub fn is_added_after_parse(&self) -> bool {
         self.found_for.is_some() || !self.merged_from.is_empty()
     }
 
@@ -106,7 +106,7 @@ impl Instance {
     pub fn label(&self) -> &str {
         match (&self.given_name, self.structure, self.names.first()) {
             (Some(name), _, _) => name,
-            (None, Some(structure), _) => structure.word(),
+            (None, Some(structure), _) => structure.as_str(),
             (None, None, Some(guess)) => &guess.name,
             (None, None, None) => "object",
         }

@@ -59,7 +59,7 @@ pub struct Confidence {
 impl Lens {
     /// Returns the lens, unless it has no distortion.
     #[must_use]
-    pub fn or_none(self) -> Option<Self> {
+    pub fn reject_identity(self) -> Option<Self> {
         (self != Self::default()).then_some(self)
     }
 
@@ -84,7 +84,7 @@ impl Lens {
     }
 
     /// Pixel of the distorted picture that corresponds to `(u, v)` of the pinhole picture.
-    fn source(&self, camera: &Intrinsics, u: u32, v: u32) -> (f32, f32) {
+    fn distorted_pixel(&self, camera: &Intrinsics, u: u32, v: u32) -> (f32, f32) {
         let (x, y) =
             self.distort((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy);
         (x * camera.fx + camera.cx, y * camera.fy + camera.cy)
@@ -93,21 +93,21 @@ impl Lens {
     /// Rectifies a color picture with the same intrinsics, bilinear; black where the lens saw
     /// nothing.
     #[must_use]
-    pub fn rectified(&self, picture: &RgbImage, camera: &Intrinsics) -> RgbImage {
+    pub fn rectify(&self, picture: &RgbImage, camera: &Intrinsics) -> RgbImage {
         let (width, height) = picture.dimensions();
         RgbImage::from_fn(width, height, |u, v| {
-            let (x, y) = self.source(camera, u, v);
+            let (x, y) = self.distorted_pixel(camera, u, v);
             image::imageops::interpolate_bilinear(picture, x, y).unwrap_or(image::Rgb([0; 3]))
         })
     }
 
     /// Rectifies a depth picture, nearest pixel: depths of two surfaces must not be mixed.
     #[must_use]
-    pub fn rectified_depth(&self, depth: &DepthImage, camera: &Intrinsics) -> DepthImage {
+    pub fn rectify_depth(&self, depth: &DepthImage, camera: &Intrinsics) -> DepthImage {
         let pixels = (0..depth.height).flat_map(|v| (0..depth.width).map(move |u| (u, v)));
         let depth_m = pixels
             .map(|(u, v)| {
-                let (x, y) = self.source(camera, u, v);
+                let (x, y) = self.distorted_pixel(camera, u, v);
                 let inside = x > -0.5
                     && y > -0.5
                     && x < depth.width as f32 - 0.5
@@ -132,7 +132,7 @@ impl DepthSensor {
     /// Reprojects the depth picture into the color camera. Of several surfaces in a pixel, the
     /// nearest counts.
     #[must_use]
-    pub fn registered(&self, depth: &DepthImage, target: &Intrinsics) -> DepthImage {
+    pub fn register(&self, depth: &DepthImage, target: &Intrinsics) -> DepthImage {
         let mut depth_m = vec![0.0_f32; (target.width * target.height) as usize];
         for (i, &z_m) in depth.depth_m.iter().enumerate().filter(|(_, z)| **z > 0.0) {
             let (u, v) = (i as u32 % depth.width, i as u32 / depth.width);
@@ -185,7 +185,7 @@ mod tests {
             let (a, b) = brightness(a, b);
             image::Rgb([a, b, 0])
         });
-        let rectified = lens.rectified(&bent, &CAMERA);
+        let rectified = lens.rectify(&bent, &CAMERA);
         for (u, v) in [(10, 10), (31, 23), (50, 40), (20, 35)] {
             let (found, expected) = (rectified.get_pixel(u, v).0, straight.get_pixel(u, v).0);
             assert!(
@@ -205,7 +205,7 @@ mod tests {
         let color = Intrinsics { width: 128, height: 96, fx: 120.0, fy: 120.0, cx: 63.5, cy: 47.5 };
         let target = sensor.registered_intrinsics(&color);
         assert_eq!((target.width, target.height), (64, 48));
-        let seen = sensor.registered(&depth, &target);
+        let seen = sensor.register(&depth, &target);
         for u in 8..56 {
             for v in 6..42 {
                 assert!((seen.at((u, v)) - 2.1).abs() < 1e-5, "({u}, {v}): {}", seen.at((u, v)));
@@ -217,7 +217,7 @@ mod tests {
         #[test]
         fn a_lens_that_does_nothing_moves_nothing(x in -1.0_f32..1.0, y in -1.0_f32..1.0) {
             prop_assert_eq!(Lens::default().distort(x, y), (x, y));
-            prop_assert_eq!(Lens::default().or_none(), None);
+            prop_assert_eq!(Lens::default().reject_identity(), None);
         }
     }
 }

@@ -43,10 +43,10 @@ pub(super) fn explain(
     let _ = write!(text, " {taken} ({:.2})", read.nouns[best]);
     for &color in &phrase.colors {
         let _ =
-            write!(text, ", is {} ({:.2})", color.word(), attributes::color_fit(color, instance));
+            write!(text, ", is {} ({:.2})", color.as_str(), attributes::color_fit(color, instance));
     }
     if !phrase.other_than.is_empty() {
-        let names: Vec<_> = phrase.other_than.iter().map(|c| c.word()).collect();
+        let names: Vec<_> = phrase.other_than.iter().map(|c| c.as_str()).collect();
         let _ = write!(
             text,
             ", is not {} ({:.2})",

@@ -83,8 +83,8 @@ fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>)
     let looks: Vec<&str> = target
         .colors
         .iter()
-        .map(|c| c.word())
-        .chain(target.traits.iter().map(|t| t.word()))
+        .map(|c| c.as_str())
+        .chain(target.traits.iter().map(|t| t.as_str()))
         .collect();
     let by_looks_alone =
         !looks.is_empty() || !target.other_than.is_empty() || !target.with.is_empty();

@@ -100,7 +100,8 @@ impl Camera {
         let or_zero = |k: Option<f32>| k.unwrap_or(0.0);
         // Here, k4 is in the denominator. Only fisheye lenses use it otherwise.
         let (k1, k2, k3) = (or_zero(self.k1), or_zero(self.k2), or_zero(self.k3));
-        Lens { k1, k2, k3, p1: or_zero(self.p1), p2: or_zero(self.p2), ..Lens::default() }.or_none()
+        Lens { k1, k2, k3, p1: or_zero(self.p1), p2: or_zero(self.p2), ..Lens::default() }
+            .reject_identity()
     }
 }
 

@@ -114,8 +114,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         // Depth without its own camera uses the color camera's lens.
         let shared = if depth_intrinsics.is_none() { manifest.distortion } else { None };
         let optics = Optics {
-            color_lens: manifest.distortion.and_then(Lens::or_none),
-            depth_lens: manifest.depth_distortion.or(shared).and_then(Lens::or_none),
+            color_lens: manifest.distortion.and_then(Lens::reject_identity),
+            depth_lens: manifest.depth_distortion.or(shared).and_then(Lens::reject_identity),
             depth_sensor: depth_to_color.map(|depth_to_color| DepthSensor {
                 intrinsics: depth_intrinsics.unwrap_or(color_intrinsics),
                 parse_depth_to_color,

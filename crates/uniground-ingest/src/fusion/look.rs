@@ -125,15 +125,20 @@ impl FusionFrame {
         for (i, seen) in self.pixels.iter().enumerate().filter(|(_, seen)| seen.depth_m > 0.0) {
             let (u, v) = ((i as u32 % self.width) as f32, (i as u32 / self.width) as f32);
             // Neighboring pixels mostly fall into the same block: compare with it before hashing.
-            let here =
-                VoxelKey::of(&(to_world * camera.unproject(u, v, seen.depth_m)), block_m / 4.0);
+            let here = VoxelKey::containing(
+                &(to_world * camera.unproject(u, v, seen.depth_m)),
+                block_m / 4.0,
+            );
             if last.replace(here) == Some(here) {
                 continue;
             }
             for step in 0..=steps as u32 {
                 let z_m = seen.depth_m - truncation_m + 2.0 * truncation_m * step as f32 / steps;
                 if z_m > 0.0 {
-                    keys.insert(VoxelKey::of(&(to_world * camera.unproject(u, v, z_m)), block_m));
+                    keys.insert(VoxelKey::containing(
+                        &(to_world * camera.unproject(u, v, z_m)),
+                        block_m,
+                    ));
                 }
             }
         }

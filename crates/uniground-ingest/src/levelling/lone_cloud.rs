@@ -170,7 +170,7 @@ impl CloudShape<'_> {
         );
         let (a, b) = across(up);
         let cell = |p: &Point3<f32>| {
-            VoxelKey::of(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M)
+            VoxelKey::containing(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M)
         };
         let footprint = self.points.iter().map(&cell).collect::<BTreeSet<_>>().len().max(1) as f32;
         let sheet = |level: f32| {

@@ -112,7 +112,7 @@ fn ramp(value: f32, from: f32, to: f32) -> f32 {
 /// Returns how well a color word describes an instance, `0..=1`.
 #[must_use]
 pub fn color_fit(color: ColorName, instance: &Instance) -> f32 {
-    instance.colors.describes(color)
+    instance.colors.name_fit(color)
 }
 
 /// Names all instances, in two rounds: the second uses the names of the things they stand on, such
@@ -226,7 +226,7 @@ mod tests {
         let names = |rgb: &[[u8; 3]], planarity| {
             let standing = thing(1, [0.0, 0.0], [0.7, 0.68, 1.4], 0.0, Support::Floor, [60; 3]);
             let guesses = name_guesses(&Instance {
-                colors: ColorHistogram::of(rgb.iter().copied()),
+                colors: ColorHistogram::from_colors(rgb.iter().copied()),
                 planarity,
                 ..standing
             });

@@ -11,7 +11,7 @@ use ort::session::{OutputSelector, RunOptions, Session, SessionInputValue};
 use ort::value::{TensorElementType, TensorRef, ValueType};
 use serde::{Deserialize, Serialize};
 use std::sync::{Condvar, Mutex, PoisonError};
-use uniground_geometry::background::on_low_thread;
+use uniground_geometry::background::run_at_low_priority;
 
 /// The execution provider.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -195,7 +195,7 @@ impl Engine for OnnxRuntime {
         let load = || self.load_network(&bundle.path(file), at_once);
         let network = match work {
             // A session's own threads inherit the priority of the thread that creates it.
-            Work::Parsing => on_low_thread(load)?,
+            Work::Parsing => run_at_low_priority(load)?,
             Work::Questions => load()?,
         };
         Ok(Box::new(network))

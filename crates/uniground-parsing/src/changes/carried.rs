@@ -33,9 +33,9 @@ pub fn carried(
             .then(|| correction.change.clone()),
             Change::Merge { instance_ids, .. } => {
                 let made = correction.made.filter(|_| instance_ids.iter().all(is_there));
-                let owners = Owners::of(&scene.instance_of_point, &now);
+                let owners = Owners::new(&scene.instance_of_point, &now);
                 let owner = |point: usize| {
-                    owners.of_point(scene.instance_of_point[point], &scene.cloud.positions[point])
+                    owners.owner_of(scene.instance_of_point[point], &scene.cloud.positions[point])
                 };
                 made.and_then(|id| {
                     Some((id, merged(&scene.cloud, owner, instance_ids, &now, settings)?))

@@ -60,7 +60,7 @@ pub fn continued(
     parsed.instances = by_id.into_values().collect();
     parsed.instance_of_point.iter_mut().for_each(|id| *id = renumbered(*id));
     let rows = parsed.instances.iter().map(|instance| row_of.get(&instance.id).copied());
-    parsed.embeddings = parsed.embeddings.map(|seen: Embeddings| seen.rearranged(rows));
+    parsed.embeddings = parsed.embeddings.map(|seen: Embeddings| seen.select_rows(rows));
     parsed
 }
 

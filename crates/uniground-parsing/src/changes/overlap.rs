@@ -93,14 +93,14 @@ impl<'a> NearestPoints<'a> {
     pub fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
         let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
         for (p, i) in points.iter().zip(0..) {
-            by_voxel.entry(VoxelKey::of(p, within_m)).or_default().push(i);
+            by_voxel.entry(VoxelKey::containing(p, within_m)).or_default().push(i);
         }
         Self { points, within_m, by_voxel }
     }
 
     /// Returns the point nearest to `p`, if one is within reach.
     pub fn to(&self, p: &Point3<f32>) -> Option<u32> {
-        let key = VoxelKey::of(p, self.within_m);
+        let key = VoxelKey::containing(p, self.within_m);
         let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
         let near = around.filter_map(|key| self.by_voxel.get(&key)).flatten().copied();
         let distance = |i: u32| (self.points[i as usize] - p).norm_squared();

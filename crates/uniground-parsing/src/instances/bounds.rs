@@ -53,7 +53,7 @@ pub(super) fn robust(
 fn in_company(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Point3<f32>> {
     let mut counts: VoxelMap<u32> = VoxelMap::default();
     for p in positions {
-        *counts.entry(VoxelKey::of(p, settings.stray_voxel_m)).or_default() += 1;
+        *counts.entry(VoxelKey::containing(p, settings.stray_voxel_m)).or_default() += 1;
     }
     let mut company: VoxelMap<bool> = VoxelMap::default();
     for &key in counts.keys() {
@@ -62,7 +62,7 @@ fn in_company(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Poi
     }
     positions
         .iter()
-        .filter(|p| company[&VoxelKey::of(p, settings.stray_voxel_m)])
+        .filter(|p| company[&VoxelKey::containing(p, settings.stray_voxel_m)])
         .copied()
         .collect()
 }

@@ -342,7 +342,7 @@ impl RegionShape {
             raw_box,
             oriented_box,
             mean_rgb: sum.map(|s| ((s + n / 2) / n) as u8),
-            colors: ColorHistogram::of(colors()),
+            colors: ColorHistogram::from_colors(colors()),
             planarity,
         }
     }
@@ -376,7 +376,7 @@ const ON_PLANE_M: f32 = 0.03;
 /// Share of the points within 3 cm of their best plane.
 #[must_use]
 pub fn planarity(positions: &[Point3<f32>]) -> f32 {
-    let Moments { mean, covariance } = Moments::of(positions);
+    let Moments { mean, covariance } = Moments::from_points(positions);
     let (_, normal) = least_axis(&covariance);
     let on_plane =
         positions.iter().filter(|p| (*p - mean).dot(&normal).abs() <= ON_PLANE_M).count();

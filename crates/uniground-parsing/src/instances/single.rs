@@ -2,7 +2,7 @@
 
 use super::{Body, RegionShape, support};
 use uniground_geometry::scene::{
-    Instance, InstanceId, Level, PointCloud, Structure, Support, views_of_all,
+    Instance, InstanceId, Level, PointCloud, Structure, Support, merge_views,
 };
 use uniground_models::attributes::name_guesses;
 use uniground_types::settings::InstanceSettings;
@@ -35,7 +35,7 @@ pub fn merged(
         .collect();
     let whole = of_points(cloud, &points, &beside, settings);
     Some(Instance {
-        views: views_of_all(&shown, MOST_VIEWS),
+        views: merge_views(&shown, MOST_VIEWS),
         merged_from: members.to_vec(),
         ..whole
     })

@@ -34,8 +34,11 @@ pub(super) fn gather(
     for (patch, &region) in superpoints.patches.iter().zip(&region_of) {
         let [all, green] = &mut points[region as usize];
         *all += patch.points as f32;
-        *green +=
-            if ColorName::of(&patch.lab) == ColorName::Green { patch.points as f32 } else { 0.0 };
+        *green += if ColorName::from_lab(&patch.lab) == ColorName::Green {
+            patch.points as f32
+        } else {
+            0.0
+        };
     }
     let is_leaves = |i: usize| {
         !parts[i].is_structural
@@ -104,7 +107,7 @@ fn is_pot(part: &RegionFacts, leaves: &Aabb) -> bool {
 mod tests {
     use super::*;
     use crate::superpoints::Patch;
-    use uniground_geometry::color::lab_of_srgb;
+    use uniground_geometry::color::srgb_to_lab;
     use uniground_geometry::{Point3, Vector3};
 
     const LEAF: [u8; 3] = [50, 120, 40];
@@ -126,7 +129,7 @@ mod tests {
             points: 1000,
             center: Point3::origin(),
             normal: Vector3::z(),
-            lab: lab_of_srgb(rgb),
+            lab: srgb_to_lab(rgb),
         };
         let superpoints = Superpoints {
             of_point: Vec::new(),

@@ -116,7 +116,7 @@ fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) ->
     let near = Aabb::from_corners(around.min() - reach, around.max() + reach);
     let above_z = around.center.z + rises;
     let rising = scan.cloud.positions.iter().filter(|p| p.z > above_z && near.contains(p));
-    let in_the_way: HashSet<VoxelKey> = rising.map(|p| VoxelKey::of(p, VOXEL_M)).collect();
+    let in_the_way: HashSet<VoxelKey> = rising.map(|p| VoxelKey::containing(p, VOXEL_M)).collect();
     let sees = |camera: &Point3<f32>, p: &Point3<f32>| {
         let towards = (camera - p).cap_magnitude(IN_THE_WAY_M);
         let steps = (2.0 * IN_THE_WAY_M / VOXEL_M) as usize;
@@ -124,7 +124,7 @@ fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) ->
         camera.z > above_z
             && way
                 .filter(|p| p.z > above_z)
-                .all(|p| !in_the_way.contains(&VoxelKey::of(&p, VOXEL_M)))
+                .all(|p| !in_the_way.contains(&VoxelKey::containing(&p, VOXEL_M)))
     };
     let cameras: Vec<&Point3<f32>> =
         cameras.iter().step_by((cameras.len() / MOST_CAMERAS).max(1)).collect();
@@ -181,7 +181,7 @@ fn connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>>
 mod tests {
     use super::*;
     use uniground_geometry::Vector3;
-    use uniground_geometry::color::lab_of_srgb;
+    use uniground_geometry::color::srgb_to_lab;
     use uniground_geometry::scene::PointCloud;
 
     const WOOD: [u8; 3] = [120, 85, 55];
@@ -218,7 +218,7 @@ mod tests {
             points: 100,
             center: place(s),
             normal: Vector3::z(),
-            lab: lab_of_srgb(rgb(s)),
+            lab: srgb_to_lab(rgb(s)),
         };
         let right = (0..16).filter(|s| s % 4 < 3).map(|s| (s, s + 1));
         let superpoints = Superpoints {

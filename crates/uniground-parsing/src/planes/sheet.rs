@@ -57,7 +57,7 @@ impl PlanePart {
 impl SuperpointPlane {
     pub(super) fn of(cloud: &PointCloud, points: &[u32]) -> Self {
         let positions: Vec<_> = points.iter().map(|&i| cloud.positions[i as usize]).collect();
-        let Moments { mean, covariance } = Moments::of(&positions);
+        let Moments { mean, covariance } = Moments::from_points(&positions);
         let (_, normal) = least_axis(&covariance);
         let cells: BTreeSet<(i32, i32)> = {
             let sheet = PlanePart {

@@ -2,7 +2,7 @@
 //! what frames saw of them stays valid. New points are divided into new superpoints.
 
 use super::{Patch, Superpoints, coarsened_to, compute, relabelled};
-use uniground_geometry::color::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{Addition, PointCloud};
@@ -103,7 +103,7 @@ fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
         .fold(Matrix3::zeros(), |sum, d: Vector3<f32>| sum + d * d.transpose());
     let lab = points
         .iter()
-        .map(|&point| lab_of_srgb(cloud.colors[point as usize]))
+        .map(|&point| srgb_to_lab(cloud.colors[point as usize]))
         .fold(Lab::zeros(), |sum, lab| sum + lab);
     Patch {
         points: points.len() as u32,
@@ -127,14 +127,14 @@ fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> V
         }
     };
     for (p, &superpoint) in cloud.positions[kept..].iter().zip(&of_point[kept..]) {
-        let key = VoxelKey::of(p, reach_m);
+        let key = VoxelKey::containing(p, reach_m);
         add(key, superpoint);
         NEIGHBOURS_26.iter().for_each(|&d| add(key.offset(d), superpoint));
     }
     let mut pairs: Vec<(u32, u32)> = cloud.positions[..kept]
         .iter()
         .zip(of_point)
-        .filter_map(|(p, &old)| Some((old, near.get(&VoxelKey::of(p, reach_m))?)))
+        .filter_map(|(p, &old)| Some((old, near.get(&VoxelKey::containing(p, reach_m))?)))
         .flat_map(|(old, new)| new.iter().map(move |&new| (old, new)))
         .collect();
     pairs.sort_unstable();
@@ -174,7 +174,7 @@ mod tests {
         let (settings, silent) = (SuperpointSettings::default(), Progress::silent());
         let first = compute(before, &settings, &silent).unwrap();
         let (now, number) =
-            grown(&first, addition, &addition.applied_to(before), &settings, &silent).unwrap();
+            grown(&first, addition, &addition.apply_to(before), &settings, &silent).unwrap();
         (first, now, number)
     }
 

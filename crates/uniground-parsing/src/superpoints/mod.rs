@@ -124,7 +124,7 @@ pub fn compute(
     let settings = &coarsened_to(*settings, typical_spacing_m(&cloud.positions));
     let voxels = VoxelCloud::new(cloud, settings.voxel_m, progress)?;
     progress.report("superpoints", 0.4)?;
-    let labels = flow::grow(&voxels, settings, &progress.part(0.4, 0.8))?;
+    let labels = flow::grow(&voxels, settings, &progress.sub_range(0.4, 0.8))?;
     progress.report("superpoints", 0.8)?;
     let adjacent = voxels.adjacent_labels(&labels);
     progress.check()?;

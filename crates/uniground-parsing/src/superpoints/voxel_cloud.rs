@@ -2,7 +2,7 @@
 
 use super::Patch;
 use rayon::prelude::*;
-use uniground_geometry::color::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
@@ -65,7 +65,7 @@ impl VoxelCloud {
         let surfaces: Vec<VoxelSurface> = (0..grid.len())
             .into_par_iter()
             .map(|v| {
-                let around = neighbours.of(v as u32);
+                let around = neighbours.neighbors_of(v as u32);
                 surface(&around.iter().fold(moments[v], |sum, &n| sum.joined(&moments[n as usize])))
             })
             .collect();
@@ -90,7 +90,7 @@ impl VoxelCloud {
     }
 
     pub fn neighbours(&self, voxel: u32) -> &[u32] {
-        self.neighbours.of(voxel)
+        self.neighbours.neighbors_of(voxel)
     }
 
     /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is
@@ -167,10 +167,9 @@ impl VoxelCloud {
                 break;
             }
             let before = voxels.len();
-            voxels.extend(
-                ring.iter()
-                    .filter_map(|&step| self.grid.get(self.grid.keys[v as usize].stepped(step))),
-            );
+            voxels.extend(ring.iter().filter_map(|&step| {
+                self.grid.get(self.grid.keys[v as usize].offset_by_step(step))
+            }));
             found += voxels.len() - before;
         }
         voxels
@@ -205,7 +204,7 @@ fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<ScatterMoments>, Vec
                 continue;
             };
             m.add(&cloud.positions[i]);
-            labs[v as usize - first] += lab_of_srgb(cloud.colors[i]);
+            labs[v as usize - first] += srgb_to_lab(cloud.colors[i]);
         }
         for (lab, m) in labs.iter_mut().zip(moments) {
             *lab /= m.count;

@@ -122,7 +122,7 @@ impl SceneSource for StoredScene {
     }
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
-        if instance.came_later() {
+        if instance.is_added_after_parse() {
             let shots = instance
                 .views
                 .iter()

@@ -147,9 +147,9 @@ impl StoredScene {
     fn merged(&self, members: &[InstanceId]) -> Result<Instance, Error> {
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         let (known, of_point) = (self.instances(), self.instance_of_point()?);
-        let owners = Owners::of(&of_point, known);
+        let owners = Owners::new(&of_point, known);
         let owner =
-            |point: usize| owners.of_point(of_point[point], &render_scene.cloud.positions[point]);
+            |point: usize| owners.owner_of(of_point[point], &render_scene.cloud.positions[point]);
         let merged =
             instances::merged(&render_scene.cloud, owner, members, known, &settings.instances);
         merged.ok_or(Error::NotAThing { id: members[0] })

@@ -55,7 +55,7 @@ fn view_of(
     let colours = colors
         .dominant()
         .into_iter()
-        .map(|(name, share)| (name.word().to_owned(), share))
+        .map(|(name, share)| (name.as_str().to_owned(), share))
         .collect();
     InstanceView {
         id,

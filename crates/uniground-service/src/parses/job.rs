@@ -179,7 +179,7 @@ impl ParseRunner {
         let (blobs, pool, models, job_settings) =
             (self.blobs.clone(), self.parse_pool.clone(), self.models.clone(), settings.clone());
         let (service, entered, scan_folder, parsing) =
-            (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
+            (self.clone(), span.clone(), content.clone(), progress.sub_range(0.0, parsed_by));
         let work = move || {
             let _entered = entered.enter();
             let folder = blobs.use_checkpoints(&hash)?;
@@ -192,7 +192,7 @@ impl ParseRunner {
             } else {
                 let (content, settings) = (scan_folder.to_path_buf(), job_settings.import.clone());
                 let task = Task::Import { content, settings, checkpoints: folder, origin };
-                service.import(&task, &checkpoints, &parsing.part(0.0, imported))?
+                service.import(&task, &checkpoints, &parsing.sub_range(0.0, imported))?
             };
             // Parallel work stays in the pool of parses, whose threads have a low priority.
             pool.install(|| {
@@ -202,7 +202,7 @@ impl ParseRunner {
                     &job_settings,
                     &models,
                     &checkpoints,
-                    &parsing.part(imported, 1.0),
+                    &parsing.sub_range(imported, 1.0),
                 )?)
             })
         };
@@ -235,10 +235,14 @@ impl ParseRunner {
             let inherited = pool.install(|| {
                 let inherited = previous
                     .map(|previous| {
-                        previous.continue_in(&mut scan, &how, &progress.part(parsed_by, parsed_by))
+                        previous.continue_in(
+                            &mut scan,
+                            &how,
+                            &progress.sub_range(parsed_by, parsed_by),
+                        )
                     })
                     .transpose()?;
-                files::write(&scan, &content, &folder, &progress.part(parsed_by, 1.0))?;
+                files::write(&scan, &content, &folder, &progress.sub_range(parsed_by, 1.0))?;
                 Ok::<_, Error>(inherited)
             })?;
             blobs.publish(folder, &place)?;

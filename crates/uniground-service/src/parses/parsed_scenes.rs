@@ -195,13 +195,13 @@ impl ParsedScenes {
             // Instances that were found later have no embedding. Merged instances get the joint
             // embedding of their members.
             let embeddings = files::read_embeddings(&blobs, &folder)?.map(|seen| {
-                let seen = seen.padded_to(instances.len());
+                let seen = seen.pad_to(instances.len());
                 let merged = instances
                     .iter()
                     .enumerate()
                     .filter(|(_, instance)| !instance.merged_from.is_empty());
                 merged.fold(seen, |seen, (at, merged)| {
-                    seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at)
+                    seen.with_mean_row(merged.merged_from.iter().map(|id| id.0 as usize - 1), at)
                 })
             });
             let around = || {

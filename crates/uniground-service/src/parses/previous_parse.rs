@@ -143,10 +143,10 @@ fn identical(before: &[Instance], now: &[Instance]) -> Vec<(InstanceId, Instance
 
 /// Returns the owner of each point, with corrections applied.
 fn owned(instances: &[Instance], of_point: &[InstanceId], cloud: &PointCloud) -> Vec<InstanceId> {
-    let owners = Owners::of(of_point, instances);
+    let owners = Owners::new(of_point, instances);
     of_point
         .iter()
         .zip(&cloud.positions)
-        .map(|(found, position)| owners.of_point(*found, position))
+        .map(|(found, position)| owners.owner_of(*found, position))
         .collect()
 }

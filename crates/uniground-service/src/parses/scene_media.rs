@@ -138,7 +138,7 @@ impl MediaService {
         }
         // Pictures of merged instances are not cached: a merge may be undone, and its id may be
         // given to another instance.
-        let stays = !instance.came_later();
+        let stays = !instance.is_added_after_parse();
         if let Some(drawn) = self.parse_cache.drawn.get(file.as_str()).filter(|_| stays) {
             return Ok(Some(EvidenceFile::Drawn(drawn)));
         }
@@ -251,9 +251,9 @@ impl StoredScene {
 
     fn photograph_with_instances(&self, frame: &FrameRef) -> Result<Vec<u8>, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
-        let owners = Owners::of(&of_point, self.instances());
+        let owners = Owners::new(&of_point, self.instances());
         let shown_as = |point: usize| match of_point.get(point) {
-            Some(found) => owners.of_point(*found, &render_scene.cloud.positions[point]),
+            Some(found) => owners.owner_of(*found, &render_scene.cloud.positions[point]),
             None => InstanceId::default(),
         };
         let drawn = report_pictures::photograph_with_instances(

@@ -215,11 +215,11 @@ struct ComparedParse {
 impl ComparedParse {
     fn of(scene: &StoredScene) -> Result<Self, Error> {
         let (render_scene, of_point) = (scene.render_scene()?, scene.instance_of_point()?);
-        let owners = Owners::of(&of_point, scene.instances());
+        let owners = Owners::new(&of_point, scene.instances());
         let owned = of_point
             .iter()
             .zip(&render_scene.cloud.positions)
-            .map(|(found, p)| owners.of_point(*found, p));
+            .map(|(found, p)| owners.owner_of(*found, p));
         let owner_of_point = owned.collect();
         let blobs = scene.blobs();
         let scan = blobs.whole(&scene.parse.content)?;

@@ -1,6 +1,6 @@
 //! A frame as a grid of surface elements in camera axes.
 
-use uniground_geometry::color::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::scene::{DepthImage, Frame};
 use uniground_geometry::{Point3, Vector3};
 
@@ -36,7 +36,7 @@ impl SurfaceGrid {
                 let z = depth_or_bridge(&frame.depth, u, v);
                 depth_m.push(z);
                 points.push(intrinsics.unproject(u as f32, v as f32, z));
-                labs.push(lab_of_srgb(block_mean(&colors, &frame.depth, u, v, stride)));
+                labs.push(srgb_to_lab(block_mean(&colors, &frame.depth, u, v, stride)));
             }
         }
         let spacing_per_m = stride as f32 / intrinsics.fx;
