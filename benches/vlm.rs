@@ -360,7 +360,7 @@ impl Server {
 
     /// An answer by the model, and the milliseconds it took from here.
     async fn ask(&self, scene: &str, words: &str) -> (Answer, f64) {
-        let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..GroundRequest::of(words) };
+        let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..GroundRequest::new(words) };
         let start = Instant::now();
         let answer = self.client.ground(scene, &request).await.unwrap();
         (answer, start.elapsed().as_secs_f64() * 1e3)

@@ -88,7 +88,7 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
     let packed = ArchiveFormat::of_head(&head, scan.as_str());
     // What is called an archive and is none is for the service to tell.
     Ok(matches!(packed, Some(ArchiveFormat::Archive(_) | ArchiveFormat::Sens))
-        || ArchiveKind::of_file_name(scan.as_str()).is_some())
+        || ArchiveKind::from_file_name(scan.as_str()).is_some())
 }
 
 struct Hashing(Sha256);

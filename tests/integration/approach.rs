@@ -17,7 +17,7 @@ const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, re
 fn asking(query: &str) -> ApproachRequest {
     ApproachRequest {
         from: Some(FloorPoint { x: 1.43, y: 0.16, ..FloorPoint::default() }),
-        ..ApproachRequest::asking(query, ROBOT)
+        ..ApproachRequest::for_query(query, ROBOT)
     }
 }
 
@@ -221,8 +221,10 @@ async fn things_that_were_merged_are_approached_as_one() {
         .correct(&scene.id, &Change::Merge { instance_ids: ids, name: Some("pair".into()) })
         .await
         .unwrap();
-    let told =
-        client.approach(&scene.id, &ApproachRequest::to(made.made.unwrap(), ROBOT)).await.unwrap();
+    let told = client
+        .approach(&scene.id, &ApproachRequest::for_instance(made.made.unwrap(), ROBOT))
+        .await
+        .unwrap();
     assert_eq!(
         (told.status, told.target.unwrap().name.as_str()),
         (ApproachStatus::Found, "pair"),
@@ -242,8 +244,10 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
     let client = &server.client;
-    let told =
-        client.approach(&scene.id, &ApproachRequest::asking("the theremin", ROBOT)).await.unwrap();
+    let told = client
+        .approach(&scene.id, &ApproachRequest::for_query("the theremin", ROBOT))
+        .await
+        .unwrap();
     assert_eq!(
         (told.status, told.answer_status),
         (ApproachStatus::NotGrounded, Some(Status::NoMatch))
@@ -257,7 +261,7 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
     );
     let nowhere = ApproachRequest {
         from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }),
-        ..ApproachRequest::to(InstanceId(1), ROBOT)
+        ..ApproachRequest::for_instance(InstanceId(1), ROBOT)
     };
     assert_eq!(
         client.approach(&scene.id, &nowhere).await.unwrap().failed,

@@ -117,7 +117,7 @@ async fn the_six_fields_tell_what_was_decided() {
 
     let shortlist = server
         .client
-        .shortlist(&scene.id, &ShortlistRequest { top_k: 3, ..ShortlistRequest::of("red sofa") })
+        .shortlist(&scene.id, &ShortlistRequest { top_k: 3, ..ShortlistRequest::new("red sofa") })
         .await
         .unwrap();
     assert_eq!(shortlist.candidates[0].id, short.answer.predicted_id.unwrap());

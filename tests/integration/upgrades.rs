@@ -78,7 +78,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     );
     // Everything it was told to be, under the names settings have today.
     let mut expected = scene_told.clone();
-    uniground_types::settings::with_names_of_today(&mut expected["settings"]);
+    uniground_types::settings::rename_deprecated_settings(&mut expected["settings"]);
     // Steps of today were not taken then.
     expected["settings"]["parsing"]["merging"]["keep_planes_apart"] = false.into();
     expected["settings"]["parsing"]["merging"]["split_at_depth_edges"] = false.into();

@@ -94,10 +94,10 @@ pub fn inspect(
     }
 
     let said = UpHint {
-        up: settings
-            .up
-            .or(scan.up)
-            .or(own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up())),
+        up: settings.up.or(scan.up).or(own_cloud
+            .as_ref()
+            .filter(|_| frames.is_empty())
+            .and_then(|own| own.kind.up_axis())),
         // An axis given in the request takes precedence over the inertial sensor.
         by_gravity: scan.by_gravity && settings.up.is_none(),
         choice: settings.levelling,

@@ -26,7 +26,7 @@ const COLOR_JPEG: i32 = 2;
 const DEPTH_ZLIB: i32 = 1;
 
 /// Returns whether a file with this extension starts like a `.sens` file.
-pub(super) fn recognises(head: &[u8], extension: &str) -> bool {
+pub(super) fn can_read(head: &[u8], extension: &str) -> bool {
     let version = head.first_chunk::<4>().map(|version| u32::from_le_bytes(*version));
     let name_bytes =
         head.get(4..).and_then(<[u8]>::first_chunk::<8>).map(|bytes| u64::from_le_bytes(*bytes));
@@ -51,7 +51,7 @@ pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError
         }
         let mut found: Vec<&Utf8PathBuf> = entries
             .iter()
-            .filter(|path| recognises(&head_of(path), path.extension().unwrap_or_default()))
+            .filter(|path| can_read(&head_of(path), path.extension().unwrap_or_default()))
             .collect();
         if found.len() == 1 {
             return Ok(found.pop().cloned());

@@ -72,14 +72,14 @@ impl ArchiveFormat {
     #[must_use]
     pub fn of_head(head: &[u8], name: &str) -> Option<Self> {
         let extension = Utf8Path::new(name).extension().unwrap_or_default();
-        ArchiveKind::of_head(head)
+        ArchiveKind::from_head(head)
             .map(Self::Archive)
-            .or_else(|| sens::recognises(head, extension).then_some(Self::Sens))
-            .or_else(|| CloudKind::of_head(head, extension).map(|kind| Self::Cloud(kind.name())))
+            .or_else(|| sens::can_read(head, extension).then_some(Self::Sens))
+            .or_else(|| CloudKind::from_head(head, extension).map(|kind| Self::Cloud(kind.name())))
     }
 
     fn of(file: &Utf8Path) -> Option<Self> {
-        ArchiveKind::of_file_name(file.as_str())
+        ArchiveKind::from_file_name(file.as_str())
             .map(Self::Archive)
             .or_else(|| Self::of_head(&head_of(file), file.as_str()))
             .or((file.extension() == Some("ply")).then_some(Self::Cloud("ply")))

@@ -267,7 +267,7 @@ pub struct Usage {
 }
 
 /// Answers of before this was said were kept.
-fn kept() -> bool {
+fn default_stored() -> bool {
     true
 }
 
@@ -339,7 +339,7 @@ pub struct Answer {
     pub degraded: bool,
     /// `false`: the server could not keep this answer (its disk is full, say). It is given here
     /// and can not be asked for again.
-    #[serde(default = "kept")]
+    #[serde(default = "default_stored")]
     pub stored: bool,
     /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the
     /// door" in the question comes before it.

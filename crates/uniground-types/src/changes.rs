@@ -106,16 +106,16 @@ impl Changes {
     /// These changes and then later ones of the same scene, as one: what came and went again is not
     /// told.
     #[must_use]
-    pub fn then(mut self, later: Self) -> Self {
+    pub fn followed_by(mut self, later: Self) -> Self {
         let Self { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged } = later;
         for thing in gone {
-            self.no_more(thing, |changes| &mut changes.gone);
+            self.remove(thing, |changes| &mut changes.gone);
         }
         for thing in regrouped {
-            self.no_more(thing, |changes| &mut changes.regrouped);
+            self.remove(thing, |changes| &mut changes.regrouped);
         }
         for MovedThing { before, after, distance_m } in moved {
-            if let Some(came) = self.came(before.id) {
+            if let Some(came) = self.find_appeared(before.id) {
                 *came = after;
             } else if let Some(moved) =
                 self.moved.iter_mut().find(|moved| moved.after.id == before.id)
@@ -134,14 +134,14 @@ impl Changes {
     }
 
     /// A thing that came in the time looked at.
-    fn came(&mut self, id: InstanceId) -> Option<&mut ChangedThing> {
+    fn find_appeared(&mut self, id: InstanceId) -> Option<&mut ChangedThing> {
         self.appeared.iter_mut().chain(&mut self.first_seen).find(|thing| thing.id == id)
     }
 
     /// Forgets a thing that came in the time looked at; else notes that it is no more, as it was at
     /// first.
-    fn no_more(&mut self, thing: ChangedThing, list: impl Fn(&mut Self) -> &mut Vec<ChangedThing>) {
-        if self.came(thing.id).is_some() {
+    fn remove(&mut self, thing: ChangedThing, list: impl Fn(&mut Self) -> &mut Vec<ChangedThing>) {
+        if self.find_appeared(thing.id).is_some() {
             self.appeared.retain(|came| came.id != thing.id);
             self.first_seen.retain(|came| came.id != thing.id);
             return;
@@ -177,7 +177,7 @@ mod tests {
             ..Changes::default()
         };
         assert_eq!(
-            first.then(then),
+            first.followed_by(then),
             Changes { gone: vec![thing(2, 1.0)], unchanged: 5, ..Changes::default() }
         );
     }
@@ -186,7 +186,7 @@ mod tests {
     fn moves_are_told_from_the_first_place_to_the_last() {
         let first = Changes { moved: vec![moved((1, 0.0), (7, 1.0))], ..Changes::default() };
         let again = Changes { moved: vec![moved((7, 1.0), (8, 3.0))], ..Changes::default() };
-        let both = first.clone().then(again);
+        let both = first.clone().followed_by(again);
         assert_eq!(both.moved, [moved((1, 0.0), (8, 3.0))]);
         let away = Changes { gone: vec![thing(8, 3.0)], ..Changes::default() };
         assert_eq!(both.then(away), Changes { gone: vec![thing(1, 0.0)], ..Changes::default() });

@@ -100,7 +100,7 @@ pub enum Levels {
 impl Levels {
     /// Whether an instance of this level is listed; what was dismissed is only among all.
     #[must_use]
-    pub fn lists(self, level: Level, dismissed: bool) -> bool {
+    pub fn includes(self, level: Level, dismissed: bool) -> bool {
         match self {
             Self::All => true,
             _ if dismissed => false,

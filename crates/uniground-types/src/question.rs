@@ -53,7 +53,7 @@ impl ParserChoice {
     /// Who reads where `reasoner` decides: who wants no model to decide gets none to read, unless
     /// they ask for one.
     #[must_use]
-    pub fn beside(self, reasoner: ReasonerChoice) -> Self {
+    pub fn resolve_for(self, reasoner: ReasonerChoice) -> Self {
         match (self, reasoner) {
             (Self::Auto, ReasonerChoice::Builtin) => Self::Builtin,
             (choice, _) => choice,
@@ -159,7 +159,7 @@ impl EvidenceMode {
     /// How many candidates are kept where `top_k` are asked for: as many as the contact sheets
     /// hold, where there are some.
     #[must_use]
-    pub fn candidates(self, top_k: u32) -> u32 {
+    pub fn candidate_limit(self, top_k: u32) -> u32 {
         match self {
             Self::Full | Self::CachedNames => top_k,
             Self::Sheet | Self::TwoStep => top_k.max(ON_SHEETS),
@@ -291,7 +291,7 @@ pub struct ShortlistRequest {
     #[serde(default)]
     pub query_text: QueryText,
     /// Who chooses. By default the encoder, where one has seen the scene.
-    #[serde(default = "by_encoder")]
+    #[serde(default = "default_candidate_source")]
     #[cfg_attr(feature = "openapi", schema(default = "encoder"))]
     pub candidates: CandidateSource,
     /// Scores are likelihoods against a vocabulary instead of cosines.
@@ -313,20 +313,20 @@ impl ShortlistRequest {
 
     /// A query with everything else at its default.
     #[must_use]
-    pub fn of(query: impl Into<String>) -> Self {
+    pub fn new(query: impl Into<String>) -> Self {
         let (query, top_k) = (query.into(), default_top_k());
         Self {
             query,
             top_k,
             query_text: QueryText::default(),
-            candidates: by_encoder(),
+            candidates: default_candidate_source(),
             calibrated: false,
             allow_builtin: false,
         }
     }
 }
 
-fn by_encoder() -> CandidateSource {
+fn default_candidate_source() -> CandidateSource {
     CandidateSource::Encoder
 }
 
@@ -337,7 +337,7 @@ fn default_top_k() -> u32 {
 impl GroundRequest {
     /// A question with everything else at its default.
     #[must_use]
-    pub fn of(query: impl Into<String>) -> Self {
+    pub fn new(query: impl Into<String>) -> Self {
         Self {
             query: query.into(),
             top_k: default_top_k(),
@@ -365,14 +365,16 @@ impl GroundRequest {
         check_query(&self.query)?;
         check_top_k(self.top_k)?;
         if let Some(Observer { position, yaw_rad }) = &self.observer {
-            numbers::coordinates("/observer/position", position)?;
-            numbers::finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
+            numbers::check_coordinates("/observer/position", position)?;
+            numbers::check_finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
         }
         self.min_confidence
-            .map_or(Ok(()), |least| numbers::in_range("/min_confidence", least, 0.0..=1.0))?;
-        self.max_cost_usd.map_or(Ok(()), |usd| numbers::zero_or_more("/max_cost_usd", usd))?;
-        self.timeout_s
-            .map_or(Ok(()), |seconds| numbers::above_zero("/timeout_s", seconds, MAX_TIMEOUT_S))
+            .map_or(Ok(()), |least| numbers::check_in_range("/min_confidence", least, 0.0..=1.0))?;
+        self.max_cost_usd
+            .map_or(Ok(()), |usd| numbers::check_zero_or_more("/max_cost_usd", usd))?;
+        self.timeout_s.map_or(Ok(()), |seconds| {
+            numbers::check_above_zero("/timeout_s", seconds, MAX_TIMEOUT_S)
+        })
     }
 }
 

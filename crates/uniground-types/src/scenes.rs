@@ -117,11 +117,19 @@ pub struct SceneChange {
     /// Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it
     /// away.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<SceneToMap>))]
-    #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "deserialize_nullable",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub scene_to_map: Option<Option<SceneToMap>>,
     /// What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>, min_length = 1, max_length = 200, example = "map"))]
-    #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "deserialize_nullable",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub map_frame_id: Option<Option<String>>,
     /// What the scene is filed under, all of it: labels that are left out are taken away. At most
     /// 20; names of 1 to 63 letters, digits, `.`, `_`, `-` and `/`, values of 1 to 100
@@ -131,7 +139,7 @@ pub struct SceneChange {
 }
 
 /// What a field says, `null` too: a field that is left out says nothing.
-fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+fn deserialize_nullable<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Option<T>, D::Error> {
     T::deserialize(deserializer).map(Some)
@@ -154,7 +162,7 @@ pub struct ImportRequest {
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
     pub name: Option<String>,
     /// `false` only stores the scan.
-    #[serde(default = "yes")]
+    #[serde(default = "default_true")]
     #[cfg_attr(feature = "openapi", schema(default = true))]
     pub parse: bool,
     /// The axis that points up in the files, for scans that do not say; default: the axis the
@@ -173,14 +181,14 @@ pub struct ImportRequest {
     pub preset: ParsePreset,
 }
 
-fn yes() -> bool {
+fn default_true() -> bool {
     true
 }
 
 impl ImportRequest {
     /// Of a file or folder, to be parsed at once with the default settings.
     #[must_use]
-    pub fn of(path: impl Into<String>) -> Self {
+    pub fn from_path(path: impl Into<String>) -> Self {
         Self {
             path: path.into(),
             name: None,

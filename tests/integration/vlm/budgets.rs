@@ -28,7 +28,7 @@ async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_questi
         let request = ManyGroundRequest {
             reasoner: ReasonerChoice::Vlm,
             max_cost_usd: usd,
-            ..ManyGroundRequest::of(QUERY)
+            ..ManyGroundRequest::new(QUERY)
         };
         server.client.ground_many(&request).await
     };

@@ -335,7 +335,7 @@ impl OpenScene for LocalScene {
         };
         let question = Question {
             query: expression.query.clone(),
-            top_k: configuration.evidence.candidates(configuration.top_k) as usize,
+            top_k: configuration.evidence.candidate_limit(configuration.top_k) as usize,
             convention: configuration.convention,
             observer: None,
             target_name: hints.and_then(|hints| hints.target_name.clone()),
@@ -412,7 +412,7 @@ fn answer(
 ) -> anyhow::Result<Answered> {
     let model = vlm.map(|vlm| VlmParser { model: vlm.model.clone(), budgets: vlm.budgets.clone() });
     let parser: Arc<dyn QueryParser> =
-        match (configuration.parser.beside(configuration.reasoner), model) {
+        match (configuration.parser.resolve_for(configuration.reasoner), model) {
             (ParserChoice::Vlm, Some(model)) => Arc::new(model),
             (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
             (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),

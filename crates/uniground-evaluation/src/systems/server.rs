@@ -177,13 +177,13 @@ impl OpenScene for RemoteScene {
             direction_convention: *convention,
             // As measured in process: the report shows how reliable the confidences are.
             min_confidence: Some(0.0),
-            ..GroundRequest::of(&expression.query)
+            ..GroundRequest::new(&expression.query)
         };
         let shortlist = ShortlistRequest {
             top_k: SHORTLIST_DEPTH,
             candidates: *candidates,
             query_text: *query_text,
-            ..ShortlistRequest::of(&expression.query)
+            ..ShortlistRequest::new(&expression.query)
         };
         self.runtime.block_on(async {
             let start = Instant::now();
@@ -242,7 +242,7 @@ struct Archive {
 
 impl Archive {
     fn of(scan: &Utf8Path) -> anyhow::Result<Self> {
-        if let Some(kind) = ArchiveKind::of_file_name(scan.as_str()).filter(|_| scan.is_file()) {
+        if let Some(kind) = ArchiveKind::from_file_name(scan.as_str()).filter(|_| scan.is_file()) {
             return Ok(Self {
                 media_type: kind.media_type(),
                 path: scan.to_owned(),

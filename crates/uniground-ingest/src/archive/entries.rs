@@ -58,11 +58,13 @@ pub(super) fn walk(
                 visitor,
             )
         }
-        ArchiveKind::Tar => walk_tar(file, kind, limits.unpacked(packed_bytes), limits, visitor),
+        ArchiveKind::Tar => {
+            walk_tar(file, kind, limits.max_unpacked_bytes(packed_bytes), limits, visitor)
+        }
         ArchiveKind::TarZst => {
             let mut decoder = zstd::Decoder::new(file).map_err(|e| kind.unreadable(e))?;
             decoder.window_log_max(MAX_WINDOW_LOG).map_err(|e| kind.unreadable(e))?;
-            walk_tar(decoder, kind, limits.unpacked(packed_bytes), limits, visitor)
+            walk_tar(decoder, kind, limits.max_unpacked_bytes(packed_bytes), limits, visitor)
         }
     }
 }
@@ -75,7 +77,7 @@ fn walk_zip(
 ) -> Result<(), IngestError> {
     let unreadable = |reason: &dyn ToString| ArchiveKind::Zip.unreadable(reason.to_string());
     let packed_bytes = file.metadata().map_or(0, |m| m.len());
-    if announced_entries(&mut file)
+    if declared_entry_count(&mut file)
         .map_err(|e| unreadable(&e))?
         .is_some_and(|entries| entries > limits.max_entries as u64)
     {
@@ -92,7 +94,7 @@ fn walk_zip(
         return Err(limits.too_many_entries());
     }
     allowance.renew(u64::MAX);
-    let unpacked = ReadLimit::of(limits.unpacked(packed_bytes));
+    let unpacked = ReadLimit::of(limits.max_unpacked_bytes(packed_bytes));
     for i in 0..zip.len() {
         let entry = if with_content { zip.by_index(i) } else { zip.by_index_raw(i) };
         let mut entry = entry.map_err(|e| unreadable(&e))?;
@@ -116,7 +118,7 @@ fn walk_zip(
 /// Returns the number of entries from the record at the end of a zip, or `None` if there is none.
 /// It is checked before the directory is read, because the directory is held in memory as a whole.
 /// Afterwards the file is at its start again.
-fn announced_entries(file: &mut File) -> io::Result<Option<u64>> {
+fn declared_entry_count(file: &mut File) -> io::Result<Option<u64>> {
     // The record, the longest comment after it, and the record of large archives (zip64) before it.
     const RECORD: usize = 22;
     const LOCATOR: usize = 20;

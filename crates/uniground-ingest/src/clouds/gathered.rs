@@ -81,13 +81,13 @@ impl CloudBuilder {
     }
 
     /// Sets whether the file contains color.
-    pub fn colored(&mut self, has_color: bool) {
+    pub fn set_has_color(&mut self, has_color: bool) {
         self.loaded.has_color = has_color;
     }
 
     /// Declares single precision. Such coordinates get no offset: far from the origin they are
     /// coarse already.
-    pub fn single_precision(&mut self) {
+    pub fn set_single_precision(&mut self) {
         self.origin.get_or_insert([0.0; 3]);
     }
 
@@ -100,7 +100,7 @@ impl CloudBuilder {
         }
         let o = match self.origin {
             Some(o) => o,
-            None if x.is_finite() && y.is_finite() && z.is_finite() => self.settle([x, y, z]),
+            None if x.is_finite() && y.is_finite() && z.is_finite() => self.to_local([x, y, z]),
             None => [0.0; 3],
         };
         let p = Point3::new((x - o[0]) as f32, (y - o[1]) as f32, (z - o[2]) as f32);
@@ -113,7 +113,7 @@ impl CloudBuilder {
     }
 
     /// Adds a point whose color is not a number.
-    pub fn push_discoloured(&mut self, position: [f64; 3], color: [u8; 3]) {
+    pub fn push_without_valid_color(&mut self, position: [f64; 3], color: [u8; 3]) {
         let before = self.loaded.cloud.len();
         self.push(position, color);
         self.loaded.without_color += self.loaded.cloud.len() - before;
@@ -125,7 +125,7 @@ impl CloudBuilder {
     }
 
     /// Returns the points in file order if all of them are kept: none thinned out, none dropped.
-    pub fn complete(&self) -> Option<&PointCloud> {
+    pub fn as_complete(&self) -> Option<&PointCloud> {
         (self.loaded.cloud.len() == self.seen).then_some(&self.loaded.cloud)
     }
 
@@ -135,20 +135,20 @@ impl CloudBuilder {
     }
 
     /// Sets the colors of the kept points, for formats where they are known only at the end.
-    pub fn recolour(&mut self, colors: impl Iterator<Item = [u8; 3]>) {
+    pub fn set_colors(&mut self, colors: impl Iterator<Item = [u8; 3]>) {
         for (own, color) in self.loaded.cloud.colors.iter_mut().zip(colors) {
             *own = color;
         }
     }
 
     /// Returns the number of points so far, including those that were thinned out.
-    pub fn seen(&self) -> usize {
+    pub fn points_read(&self) -> usize {
         self.seen
     }
 
     /// Makes room for files that do not announce their number of points: when twice the limit is
     /// reached, every other point is dropped.
-    pub fn make_room(&mut self, file: &Utf8Path) -> Result<(), IngestError> {
+    pub fn thin_if_full(&mut self, file: &Utf8Path) -> Result<(), IngestError> {
         self.bounds.check(file, self.seen as u64)?;
         if self.loaded.cloud.len() < self.bounds.kept.saturating_mul(2) {
             return Ok(());
@@ -164,7 +164,7 @@ impl CloudBuilder {
         Ok(())
     }
 
-    fn settle(&mut self, first: [f64; 3]) -> [f64; 3] {
+    fn to_local(&mut self, first: [f64; 3]) -> [f64; 3] {
         let far = first.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M));
         // A round number, because people who compare coordinates will see it.
         let origin = if far { first.map(|c| (c / 100.0).round() * 100.0) } else { [0.0; 3] };

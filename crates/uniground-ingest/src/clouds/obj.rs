@@ -46,11 +46,11 @@ pub(super) fn read(
         let text = String::from_utf8_lossy(&line);
         let mut words = text.split_ascii_whitespace();
         match words.next() {
-            Some("v") => reading.vertex(words).map_err(at)?,
-            Some("vt") => reading.texture_place(words).map_err(at)?,
-            Some("f") => reading.face(words).map_err(at)?,
+            Some("v") => reading.parse_vertex(words).map_err(at)?,
+            Some("vt") => reading.parse_texture_coordinates(words).map_err(at)?,
+            Some("f") => reading.parse_face(words).map_err(at)?,
             Some("mtllib") => {
-                reading.materials_of(root, file, text.trim_start()["mtllib".len()..].trim())?;
+                reading.read_materials(root, file, text.trim_start()["mtllib".len()..].trim())?;
             }
             Some("usemtl") => {
                 reading.current =
@@ -78,7 +78,7 @@ pub(super) fn read(
 }
 
 impl ObjReader {
-    fn vertex<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
+    fn parse_vertex<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let values: Vec<f64> = words
             .take(8)
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
@@ -97,7 +97,10 @@ impl ObjReader {
         Ok(())
     }
 
-    fn texture_place<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
+    fn parse_texture_coordinates<'a>(
+        &mut self,
+        words: impl Iterator<Item = &'a str>,
+    ) -> Result<(), String> {
         let values: Vec<f32> = words
             .take(2)
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
@@ -112,7 +115,7 @@ impl ObjReader {
 
     /// Parses `f v`, `f v/vt`, `f v/vt/vn` or `f v//vn`. Indices count from 1, or backwards from
     /// the last. Polygons are split into fans.
-    fn face<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
+    fn parse_face<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let mut corners = Vec::new();
         for word in words.take(256) {
             let mut parts = word.split('/');
@@ -144,13 +147,13 @@ impl ObjReader {
         Ok(())
     }
 
-    fn materials_of(
+    fn read_materials(
         &mut self,
         root: &Utf8Path,
         file: &Utf8Path,
         name: &str,
     ) -> Result<(), IngestError> {
-        let Some(library) = beside(file, name) else { return Ok(()) };
+        let Some(library) = sibling_path(file, name) else { return Ok(()) };
         // Without its material file, a mesh is read without color.
         if !root.join(&library).is_file() {
             return Ok(());
@@ -173,7 +176,8 @@ impl ObjReader {
                         format!("more than {MAX_TEXTURES} textures"),
                     ));
                 }
-                let Some(picture) = beside(&library, picture).filter(|p| root.join(p).is_file())
+                let Some(picture) =
+                    sibling_path(&library, picture).filter(|p| root.join(p).is_file())
                 else {
                     continue;
                 };
@@ -194,7 +198,7 @@ impl ObjReader {
 }
 
 /// Returns the path of a file that another one names, if it stays inside the upload.
-pub(super) fn beside(file: &Utf8Path, name: &str) -> Option<Utf8PathBuf> {
+pub(super) fn sibling_path(file: &Utf8Path, name: &str) -> Option<Utf8PathBuf> {
     let name = Utf8Path::new(name);
     let plain =
         name.components().all(|c| matches!(c, Utf8Component::Normal(_) | Utf8Component::CurDir));

@@ -44,7 +44,7 @@ pub fn read(
     let (header, mut source) = open(root, file)?;
     let mut has_vertices = false;
     for element in header.elements.values() {
-        let rows = PlyRows::of(element, &header.encoding);
+        let rows = PlyRows::new(element, &header.encoding);
         let named = |e: String| malformed(format!("{}: {e}", element.name));
         if has_vertices && rows.has_corners() && element.count > 0 {
             faces::sample_if_sparse(&rows, &mut source, element.count, &mut gathered)
@@ -55,11 +55,12 @@ pub fn read(
             rows.skip(&mut source, element.count).map_err(named)?;
             continue;
         }
-        gathered
-            .colored(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
+        gathered.set_has_color(
+            ["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)),
+        );
         let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
         if !["x", "y", "z"].iter().any(in_doubles) {
-            gathered.single_precision();
+            gathered.set_single_precision();
         }
         gathered.expect(file, element.count)?;
         rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
@@ -67,7 +68,7 @@ pub fn read(
         if !header
             .elements
             .values()
-            .any(|element| PlyRows::of(element, &header.encoding).has_corners())
+            .any(|element| PlyRows::new(element, &header.encoding).has_corners())
         {
             break;
         }
@@ -142,10 +143,10 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
 }
 
 impl Vertex {
-    fn hand_to(&self, gathered: &mut CloudBuilder) {
+    fn push_to(&self, gathered: &mut CloudBuilder) {
         match self.nan_color {
             false => gathered.push(self.position, self.color),
-            true => gathered.push_discoloured(self.position, self.color),
+            true => gathered.push_without_valid_color(self.position, self.color),
         }
     }
 }
@@ -167,7 +168,7 @@ enum Field {
 }
 
 impl Field {
-    fn of(name: &str) -> Option<Self> {
+    fn from_name(name: &str) -> Option<Self> {
         let at = |names: [&str; 3]| names.iter().position(|known| *known == name);
         at(["x", "y", "z"])
             .map(Self::Coordinate)

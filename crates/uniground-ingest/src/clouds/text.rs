@@ -33,7 +33,7 @@ struct Columns {
 
 /// Returns whether a file begins with lines of at least three numbers, after at most a heading or a
 /// count.
-pub(super) fn recognises(head: &[u8]) -> bool {
+pub(super) fn can_read(head: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(
         &head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)],
     ) else {
@@ -45,7 +45,7 @@ pub(super) fn recognises(head: &[u8]) -> bool {
     }
     let (mut rows, mut others) = (0, 0);
     for line in lines {
-        match numbers(line) {
+        match parse_numbers(line) {
             Some(values) if values.len() >= 3 => rows += 1,
             _ => others += 1,
         }
@@ -53,12 +53,12 @@ pub(super) fn recognises(head: &[u8]) -> bool {
     rows > 0 && others <= 3
 }
 
-fn words(line: &str) -> impl Iterator<Item = &str> {
+fn split_words(line: &str) -> impl Iterator<Item = &str> {
     line.split([' ', '\t', ',', ';', '\r']).filter(|word| !word.is_empty()).take(MAX_COLUMNS)
 }
 
-fn numbers(line: &str) -> Option<Vec<f64>> {
-    words(line).map(|word| word.parse().ok()).collect()
+fn parse_numbers(line: &str) -> Option<Vec<f64>> {
+    split_words(line).map(|word| word.parse().ok()).collect()
 }
 
 pub(super) fn read(
@@ -67,8 +67,8 @@ pub(super) fn read(
     mut gathered: CloudBuilder,
 ) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
-    let columns = columns(root, file)?;
-    gathered.colored(columns.color.is_some());
+    let columns = detect_columns(root, file)?;
+    gathered.set_has_color(columns.color.is_some());
     let mut source = open(root, file)?;
     let mut line = Vec::new();
     let (mut number, mut skipped) = (0_usize, 0_usize);
@@ -80,7 +80,7 @@ pub(super) fn read(
         let text = std::str::from_utf8(&line)
             .map_err(|_| malformed(format!("line {number}: not text")))?;
         let (mut found, mut readable) = (0, true);
-        for (value, word) in values.iter_mut().zip(words(text)) {
+        for (value, word) in values.iter_mut().zip(split_words(text)) {
             match word.parse() {
                 Ok(v) => *value = v,
                 Err(_) => readable = false,
@@ -105,10 +105,10 @@ pub(super) fn read(
         });
         gathered.push(columns.position.map(|i| values[i]), color);
         if number.is_multiple_of(1 << 16) {
-            gathered.make_room(file)?;
+            gathered.thin_if_full(file)?;
         }
     }
-    gathered.make_room(file)?;
+    gathered.thin_if_full(file)?;
     Ok(gathered)
 }
 
@@ -118,14 +118,14 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<BufReader<File>, IngestError
     Ok(BufReader::with_capacity(1 << 20, source))
 }
 
-fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
+fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
     let mut source = open(root, file)?.take_lines();
     let mut heading = None;
     let mut rows: Vec<Vec<f64>> = Vec::new();
     while let Some(line) = source.next_line(file)? {
-        match numbers(&line) {
+        match parse_numbers(&line) {
             Some(values) if values.len() >= 3 => rows.push(values),
-            _ if rows.is_empty() && heading.is_none() => heading = by_heading(&line),
+            _ if rows.is_empty() && heading.is_none() => heading = columns_from_heading(&line),
             _ => {}
         }
         if rows.len() == LOOKED_AT {
@@ -167,9 +167,9 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
 }
 
 /// Finds columns by names as CloudCompare and most tables write them.
-fn by_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
+fn columns_from_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
     let line = line.trim_start_matches(['#', '/', '\u{feff}']).to_ascii_lowercase();
-    let names: Vec<&str> = words(&line).map(|word| word.trim_matches('"')).collect();
+    let names: Vec<&str> = split_words(&line).map(|word| word.trim_matches('"')).collect();
     let of = |wanted: [&[&str]; 3]| -> Option<[usize; 3]> {
         let at: Vec<usize> = wanted
             .iter()

@@ -1,7 +1,7 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{FolderListing, inside};
+use super::files::{FolderListing, check_inside};
 use super::numbers::read_pose;
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -46,7 +46,7 @@ struct Manifest {
     depth_to_color: Option<Vec<f64>>,
     /// The layout that this one was converted from.
     source: Option<String>,
-    #[serde(default, deserialize_with = "super::listed::frames")]
+    #[serde(default, deserialize_with = "super::listed::deserialize_frames")]
     frames: Vec<ManifestFrame>,
 }
 
@@ -70,7 +70,7 @@ fn camera_to_world() -> PoseConvention {
     PoseConvention::CameraToWorld
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_file(FILE)
 }
 
@@ -91,7 +91,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
                 .into_iter()
                 .flatten()
         {
-            inside(path, NAMED)?;
+            check_inside(path, NAMED)?;
         }
     }
     let usual = || usual_depth_scale_m(root, manifest.frames.iter().map(|frame| &frame.depth));
@@ -136,14 +136,14 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             optics,
         }))?;
     }
-    manifest.cloud.as_deref().map(|cloud| inside(cloud, NAMED)).transpose()?;
+    manifest.cloud.as_deref().map(|cloud| check_inside(cloud, NAMED)).transpose()?;
     let Manifest { name, up, cloud, camera_axes, pose, .. } = manifest;
     Ok(Scan { name, cloud, up, camera_axes, pose, depth_scale_m, ..scan })
 }
 
 fn parse_depth_to_color(values: &[f64]) -> Result<uniground_geometry::Isometry3<f32>, IngestError> {
     let bad = |reason: String| IngestError::malformed(FILE, format!("depth_to_color: {reason}"));
-    let matrix = super::numbers::matrix(values)
+    let matrix = super::numbers::matrix_from_values(values)
         .ok_or_else(|| bad(format!("it has {} numbers, 16 are expected", values.len())))?;
     uniground_geometry::pose::rigid(&matrix.cast()).map_err(|e| bad(e.to_string()))
 }

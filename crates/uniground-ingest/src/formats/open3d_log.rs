@@ -3,7 +3,7 @@
 //! camera, a PrimeSense sensor is assumed, as in Open3D's own examples.
 
 use super::color_depth_pose::{
-    FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames, own_cloud,
+    FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames, find_cloud,
 };
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, intrinsics, trajectory};
@@ -19,7 +19,7 @@ const LOGS: &[&str] =
 const PRIMESENSE: Intrinsics =
     Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
 
-fn log(folder: &FolderListing) -> Option<Utf8PathBuf> {
+fn find_log(folder: &FolderListing) -> Option<Utf8PathBuf> {
     let other = || {
         folder
             .names()
@@ -30,11 +30,11 @@ fn log(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder.first_file(LOGS).or_else(other)
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("depth")
         && folder.first_folder(COLOR).is_some()
         && !folder.has_folder("pose")
-        && log(folder).is_some()
+        && find_log(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
@@ -45,8 +45,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing"));
     };
     let mut scan = Scan::new(&folder.root, "open3d-log");
-    let color = if intrinsics::color_file(folder).is_some() {
-        intrinsics::of_color(folder, first)?
+    let color = if intrinsics::find_color_file(folder).is_some() {
+        intrinsics::read_color_intrinsics(folder, first)?
     } else {
         scan.warnings.push(
             "nothing says which camera it was: taken as a PrimeSense (525 525 319.5 239.5); intrinsic.txt or camera_intrinsic.json says better"
@@ -54,7 +54,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         );
         PRIMESENSE
     };
-    let file = log(folder).unwrap_or_else(|| LOGS[0].into());
+    let file = find_log(folder).unwrap_or_else(|| LOGS[0].into());
     let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);
     add_frames(
         &mut scan,
@@ -63,6 +63,6 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         &FrameCameras { color, depth: None },
         UnmatchedImages::Damaged,
     )?;
-    scan.cloud = own_cloud(folder);
+    scan.cloud = find_cloud(folder);
     Ok(scan)
 }

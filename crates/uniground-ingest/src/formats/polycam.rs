@@ -53,7 +53,7 @@ impl Camera {
     }
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("keyframes")
 }
 
@@ -80,9 +80,9 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         list("confidence", &["png"])?,
     );
     let (camera_of, depth_of, confidence_of) = (
-        pairing::partners(&color, &cameras),
-        pairing::partners(&color, &depth),
-        pairing::partners(&color, &confidence),
+        pairing::match_files(&color, &cameras),
+        pairing::match_files(&color, &depth),
+        pairing::match_files(&color, &confidence),
     );
     let mut scan = Scan::new(&folder.root, "polycam");
     scan.camera_axes = CameraAxes::Opengl;
@@ -98,7 +98,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             continue;
         };
         let file = &cameras[camera_at];
-        let frame = camera(&folder.root, file).map(|camera| RawFrame {
+        let frame = read_camera(&folder.root, file).map(|camera| RawFrame {
             index: FrameIndex(0),
             color: picture.clone(),
             depth: depth[depth_at].clone(),
@@ -122,7 +122,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
 }
 
-fn camera(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
+fn read_camera(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
     serde_json::from_str(&read_text(root, file, MAX_CAMERA_BYTES)?)
         .map_err(|e| IngestError::malformed(file, e))
 }

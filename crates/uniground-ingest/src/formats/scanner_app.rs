@@ -2,8 +2,8 @@
 //! `conf_00000.png` in one folder. OpenGL cameras in a world that ARKit made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, FolderListing, PICTURES};
-use super::numbers::matrix;
+use super::list_files::{DEPTHS, FolderListing, PICTURES};
+use super::numbers::matrix_from_values;
 use super::{incomplete, intrinsics, pairing};
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -24,7 +24,7 @@ struct ScannerAppFrame {
     intrinsics: Vec<f64>,
 }
 
-fn files(
+fn list_files(
     folder: &FolderListing,
     start: &str,
     endings: &[&str],
@@ -36,18 +36,19 @@ fn files(
         .collect())
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     let some = |start: &str, ending: &str| {
-        files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty())
+        list_files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty())
     };
     some("frame_", "json") || (some("frame_", "jpg") && some("depth_", "png"))
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
-    let (color, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
+    let (color, depth) =
+        (list_files(folder, "frame_", PICTURES)?, list_files(folder, "depth_", DEPTHS)?);
     let (taken, confidence) =
-        (files(folder, "frame_", &["json"])?, files(folder, "conf_", &["png"])?);
+        (list_files(folder, "frame_", &["json"])?, list_files(folder, "conf_", &["png"])?);
     for (list, what) in [
         (&color, "the pictures frame_*.jpg are"),
         (&depth, "the depth pictures depth_*.png are"),
@@ -59,9 +60,9 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     // The app writes more poses than pictures. Depth exists only for pictures.
     let (depth_of, taken_of, confidence_of) = (
-        pairing::partners(&color, &depth),
-        pairing::partners(&color, &taken),
-        pairing::partners(&color, &confidence),
+        pairing::match_files(&color, &depth),
+        pairing::match_files(&color, &taken),
+        pairing::match_files(&color, &confidence),
     );
     let mut scan = Scan::new(root, "3d-scanner-app");
     scan.camera_axes = CameraAxes::Opengl;
@@ -79,10 +80,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             let file: &Utf8Path = &taken[taken_at];
             let taken: ScannerAppFrame = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
                 .map_err(|e| IngestError::malformed(file, e))?;
-            let pose = matrix(&taken.pose).ok_or_else(|| {
+            let pose = matrix_from_values(&taken.pose).ok_or_else(|| {
                 IngestError::malformed(file, "cameraPoseARFrame has not 16 numbers")
             })?;
-            let camera = intrinsics::of_values(root, file, &taken.intrinsics, picture)?;
+            let camera =
+                intrinsics::intrinsics_from_values(root, file, &taken.intrinsics, picture)?;
             Ok(RawFrame {
                 index: FrameIndex(0),
                 color: picture.clone(),

@@ -4,7 +4,7 @@
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
 use super::files::{DEPTHS, FolderListing, PICTURES};
-use super::numbers::{matrix, parse, values_of};
+use super::numbers::{find_values, matrix_from_values, parse};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -18,7 +18,7 @@ const COLOR_CAMERA: &str = "intrinsic/intrinsic_color.txt";
 const DEPTH_CAMERA: &str = "intrinsic/intrinsic_depth.txt";
 const MESHES: &[&str] = &["_vh_clean_2.ply", "_vh_clean.ply", ".aligned.ply"];
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("intrinsic") && (folder.has_folder("color") || folder.has_folder("pose"))
         || is_flat(folder)
 }
@@ -31,7 +31,7 @@ fn is_flat(folder: &FolderListing) -> bool {
             .iter()
             .any(|name| name.ends_with(ending) && name.starts_with(|c: char| c.is_ascii_digit()))
     };
-    has(".jpg") && has(".png") && has(".txt") && intrinsics::color_file(folder).is_some()
+    has(".jpg") && has(".png") && has(".txt") && intrinsics::find_color_file(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
@@ -58,14 +58,14 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         return Err(incomplete(LOOKS_LIKE, "its pictures are missing"));
     };
     let cameras = if flat || !folder.has_file(COLOR_CAMERA) {
-        FrameCameras { color: intrinsics::of_color(folder, color)?, depth: None }
+        FrameCameras { color: intrinsics::read_color_intrinsics(folder, color)?, depth: None }
     } else {
         let depth_camera = folder
             .has_file(DEPTH_CAMERA)
-            .then(|| intrinsics::of_file(root, Utf8Path::new(DEPTH_CAMERA), depth))
+            .then(|| intrinsics::read_intrinsics(root, Utf8Path::new(DEPTH_CAMERA), depth))
             .transpose()?;
         FrameCameras {
-            color: intrinsics::of_file(root, Utf8Path::new(COLOR_CAMERA), color)?,
+            color: intrinsics::read_intrinsics(root, Utf8Path::new(COLOR_CAMERA), color)?,
             depth: depth_camera,
         }
     };
@@ -75,8 +75,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         .clouds(MESHES)
         .into_iter()
         .find(is_mesh)
-        .or_else(|| super::color_depth_pose::own_cloud(folder));
-    if let Some((alignment, file)) = alignment(folder)? {
+        .or_else(|| super::color_depth_pose::find_cloud(folder));
+    if let Some((alignment, file)) = read_alignment(folder)? {
         scan.warnings.push(format!("{file}: its axis alignment is applied to poses and cloud"));
         scan.alignment = Some(alignment);
     }
@@ -84,7 +84,9 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Returns `axisAlignment` of the scene's own text file, unless it is the identity.
-fn alignment(folder: &FolderListing) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
+fn read_alignment(
+    folder: &FolderListing,
+) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
     for name in folder
         .names()
         .iter()
@@ -92,18 +94,18 @@ fn alignment(folder: &FolderListing) -> Result<Option<(Matrix4<f64>, Utf8PathBuf
     {
         let file = Utf8Path::new(name);
         let text = read_text(&folder.root, file, MAX_META_BYTES)?;
-        let Some(values) = values_of(&text, "axisAlignment") else { continue };
+        let Some(values) = find_values(&text, "axisAlignment") else { continue };
         let values = parse(values).map_err(|word| {
             IngestError::malformed(file, format!("axisAlignment: {word:?} is not a number"))
         })?;
-        let matrix = matrix(&values).filter(|_| values.len() == 16);
+        let matrix = matrix_from_values(&values).filter(|_| values.len() == 16);
         let matrix = matrix.ok_or_else(|| {
             IngestError::malformed(
                 file,
                 format!("axisAlignment has {} numbers, 16 are expected", values.len()),
             )
         })?;
-        return Ok((matrix != Matrix4::identity()).then(|| (matrix, file.to_owned())));
+        return Ok((matrix != Matrix4::identity()).then(|| (matrix_from_values, file.to_owned())));
     }
     Ok(None)
 }

@@ -40,7 +40,7 @@ impl GroundingService {
         caller: Caller,
     ) -> Result<ManyAnswers, Error> {
         request.check()?;
-        let (start, question) = (Instant::now(), request.of_one());
+        let (start, question) = (Instant::now(), request.to_ground_request());
         // Fails early for a question that insists on a model that cannot be had.
         QuestionModels::decide(self.vlm.as_ref(), &question, &caller, Vec::new())?;
         let (rows, narrowed) = self.scenes_meant(&request).await?;

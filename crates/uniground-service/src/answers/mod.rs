@@ -161,7 +161,9 @@ impl GroundingService {
         let frame = CoordinateFrameView::of(request.frame, &scene, source.parse.source_to_scene)?;
         let request = match &frame {
             Some(frame) => GroundRequest {
-                observer: request.observer.map(|observer| frame.from_scene.observer(&observer)),
+                observer: request
+                    .observer
+                    .map(|observer| frame.from_scene.observer_to_scene(&observer)),
                 ..request
             },
             None => request,

@@ -67,12 +67,13 @@ impl QuestionModels {
         let reader = vlm
             .filter(|_| !is_unpaid)
             .map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.clone() });
-        let parser: Arc<dyn QueryParser> = match (request.parser.beside(request.reasoner), reader) {
-            (ParserChoice::Vlm, _) if vlm.is_none() => return Err(Error::VlmNotConfigured),
-            (ParserChoice::Vlm, Some(reader)) => Arc::new(reader),
-            (ParserChoice::Auto, Some(reader)) => Arc::new(AutoParser(reader)),
-            (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
-        };
+        let parser: Arc<dyn QueryParser> =
+            match (request.parser.resolve_for(request.reasoner), reader) {
+                (ParserChoice::Vlm, _) if vlm.is_none() => return Err(Error::VlmNotConfigured),
+                (ParserChoice::Vlm, Some(reader)) => Arc::new(reader),
+                (ParserChoice::Auto, Some(reader)) => Arc::new(AutoParser(reader)),
+                (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
+            };
         let reviewer = reviewer.map(|vlm| {
             let options = Options {
                 ablation: request.ablation,
@@ -107,7 +108,7 @@ impl QuestionModels {
     pub fn into_ask(self, request: &GroundRequest) -> Ask {
         let question = Question {
             query: request.query.clone(),
-            top_k: request.evidence.candidates(request.top_k) as usize,
+            top_k: request.evidence.candidate_limit(request.top_k) as usize,
             convention: request.direction_convention,
             observer: request.observer,
             target_name: None,

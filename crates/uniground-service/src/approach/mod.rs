@@ -191,7 +191,7 @@ fn question(query: &str) -> GroundRequest {
     GroundRequest {
         reasoner: ReasonerChoice::Builtin,
         allow_builtin: true,
-        ..GroundRequest::of(query)
+        ..GroundRequest::new(query)
     }
 }
 

@@ -110,7 +110,7 @@ impl InstanceService {
         let listed = parse
             .instances
             .iter()
-            .filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed));
+            .filter(|i| i.id.0 > cursor && levels.includes(i.level, i.dismissed));
         let mut page = self.views_of(&parse, listed.take(limit as usize + 1)).await?;
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);

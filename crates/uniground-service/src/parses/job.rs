@@ -28,7 +28,7 @@ use uniground_storage::{
     ParseRepository, SceneRepository, SceneRow,
 };
 use uniground_telemetry::metrics::Metrics;
-use uniground_types::settings::{ParseSettings, with_names_of_today};
+use uniground_types::settings::{ParseSettings, rename_deprecated_settings};
 
 /// Parses scenes one at a time, because a parse uses every core it gets.
 pub struct ParseJob {
@@ -55,7 +55,7 @@ fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(
     deserializer: D,
 ) -> Result<ParseSettings, D::Error> {
     let mut settings = serde_json::Value::deserialize(deserializer)?;
-    with_names_of_today(&mut settings);
+    rename_deprecated_settings(&mut settings);
     serde_json::from_value(settings).map_err(serde::de::Error::custom)
 }
 

@@ -67,7 +67,7 @@ impl ChangeService {
             return Err(Error::VersionsApart { since, renumbered: next });
         }
         for (_, later) in known {
-            changes = changes.then(later);
+            changes = changes.followed_by(later);
         }
         Ok(SceneChanges {
             from: SceneVersion { scene_id: scene_id.to_owned(), version: since },
@@ -155,7 +155,8 @@ fn in_one_map(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
     if from.map_frame_id != to.map_frame_id {
         return Isometry3::identity();
     }
-    let (out, back) = (SceneToFrame::to_map(from_place), SceneToFrame::to_map(to_place));
+    let (out, back) =
+        (SceneToFrame::scene_to_map(from_place), SceneToFrame::scene_to_map(to_place));
     let through = |p: [f64; 3]| Vector3::from(back.invert(out.apply(p)));
     let origin = through([0.0; 3]);
     let axes = [

@@ -40,7 +40,7 @@ impl LasRecords {
         if format & 0b1100_0000 != 0 {
             return Ok(None);
         }
-        fn at<const N: usize>(header: &[u8], from: usize) -> [u8; N] {
+        fn bytes_at<const N: usize>(header: &[u8], from: usize) -> [u8; N] {
             std::array::from_fn(|i| header[from + i])
         }
         let three = |from: usize| [0, 1, 2].map(|i| f64::from_le_bytes(at(&header, from + 8 * i)));
@@ -96,7 +96,7 @@ impl LasRecords {
         mut gathered: CloudBuilder,
     ) -> Result<CloudBuilder, IngestError> {
         gathered.expect(file, usize::try_from(self.points).unwrap_or(usize::MAX))?;
-        gathered.colored(self.color.is_some());
+        gathered.set_has_color(self.color.is_some());
         let per_block = (BLOCK_BYTES / self.bytes).max(1);
         let mut block = vec![0; per_block * self.bytes];
         let mut wide: Vec<[u16; 3]> = Vec::new();
@@ -130,7 +130,7 @@ impl LasRecords {
             left -= rows as u64;
         }
         if self.color.is_some() {
-            super::recolour(&mut gathered, &wide);
+            super::set_colors(&mut gathered, &wide);
         }
         Ok(gathered)
     }

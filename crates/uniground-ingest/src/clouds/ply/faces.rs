@@ -21,11 +21,11 @@ pub(super) fn sample_if_sparse(
     count: usize,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some(vertices) = gathered.complete() else { return Ok(()) };
+    let Some(vertices) = gathered.as_complete() else { return Ok(()) };
     let metres_per_unit = guess_units::guess(&vertices.positions, &mut Vec::new());
     let start = source.stream_position().map_err(|e| e.to_string())?;
     let (mut area, mut large_area) = (0.0, 0.0);
-    triangles(rows, source, count, vertices, |triangle| {
+    for_each_triangle(rows, source, count, vertices, |triangle| {
         let own = triangle.area();
         area += own;
         if longest_side(triangle) * metres_per_unit > LARGE_M {
@@ -33,14 +33,14 @@ pub(super) fn sample_if_sparse(
         }
     })?;
     let Some(mut sampling) =
-        MeshSampler::of(area, metres_per_unit).filter(|_| large_area > area / 2.0)
+        MeshSampler::for_area(area, metres_per_unit).filter(|_| large_area > area / 2.0)
     else {
         return Ok(());
     };
     source.seek(SeekFrom::Start(start)).map_err(|e| e.to_string())?;
     let mut sampled = PointCloud::default();
-    triangles(rows, source, count, vertices, |triangle| {
-        sampling.points(triangle, &[], |position, color| {
+    for_each_triangle(rows, source, count, vertices, |triangle| {
+        sampling.sample_triangle(triangle, &[], |position, color| {
             sampled.positions.push(position.map(|c| c as f32).into());
             sampled.colors.push(color);
         });
@@ -50,7 +50,7 @@ pub(super) fn sample_if_sparse(
 }
 
 /// Calls a function with every triangle. Polygons are split into fans.
-fn triangles(
+fn for_each_triangle(
     rows: &PlyRows,
     source: &mut impl BufRead,
     count: usize,
@@ -70,7 +70,7 @@ fn triangles(
             uv: None,
         })
     };
-    rows.faces(source, count, |corners| {
+    rows.for_each_face(source, count, |corners| {
         let [first, rest @ ..] = corners else { return Ok(()) };
         let first = corner(*first)?;
         for pair in rest.windows(2) {

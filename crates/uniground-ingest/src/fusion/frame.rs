@@ -37,7 +37,7 @@ pub(super) struct PixelSample {
 const TILE: u32 = 16;
 
 impl FusionFrame {
-    pub fn of(frame: &Frame, settings: &FusionSettings) -> Self {
+    pub fn new(frame: &Frame, settings: &FusionSettings) -> Self {
         let (width, height) = (frame.depth.width, frame.depth.height);
         let colors = frame.color_on_depth_grid();
         let sharpness = sharpness(&colors, width);
@@ -48,8 +48,11 @@ impl FusionFrame {
                 let usable = z_m > 0.0
                     && z_m <= settings.max_depth_m
                     && !on_silhouette(frame, u, v, z_m, settings.silhouette_tolerance);
-                let weight =
-                    if usable { facing(frame, u, v, z_m) / (z_m * z_m).max(0.01) } else { 0.0 };
+                let weight = if usable {
+                    view_cosine(frame, u, v, z_m) / (z_m * z_m).max(0.01)
+                } else {
+                    0.0
+                };
                 let color = colors[(v * width + u) as usize];
                 pixels.push(PixelSample {
                     depth_m: if usable { z_m } else { 0.0 },
@@ -75,7 +78,7 @@ impl FusionFrame {
             tiles_wide,
             blocks: Vec::new(),
         };
-        look.blocks = look.touched(settings);
+        look.blocks = look.touched_voxels(settings);
         look
     }
 
@@ -114,7 +117,7 @@ impl FusionFrame {
         )
     }
 
-    fn touched(&self, settings: &FusionSettings) -> Vec<VoxelKey> {
+    fn touched_voxels(&self, settings: &FusionSettings) -> Vec<VoxelKey> {
         let block_m = super::volume::SIDE as f32 * settings.voxel_m;
         let truncation_m = settings.truncation_m();
         let to_world = self.camera.world_to_camera().inverse();
@@ -150,7 +153,7 @@ impl FusionFrame {
 
 /// Returns the cosine between the view and the surface normal, from the depths around a pixel; at
 /// least 0.1.
-fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
+fn view_cosine(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
     /// Distance of the neighboring pixels on either side. With adjacent pixels, noise dominates.
     const REACH: u32 = 3;
     let camera = frame.depth_camera.intrinsics;
