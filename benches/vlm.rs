@@ -70,7 +70,7 @@ struct Sample {
 
 impl Sample {
     fn parse(scan: &Utf8Path) -> Self {
-        let folder = ScanFolder::of(scan).unwrap();
+        let folder = ScanFolder::open(scan).unwrap();
         let settings = ParseSettings::default();
         let parsed = parse_scan(
             &folder.path,
@@ -154,7 +154,7 @@ impl Sample {
             let first_step = {
                 let ids: Vec<InstanceId> = many.candidates.iter().map(|c| c.id).collect();
                 let sheets = contact_sheets(scene.as_ref(), &ids).unwrap();
-                Tokens::of(&narrowing(
+                Tokens::estimate(&narrowing(
                     &many,
                     &VisualEvidence { sheets, ..VisualEvidence::default() },
                 ))
@@ -176,7 +176,7 @@ impl Sample {
                 let request =
                     Conversation { context, evidence: &pictures, options, names, unnamed: None }
                         .first_request();
-                let tokens = Tokens::of(&request);
+                let tokens = Tokens::estimate(&request);
                 *total += tokens.total();
                 match evidence {
                     EvidenceMode::Full => text = text.max(tokens.text),
@@ -197,7 +197,7 @@ impl Sample {
             .chunks(naming::PER_SHEET)
             .filter_map(|ids| {
                 let (sheet, ids) = naming::sheet_of(scene.as_ref(), 1, ids).unwrap()?;
-                Some(Tokens::of(&naming::request(sheet, &ids)).total())
+                Some(Tokens::estimate(&naming::request(sheet, &ids)).total())
             })
             .sum();
         let count = queries.len() as u64;

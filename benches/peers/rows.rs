@@ -258,7 +258,7 @@ pub fn perception<'a>(
             ours: measured(|asked| {
                 let masks = asked
                     .segmenter
-                    .decode(&asked.encoded, &[Prompt::inside([(300.0, 200.0)]), Prompt::inside([(100.0, 90.0)])]);
+                    .decode(&asked.encoded, &[Prompt::from_inside_points([(300.0, 200.0)]), Prompt::from_inside_points([(100.0, 90.0)])]);
                 format!("{} masks", masks.unwrap().iter().map(Vec::len).sum::<usize>())
             }),
             peer: asked(onnxruntime, "decode 2".into()),

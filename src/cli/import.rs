@@ -88,7 +88,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         ..ImportSettings::default()
     };
     let begun = Instant::now();
-    let folder = ScanFolder::of(&args.scan)?;
+    let folder = ScanFolder::open(&args.scan)?;
     let scan = ingest::open(&folder.path)?;
     let InspectedScan { frames, cloud, report } = if args.check {
         ingest::inspect(&scan, &settings, &Progress::silent())?
@@ -96,7 +96,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
         InspectedScan { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
     };
-    let neighbours = ingest::neighbours(&frames);
+    let neighbours = ingest::compare_neighbors(&frames);
     let imported = ImportedScanInfo {
         report,
         frames,

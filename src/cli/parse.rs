@@ -72,7 +72,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     }
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
     let folder =
-        ScanFolder::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
+        ScanFolder::open(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
     let ChosenModels { models, told, warnings } = args.models.load()?;
     warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     eprintln!("{told}");

@@ -33,7 +33,7 @@ impl ScanFile {
         let source = match is_known_by_its_bytes(scan).with_context(|| scan.to_string())? {
             true => Source::File(scan.to_owned()),
             false => Source::Folder(
-                ScanFolder::of(scan).map_err(|error| hints::of_scan(error.into(), scan))?,
+                ScanFolder::open(scan).map_err(|error| hints::of_scan(error.into(), scan))?,
             ),
         };
         Ok(Self { name, source })
@@ -85,7 +85,7 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
     }
     let mut head = Vec::new();
     File::open(scan)?.take(ArchiveFormat::HEAD_BYTES as u64).read_to_end(&mut head)?;
-    let packed = ArchiveFormat::of_head(&head, scan.as_str());
+    let packed = ArchiveFormat::from_head(&head, scan.as_str());
     // What is called an archive and is none is for the service to tell.
     Ok(matches!(packed, Some(ArchiveFormat::Archive(_) | ArchiveFormat::Sens))
         || ArchiveKind::from_file_name(scan.as_str()).is_some())

@@ -102,7 +102,7 @@ fn clip_embeddings_are_those_of_the_python_runtime() {
         serde_json::from_str(&fs::read_to_string(golden("clip-vitb16-lite/golden.json")).unwrap())
             .unwrap();
     let encoder = encoder();
-    assert_eq!(encoder.batch(), 1, "its activations are quantised over the batch");
+    assert_eq!(encoder.batch_size(), 1, "its activations are quantised over the batch");
     let expected = rows("clip-vitb16-lite/image_embeds.npy", encoder.dim());
     for (files, least) in [(strings(&known["resized"]), 0.999), (strings(&known["images"]), 0.97)] {
         let pictures: Vec<RgbImage> =
@@ -379,7 +379,8 @@ fn networks_answer_alike_here_and_behind_a_server() {
             .segmenters
             .remove(0)
     });
-    let prompts: Vec<Prompt> = (0..20).map(|i| Prompt::inside([(i as f32 * 3.0, 20.0)])).collect();
+    let prompts: Vec<Prompt> =
+        (0..20).map(|i| Prompt::from_inside_points([(i as f32 * 3.0, 20.0)])).collect();
     let masks = |segmenter: &Segmenter| {
         segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap()
     };

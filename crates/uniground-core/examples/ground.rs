@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     // Stage 1: the scan, cut into instances.
-    let folder = ScanFolder::of(&scan)?;
+    let folder = ScanFolder::open(&scan)?;
     let (settings, models) = (ParseSettings::default(), Models::default());
     let progress =
         Progress::new(|stage, done| eprint!("\r{:3.0} % {stage:<24}", done * 100.0), || false);

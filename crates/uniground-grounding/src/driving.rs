@@ -76,7 +76,7 @@ fn robot(radius_m: f32) -> Robot {
 }
 
 fn room(folder: &Utf8Path, name: &str) -> DrivingScene {
-    let unpacked = ScanFolder::of(&folder.join(format!("{name}.zip"))).unwrap();
+    let unpacked = ScanFolder::open(&folder.join(format!("{name}.zip"))).unwrap();
     let (settings, progress) = (ParseSettings::default(), Progress::silent());
     let scan =
         parse_scan(&unpacked.path, &settings, &Models::default(), &Checkpoints::none(), &progress)

@@ -47,7 +47,7 @@ pub struct FitReport {
 ///
 /// # Errors
 /// Returns [`IngestError::DoesNotBelong`], or an error for the scan's poses or pictures.
-pub fn fits(
+pub fn check_fit(
     mut scan: Scan,
     to_scene: &SourceToScene,
     known: &PointCloud,
@@ -97,9 +97,9 @@ pub fn fits(
 /// Merges the frames of a scan into a scene whose cloud is `known`.
 ///
 /// # Errors
-/// Returns the errors of [`fits`], an error for too many frames that cannot be decoded, and
+/// Returns the errors of [`check_fit`], an error for too many frames that cannot be decoded, and
 /// cancellation.
-pub fn add(
+pub fn add_scan(
     scan: Scan,
     made_of: String,
     to_scene: &SourceToScene,
@@ -109,7 +109,7 @@ pub fn add(
     progress: &Progress,
 ) -> Result<Addition, IngestError> {
     let (skipped, all) = (scan.frames_skipped, scan.frames.len());
-    let FitReport { mut frames, mut warnings, .. } = fits(scan, to_scene, known, first)?;
+    let FitReport { mut frames, mut warnings, .. } = check_fit(scan, to_scene, known, first)?;
     let fused =
         fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.sub_range(0.2, 0.7))?;
     let looking = progress.sub_range(0.7, 1.0);

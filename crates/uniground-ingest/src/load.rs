@@ -74,7 +74,12 @@ pub fn inspect(
         pose: scan.pose,
         axes: scan.camera_axes,
         depth_scale_m: scan.depth_scale_m,
-        metres_per_unit: metres_per_unit(scan, settings, own_cloud.as_ref(), &mut warnings)?,
+        metres_per_unit: resolve_meters_per_unit(
+            scan,
+            settings,
+            own_cloud.as_ref(),
+            &mut warnings,
+        )?,
     };
     if let Some(own) = &mut own_cloud {
         rescale(&mut own.cloud, declared.metres_per_unit);
@@ -103,8 +108,15 @@ pub fn inspect(
         choice: settings.levelling,
     };
     let upright = match &own_cloud {
-        Some(own) if frames.is_empty() => levelling::of_cloud(&own.cloud, said, &mut warnings)?,
-        _ => levelling::of_frames(&frames, said, &mut warnings, &progress.sub_range(0.5, 1.0))?,
+        Some(own) if frames.is_empty() => {
+            levelling::find_up_of_cloud(&own.cloud, said, &mut warnings)?
+        }
+        _ => levelling::find_up_of_frames(
+            &frames,
+            said,
+            &mut warnings,
+            &progress.sub_range(0.5, 1.0),
+        )?,
     };
     let to_scene = ToScene::new(scan, &upright, own_cloud.as_ref(), reading.metres_per_unit)?;
     for frame in &mut frames {
@@ -182,7 +194,7 @@ fn read_own_cloud(
 
 /// Returns the length of the files' unit: as requested, or guessed for a cloud that would be far
 /// too large.
-fn metres_per_unit(
+fn resolve_meters_per_unit(
     scan: &Scan,
     settings: &ImportSettings,
     own: Option<&LoadedCloud>,
@@ -205,7 +217,7 @@ fn metres_per_unit(
         });
     }
     Ok(match own.filter(|own| scan.frames.is_empty() && !own.kind.is_metric()) {
-        Some(own) => guess_units::guess(&own.cloud.positions, warnings),
+        Some(own) => guess_units::guess_meters_per_unit(&own.cloud.positions, warnings),
         None => 1.0,
     })
 }

@@ -70,7 +70,7 @@ impl SkippedFrames {
     ///
     /// # Errors
     /// Returns errors of the disk, names that point outside of the upload, and cancellation.
-    pub fn note(&mut self, error: IngestError) -> Result<(), IngestError> {
+    pub fn record(&mut self, error: IngestError) -> Result<(), IngestError> {
         match error {
             IngestError::Io { .. }
             | IngestError::UnsafeEntry { .. }
@@ -142,7 +142,7 @@ impl Scan {
     pub(super) fn add(&mut self, frame: Result<RawFrame, IngestError>) -> Result<(), IngestError> {
         match frame {
             Ok(frame) => self.frames.push(frame),
-            Err(error) => self.damage.note(error)?,
+            Err(error) => self.damage.record(error)?,
         }
         Ok(())
     }

@@ -135,7 +135,7 @@ fn checked(
         });
     }
     frame.color_intrinsics = fit(root, &frame.color, frame.color_intrinsics)?;
-    whole::check(root, &frame.color)?;
+    whole::check_is_complete(root, &frame.color)?;
     match &mut frame.optics.depth_sensor {
         None => frame.depth_intrinsics = fit(root, &frame.depth, frame.depth_intrinsics)?,
         Some(sensor) => {
@@ -144,7 +144,7 @@ fn checked(
             frame.depth_intrinsics = sensor.registered_intrinsics(&frame.color_intrinsics);
         }
     }
-    whole::check(root, &frame.depth)?;
+    whole::check_is_complete(root, &frame.depth)?;
     if let Some(confidence) = &frame.optics.confidence {
         picture_size(root, &confidence.file)?;
     }

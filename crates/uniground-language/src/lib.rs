@@ -191,12 +191,12 @@ impl Phrase {
             // A zone is no thing, but a place for things.
             head if zones::made_of(head).is_some() => Meaning::Unknown,
             head if words::is_anything(head) && !self.uses.is_empty() => {
-                Meaning::Nouns(Lexicon::get().of_uses(&self.uses))
+                Meaning::Nouns(Lexicon::get().nouns_for_uses(&self.uses))
             }
             head if words::is_anything(head) => Meaning::Anything,
             head => match (structure_of(head), Lexicon::get().find_all(head)) {
                 (Some(structure), _) => Meaning::Structure(structure),
-                (None, nouns) if nouns.is_empty() => match Lexicon::get().akin(head) {
+                (None, nouns) if nouns.is_empty() => match Lexicon::get().related_nouns(head) {
                     akin if akin.is_empty() => Meaning::Unknown,
                     akin => Meaning::Nouns(akin),
                 },

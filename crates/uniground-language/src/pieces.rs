@@ -138,7 +138,7 @@ pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
         let candidate = run[..n].join(" ");
         let thing = (words::is_anything(&candidate) && n == 1)
             || structural(&candidate)
-            || lexicon.knows(&candidate);
+            || lexicon.is_known(&candidate);
         thing || zones::made_of(&candidate).is_some()
     };
     (1..=lexicon.longest_words().max(zones::LONGEST).min(run.len())).rev().find(|&n| is_noun(n))

@@ -183,7 +183,7 @@ fn embed(
     let crops: Vec<RgbImage> =
         boxes.values().flat_map(|tight| crops(picture, *tight, settings)).collect();
     let mut vectors = Vec::with_capacity(crops.len());
-    for batch in crops.chunks(encoder.batch()) {
+    for batch in crops.chunks(encoder.batch_size()) {
         progress.check()?;
         vectors.extend(encoder.embed_pictures(batch)?);
     }

@@ -74,7 +74,9 @@ impl Corrector<'_> {
         let mut draw = SeededRandom::of(projection);
         let prompts: Vec<Prompt> = (0..self.settings.rounds)
             .map(|_| {
-                Prompt::inside((0..self.settings.points).map(|_| pixels[draw.below(pixels.len())]))
+                Prompt::from_inside_points(
+                    (0..self.settings.points).map(|_| pixels[draw.below(pixels.len())]),
+                )
             })
             .collect();
         let covered = MaskCoverage::by(pixels, scale, size);

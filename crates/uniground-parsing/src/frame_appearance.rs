@@ -36,7 +36,7 @@ pub fn look(
         |frame| {
             progress.check()?;
             let mut vectors = Vec::new();
-            for batch in crops(&frame.decode_color()?).chunks(encoder.batch()) {
+            for batch in crops(&frame.decode_color()?).chunks(encoder.batch_size()) {
                 progress.check()?;
                 vectors.extend(encoder.embed_pictures(batch)?);
             }

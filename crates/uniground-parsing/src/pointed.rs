@@ -199,8 +199,10 @@ impl PointedObjectFinder<'_> {
         match (&looked.cut, self.segmenter) {
             (FrameSegmentation::Encoded(encoded), Some(segmenter)) => {
                 let (scale, threshold) = (segmenter.low_scale(encoded), segmenter.threshold());
-                let masks =
-                    segmenter.decode(encoded, &[Prompt::inside([at])])?.into_iter().flatten();
+                let masks = segmenter
+                    .decode(encoded, &[Prompt::from_inside_points([at])])?
+                    .into_iter()
+                    .flatten();
                 Ok(masks
                     .map(|mask| (mask.predicted_iou.clamp(0.0, 1.0), mask))
                     .map(|(q, mask)| (Mask::Decoded { mask, scale, threshold }, q))

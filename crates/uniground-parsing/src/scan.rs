@@ -43,7 +43,10 @@ pub enum ScanError {
 /// Returns the available models that the settings enable.
 #[must_use]
 pub fn chosen(choice: ModelChoice, models: &Models) -> Models {
-    models.only(choice.masks == PartChoice::Configured, choice.encoder == PartChoice::Configured)
+    models.select_roles(
+        choice.masks == PartChoice::Configured,
+        choice.encoder == PartChoice::Configured,
+    )
 }
 
 /// Name and version of the models in use, or of the built-in methods in their place.
@@ -283,7 +286,7 @@ fn import(
             let (first, looking) =
                 (bundle.next_frame(), progress.sub_range(share(number), share(number + 1)));
             let to_scene = part.to_scene.unwrap_or(to_scene);
-            let addition = uniground_ingest::add(
+            let addition = uniground_ingest::add_scan(
                 uniground_ingest::open(&folder)?,
                 made_of,
                 &to_scene,

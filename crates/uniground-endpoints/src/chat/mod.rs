@@ -231,10 +231,16 @@ impl ChatClient {
                         .and_then(|choice| choice.message.text())
                         .unwrap_or_default();
                     let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
-                    let prompt_tokens =
-                        believed(prompt_tokens, Tokens::of(request).total(), MOST_PROMPT_TIMES);
-                    let completion_tokens =
-                        believed(completion_tokens, Tokens::of_text(&text), MOST_COMPLETION_TIMES);
+                    let prompt_tokens = believed(
+                        prompt_tokens,
+                        Tokens::estimate(request).total(),
+                        MOST_PROMPT_TIMES,
+                    );
+                    let completion_tokens = believed(
+                        completion_tokens,
+                        Tokens::estimate_text(&text),
+                        MOST_COMPLETION_TIMES,
+                    );
                     return Ok(ChatReply {
                         text,
                         prompt_tokens,

@@ -30,7 +30,7 @@ use uniground_grounding::{Question, ShortlistScoring};
 use uniground_ingest::ScanFolder;
 use uniground_language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_models::attributes;
-use uniground_models::chat::{Budget, ChatModel, usage_of};
+use uniground_models::chat::{Budget, ChatModel, total_usage};
 use uniground_models::neural::{Models as NeuralModels, Role};
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{ParsedScan, parse_scan};
@@ -196,7 +196,7 @@ impl System for InProcess {
         } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
-                let folder = ScanFolder::of(scan)?;
+                let folder = ScanFolder::open(scan)?;
                 let ParsedScan { scene, models, frames, .. } = parse_scan(
                     &folder.path,
                     &settings,
@@ -285,7 +285,7 @@ fn boxed(
     settings: &ParseSettings,
     with_views: bool,
 ) -> anyhow::Result<OpenedScene> {
-    let folder = scene.scan.as_deref().map(ScanFolder::of).transpose()?;
+    let folder = scene.scan.as_deref().map(ScanFolder::open).transpose()?;
     let bundle = match &folder {
         Some(folder) => Some(uniground_ingest::load(
             &uniground_ingest::open(&folder.path)?,
@@ -370,7 +370,7 @@ impl OpenScene for LocalScene {
             candidates: grounding.candidates,
             shortlist: shortlist.candidates.iter().map(|c| c.aabb).collect(),
             models: Models { masks: self.masks.clone(), encoder, parser, names: None, reasoner },
-            usage: usage_of(&calls),
+            usage: total_usage(&calls),
             latency_ms,
         })
     }

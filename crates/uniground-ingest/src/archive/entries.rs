@@ -84,7 +84,7 @@ fn walk_zip(
         return Err(limits.too_many_entries());
     }
     // The directory is held in memory as a whole.
-    let allowance = ReadLimit::of(MAX_ZIP_DIRECTORY_BYTES);
+    let allowance = ReadLimit::new(MAX_ZIP_DIRECTORY_BYTES);
     let mut zip = zip::ZipArchive::new(BufReader::new(LimitedReader::new(file, &allowance)))
         .map_err(|e| match allowance.is_spent() {
             true => limits.too_many_entries(),
@@ -93,8 +93,8 @@ fn walk_zip(
     if zip.len() > limits.max_entries {
         return Err(limits.too_many_entries());
     }
-    allowance.renew(u64::MAX);
-    let unpacked = ReadLimit::of(limits.max_unpacked_bytes(packed_bytes));
+    allowance.reset(u64::MAX);
+    let unpacked = ReadLimit::new(limits.max_unpacked_bytes(packed_bytes));
     for i in 0..zip.len() {
         let entry = if with_content { zip.by_index(i) } else { zip.by_index_raw(i) };
         let mut entry = entry.map_err(|e| unreadable(&e))?;
@@ -159,7 +159,7 @@ fn walk_tar(
 ) -> Result<(), IngestError> {
     // Headers count too: otherwise, a tar could consist of any number of headers.
     let allowance =
-        ReadLimit::of(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
+        ReadLimit::new(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
     let mut tar = tar::Archive::new(LimitedReader::new(source, &allowance));
     let walked = tar
         .entries()

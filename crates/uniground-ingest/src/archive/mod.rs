@@ -134,7 +134,7 @@ pub fn unpack(
     walk(archive, kind, limits, false, &mut ArchiveCheck::new(limits))?;
     walk(archive, kind, limits, true, &mut ArchiveExtractor::new(target))?;
     // ScanNet's own container: its frames are unpacked next to it, within the same limits.
-    match sens::lone(target)? {
+    match sens::find_single_file(target)? {
         Some(file) => {
             sens::unpack(&file, file.parent().unwrap_or(target), limits.max_bytes).map(drop)
         }

@@ -185,7 +185,7 @@ pub(super) fn add_frames(
                 alone.into_iter().map(|file| (pairing::natural_sort_key(&file), file)).collect();
             moments.dedup_by(|a, b| a.0 == b.0);
             for (_, file) in moments {
-                scan.damage.note(pictures.count_mismatch_error(poses, file))?;
+                scan.damage.record(pictures.count_mismatch_error(poses, file))?;
             }
         }
         UnmatchedImages::LeftOut if scan.frames.is_empty() => {

@@ -89,7 +89,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
     for (i, picture) in color.iter().enumerate() {
         let (Some(camera_at), Some(depth_at)) = (camera_of[i], depth_of[i]) else {
-            scan.damage.note(IngestError::FrameCountMismatch {
+            scan.damage.record(IngestError::FrameCountMismatch {
                 color: color.len(),
                 depth: depth.len(),
                 pose: cameras.len(),

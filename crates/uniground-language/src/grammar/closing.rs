@@ -211,7 +211,7 @@ impl Reader {
         if !phrase.head.is_empty() && phrase.meaning() == Meaning::Unknown && phrase.head != ITSELF
         {
             phrase.could_be = Lexicon::get()
-                .holding(&phrase.head)
+                .container_nouns(&phrase.head)
                 .into_iter()
                 .map(|noun| noun.name.clone())
                 .collect();

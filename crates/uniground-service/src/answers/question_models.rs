@@ -42,7 +42,7 @@ impl QuestionModels {
         let is_unpaid = is_unpaid(vlm, request, caller);
         if let Some(vlm) =
             vlm.filter(|_| wants_model(request) && !is_unpaid && request.max_cost_usd.is_some())
-            && !vlm.prices().are_known()
+            && !vlm.prices().has_prices()
         {
             return Err(Error::invalid(
                 "/max_cost_usd",
@@ -136,5 +136,5 @@ pub(super) fn wants_model(request: &GroundRequest) -> bool {
 fn is_unpaid(vlm: Option<&Arc<Vlm>>, request: &GroundRequest, caller: &Caller) -> bool {
     let has_budget = caller.key.as_ref().is_some_and(|key| key.row.daily_usd.is_some());
     request.max_cost_usd == Some(0.0)
-        || (has_budget && vlm.is_some_and(|vlm| !vlm.prices().are_known()))
+        || (has_budget && vlm.is_some_and(|vlm| !vlm.prices().has_prices()))
 }

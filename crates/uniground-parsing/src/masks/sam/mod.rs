@@ -175,8 +175,8 @@ impl SamMasks<'_> {
             let batch: Vec<Prompt> = wanted
                 .by_ref()
                 .filter(open)
-                .take(segmenter.batch())
-                .map(|spot| Prompt::inside([spot.at]))
+                .take(segmenter.batch_size())
+                .map(|spot| Prompt::from_inside_points([spot.at]))
                 .collect();
             if batch.is_empty() {
                 return Ok(());
