@@ -16,7 +16,7 @@ use uniground_core::parsing::masks::MaskSource;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
-use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
+use uniground_core::render::{ROOM_VIEW, RenderScene, draw_scene};
 use uniground_core::scene::SceneBundle;
 use uniground_types::settings::ImportSettings;
 
@@ -99,7 +99,7 @@ fn pipelines(c: &mut Criterion) {
     let extent = Aabb::around(&parsed.cloud.positions).unwrap();
     group.sample_size(20);
     group.bench_function("picture of the room, 1024x768", |b| {
-        b.iter(|| scene_picture(&RenderScene::of(parsed.cloud.clone()), &extent, &ROOM_VIEW, &[]));
+        b.iter(|| draw_scene(&RenderScene::new(parsed.cloud.clone()), &extent, &ROOM_VIEW, &[]));
     });
     group.finish();
 }

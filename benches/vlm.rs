@@ -110,7 +110,7 @@ impl Sample {
             colors: kept.map(|i| all.colors[i]).collect(),
         };
         let frames = self.parsed.frames.clone();
-        let render_scene = RenderScene::of_parsed(cloud, &scene.instances);
+        let render_scene = RenderScene::with_building(cloud, &scene.instances);
         Arc::new(SceneAlbum::new(scene.extent, render_scene, None, String::new(), frames))
             .scene(scene.instances.clone().into())
     }

@@ -17,16 +17,16 @@ use uniground_core::ingest::read_cloud;
 use uniground_core::models::neural::{Encoded, Prompt, Segmenter};
 use uniground_core::parsing::superpoints;
 use uniground_core::progress::Progress;
-use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
+use uniground_core::render::{ROOM_VIEW, RenderScene, draw_scene};
 use uniground_core::scene::{PointCloud, write_cloud_ply};
 use uniground_types::settings::SuperpointSettings;
 
 /// Edge of the voxels a cloud is thinned to, metres.
 const THINNED_M: f32 = 0.05;
-/// What `scene_picture` cuts off and widens points by: the peer's mesh is to show the same.
+/// What `draw_scene` cuts off and widens points by: the peer's mesh is to show the same.
 const CEILING_PERCENTILE: f32 = 0.95;
 const SPLAT_OVERLAP: f32 = 1.6;
-/// What `scene_picture` leaves where nothing is.
+/// What `draw_scene` leaves where nothing is.
 const BACKGROUND: [u8; 3] = [250, 250, 250];
 
 /// The cloud in memory, the same as a file, and its extent.
@@ -188,8 +188,8 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
             };
             Ok(timed(
                 || {
-                    scene_picture(
-                        &RenderScene::of(input.cloud.clone()),
+                    draw_scene(
+                        &RenderScene::new(input.cloud.clone()),
                         &input.extent,
                         &ROOM_VIEW,
                         &[],

@@ -14,7 +14,7 @@ use std::time::Instant;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::ingest::{self, InspectedScan, NeighborAgreement, ScanFolder};
 use uniground_core::progress::Progress;
-use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
+use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, draw_scene, encode_jpeg};
 use uniground_core::scene::{FrameRef, ImportReport, PointCloud};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::settings::{ImportSettings, LevellingChoice};
@@ -199,17 +199,17 @@ fn write_report(
     if let Some((cloud, extent)) =
         imported.cloud.as_ref().and_then(|cloud| Some((cloud, Aabb::around(&cloud.positions)?)))
     {
-        let scene = RenderScene::of(cloud.clone());
+        let scene = RenderScene::new(cloud.clone());
         for (name, title, orbit) in VIEWS {
             fs::write(
                 out.join(format!("{name}.jpg")),
-                jpeg(&scene_picture(&scene, &extent, &orbit, &[])),
+                encode_jpeg(&draw_scene(&scene, &extent, &orbit, &[])),
             )?;
             pictures.push((name, title));
         }
     }
     if let Some(sheet) = page::contact_sheet(&imported.frames) {
-        fs::write(out.join("frames.jpg"), jpeg(&sheet))?;
+        fs::write(out.join("frames.jpg"), encode_jpeg(&sheet))?;
         pictures.push(("frames", "Frames over the scan"));
     }
     fs::write(out.join("report.json"), serde_json::to_vec_pretty(&ImportOutput::of(imported))?)?;

@@ -15,18 +15,18 @@ use uniground_types::labels::Labels;
 use uniground_types::many::ManyGroundRequest;
 use uniground_types::scenes::{Created, Scene, SceneChange};
 
-fn labelled(labels: &[(&str, &str)]) -> Labels {
+fn labeled(labels: &[(&str, &str)]) -> Labels {
     labels.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect()
 }
 
 async fn filed(client: &Client, scene: &Scene, name: &str, labels: &[(&str, &str)]) {
     let change = SceneChange {
         name: Some(name.into()),
-        labels: Some(labelled(labels)),
+        labels: Some(labeled(labels)),
         ..SceneChange::default()
     };
     let changed = client.change_scene(&scene.id, &change).await.unwrap();
-    assert_eq!((changed.name.as_str(), &changed.labels), (name, &labelled(labels)));
+    assert_eq!((changed.name.as_str(), &changed.labels), (name, &labeled(labels)));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -47,19 +47,19 @@ async fn the_room_that_has_it_comes_first() {
     let best = &asked.answers[0];
     assert_eq!((best.scene_name.as_str(), &best.answer.scene_id), ("office", &with.id));
     assert_ne!(best.answer.status, Status::NoMatch);
-    assert_eq!(best.labels, labelled(&[("building", "A"), ("floor", "2")]));
+    assert_eq!(best.labels, labeled(&[("building", "A"), ("floor", "2")]));
     // It is an answer as any: kept, and the same as that scene's own.
     assert_eq!(client.answer(&best.answer.id).await.unwrap(), best.answer);
 
     // In some of them only, and no more answers than wanted.
     let one = ManyGroundRequest { top_k: 1, ..ManyGroundRequest::new("the red sofa") };
     assert_eq!(client.ground_many(&one).await.unwrap().answers.len(), 1);
-    let on_the_first = ManyGroundRequest { labels: labelled(&[("floor", "1")]), ..one.clone() };
+    let on_the_first = ManyGroundRequest { labels: labeled(&[("floor", "1")]), ..one.clone() };
     let asked = client.ground_many(&on_the_first).await.unwrap();
     assert_eq!((asked.looked_into, asked.answers[0].scene_name.as_str()), (1, "hall"));
     let named = ManyGroundRequest { scenes: Some(vec![with.id.clone()]), ..one.clone() };
     assert_eq!(client.ground_many(&named).await.unwrap().answers[0].answer.scene_id, with.id);
-    let nowhere = ManyGroundRequest { labels: labelled(&[("building", "B")]), ..one.clone() };
+    let nowhere = ManyGroundRequest { labels: labeled(&[("building", "B")]), ..one.clone() };
     let asked = client.ground_many(&nowhere).await.unwrap();
     assert_eq!((asked.looked_into, asked.answers.len()), (0, 0));
 
@@ -118,7 +118,7 @@ async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
         .unwrap();
     assert!(found("the theremin", &with.id).await);
     let elsewhere = ManyGroundRequest {
-        labels: labelled(&[("floor", "9")]),
+        labels: labeled(&[("floor", "9")]),
         ..ManyGroundRequest::new("the theremin")
     };
     assert_eq!(client.ground_many(&elsewhere).await.unwrap().looked_into, 0);
@@ -144,7 +144,7 @@ async fn labels_are_what_was_said_last() {
     filed(client, &scene, "study", &[]).await;
     assert_eq!(listed("building=A").await.unwrap(), 0);
     let wrong =
-        SceneChange { labels: Some(labelled(&[("two words", "x")])), ..SceneChange::default() };
+        SceneChange { labels: Some(labeled(&[("two words", "x")])), ..SceneChange::default() };
     assert_eq!(problem(client.change_scene(&scene.id, &wrong).await).code, "invalid_request");
     server.stop().await;
 }

@@ -16,7 +16,7 @@ use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
 use uniground_parsing::masks::{IdImage, MaskSource};
 use uniground_parsing::relief::FlatCandidates;
 use uniground_parsing::superpoints::{self, Superpoints};
-use uniground_parsing::views::{InstanceViews, LabelledPoints};
+use uniground_parsing::views::{InstanceViews, LabeledPoints};
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{
     ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging,
@@ -163,10 +163,10 @@ pub fn climb(
     let proposals =
         hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
     let labels = Labels::of_regions(&refined, &superpoints, proposals);
-    let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
+    let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
     let flats =
         FlatCandidates::of(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
-    let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &quiet)?;
+    let sighted = views::all_sighted(labeled, Some(&flats), &frames, &masks_of, &quiet)?;
     let built = instances::build(
         cloud,
         &superpoints,

@@ -12,7 +12,7 @@
 //! colors, and readers misread 16-bit integers. Materials are unlit: points have no normals, and
 //! their colors already include the light of the room.
 
-use super::{EDGES, Export, ObjectDescription, REST, light, unit_corners};
+use super::{EDGES, Export, ObjectDescription, REST, srgb_to_linear, unit_corners};
 use serde::Serialize;
 use std::io::{self, BufWriter, Write};
 use uniground_geometry::Point3;
@@ -52,8 +52,8 @@ const COLOR_BYTES: usize = 12;
 /// # Errors
 /// Returns errors of `out`, and an error for more than 4 GB.
 pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
-    let (things, rest) = export.groups();
-    let document = Document::of(export, &things, &rest);
+    let (things, rest) = export.group_points();
+    let document = Document::from_export(export, &things, &rest);
     let mut json = serde_json::to_vec(&document)?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let blob_bytes = document.buffers[0].byte_length;
@@ -82,7 +82,7 @@ pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
     for number in points().flat_map(|point| <[f32; 3]>::from(export.cloud.positions[point])) {
         out.write_all(&number.to_le_bytes())?;
     }
-    let lights: Vec<f32> = (0..=255).map(light).collect();
+    let lights: Vec<f32> = (0..=255).map(srgb_to_linear).collect();
     for channel in points().flat_map(|point| export.cloud.colors[point]) {
         out.write_all(&lights[usize::from(channel)].to_le_bytes())?;
     }
@@ -221,7 +221,7 @@ struct Buffer {
 }
 
 impl<'a> Document<'a> {
-    fn of(export: &Export<'a>, things: &[(&'a Instance, Vec<u32>)], rest: &[u32]) -> Self {
+    fn from_export(export: &Export<'a>, things: &[(&'a Instance, Vec<u32>)], rest: &[u32]) -> Self {
         let count = export.points.len();
         let mut document = Self {
             asset: Asset { version: "2.0", generator: "uniground" },
@@ -236,7 +236,7 @@ impl<'a> Document<'a> {
                 extras: None,
             }],
             meshes: Vec::new(),
-            materials: vec![Material::of("points".into(), [u8::MAX; 3])],
+            materials: vec![Material::new("points".into(), [u8::MAX; 3])],
             accessors: box_accessors(),
             buffer_views: buffer_views(count),
             buffers: [Buffer {
@@ -245,11 +245,11 @@ impl<'a> Document<'a> {
         };
         let mut before = 0;
         for (thing, points) in things {
-            let mesh = document.points(export, thing.label(), points, before);
+            let mesh = document.add_points(export, thing.label(), points, before);
             before += points.len();
-            document.thing(thing, mesh);
+            document.add_object(thing, mesh);
         }
-        if let Some(mesh) = document.points(export, REST, rest, before) {
+        if let Some(mesh) = document.add_points(export, REST, rest, before) {
             let node = Node {
                 name: REST.into(),
                 mesh: Some(mesh),
@@ -257,7 +257,7 @@ impl<'a> Document<'a> {
                 place: None,
                 extras: None,
             };
-            let added = document.add(node);
+            let added = document.add_node(node);
             document.nodes[0].children.push(added);
         }
         document
@@ -265,7 +265,7 @@ impl<'a> Document<'a> {
 
     /// Returns the mesh of points that are stored after `before` other points. `None` if there are
     /// none.
-    fn points(
+    fn add_points(
         &mut self,
         export: &Export,
         name: &'a str,
@@ -309,10 +309,10 @@ impl<'a> Document<'a> {
     }
 
     /// Adds a thing with its box, below the root.
-    fn thing(&mut self, thing: &'a Instance, mesh: Option<usize>) {
+    fn add_object(&mut self, thing: &'a Instance, mesh: Option<usize>) {
         let name = thing.label();
         let material = self.materials.len();
-        self.materials.push(Material::of(format!("box of {name}"), id_color(thing.id.0)));
+        self.materials.push(Material::new(format!("box of {name}"), id_color(thing.id.0)));
         let attributes = Attributes { position: CORNERS, color: None };
         let lines = Primitive { attributes, indices: Some(EDGE_INDICES), material, mode: LINES };
         self.meshes.push(Mesh { name: "box", primitives: [lines] });
@@ -323,15 +323,15 @@ impl<'a> Document<'a> {
             scale: thing.oriented_box.size.map(|side| side.max(THINNEST_M)).into(),
         };
         let lines = Some(self.meshes.len() - 1);
-        let outline = self.add(Node {
+        let outline = self.add_node(Node {
             name: format!("box of {name}"),
             mesh: lines,
             children: Vec::new(),
             place: Some(place),
             extras: None,
         });
-        let extras = Some(ObjectDescription::of(thing));
-        let added = self.add(Node {
+        let extras = Some(ObjectDescription::from_instance(thing));
+        let added = self.add_node(Node {
             name: name.to_owned(),
             mesh,
             children: vec![outline],
@@ -341,15 +341,15 @@ impl<'a> Document<'a> {
         self.nodes[0].children.push(added);
     }
 
-    fn add(&mut self, node: Node<'a>) -> usize {
+    fn add_node(&mut self, node: Node<'a>) -> usize {
         self.nodes.push(node);
         self.nodes.len() - 1
     }
 }
 
 impl Material {
-    fn of(name: String, color: [u8; 3]) -> Self {
-        let [red, green, blue] = color.map(light);
+    fn new(name: String, color: [u8; 3]) -> Self {
+        let [red, green, blue] = color.map(srgb_to_linear);
         let surface = PbrSurface { color: [red, green, blue, 1.0], metallic: 0.0, rough: 1.0 };
         Self {
             name,

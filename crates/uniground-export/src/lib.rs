@@ -75,7 +75,7 @@ impl<'a> Export<'a> {
 
     /// Returns the points of each thing, in order of id, followed by the points that belong to no
     /// thing.
-    fn groups(&self) -> (Vec<(&'a Instance, Vec<u32>)>, Vec<u32>) {
+    fn group_points(&self) -> (Vec<(&'a Instance, Vec<u32>)>, Vec<u32>) {
         let mut by_owner: BTreeMap<InstanceId, Vec<u32>> = BTreeMap::new();
         self.points
             .iter()
@@ -110,7 +110,7 @@ struct ObjectDescription<'a> {
 }
 
 impl<'a> ObjectDescription<'a> {
-    fn of(instance: &'a Instance) -> Self {
+    fn from_instance(instance: &'a Instance) -> Self {
         let guess = instance.names.first().filter(|_| instance.structure.is_none());
         let label = match instance.structure {
             Some(structure) => structure.as_str(),
@@ -153,14 +153,14 @@ const EDGES: [[u8; 2]; 12] = [
 ];
 
 /// Returns the corners of a thing's box, in the order of [`unit_corners`].
-fn corners(of: &OrientedBox) -> [nalgebra::Point3<f32>; 8] {
+fn box_corners(of: &OrientedBox) -> [nalgebra::Point3<f32>; 8] {
     let to_world =
         Translation3::from(of.center) * Rotation3::from_axis_angle(&Vector3::z_axis(), of.yaw_rad);
     unit_corners().map(|corner| to_world * nalgebra::Point3::from(corner.component_mul(&of.size)))
 }
 
 /// Converts an 8-bit sRGB channel to linear light, `0..=1`. glTF and USD store linear colors.
-fn light(channel: u8) -> f32 {
+fn srgb_to_linear(channel: u8) -> f32 {
     let c = f32::from(channel) / 255.0;
     if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }
@@ -254,7 +254,8 @@ mod tests {
             })
             .collect();
         correct(&mut instances, &corrections);
-        let (things, rest) = Export::new("", &cloud, &of_point, &instances, usize::MAX).groups();
+        let (things, rest) =
+            Export::new("", &cloud, &of_point, &instances, usize::MAX).group_points();
         things
             .iter()
             .map(|(thing, points)| (thing.id.0, points.len()))
@@ -324,7 +325,7 @@ mod tests {
             size: Vector3::new(2.0, 4.0, 6.0),
             yaw_rad: std::f32::consts::FRAC_PI_2,
         };
-        let corners = corners(&turned);
+        let corners = box_corners(&turned);
         assert!((corners[7] - Point3::new(-1.0, 3.0, 6.0)).norm() < 1e-5, "{corners:?}");
         for [from, to] in EDGES {
             let side = (corners[usize::from(to)] - corners[usize::from(from)]).norm();

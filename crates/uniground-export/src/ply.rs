@@ -28,10 +28,10 @@ pub fn write_ply(export: &Export, out: impl Write) -> io::Result<()> {
 }
 
 fn comments(title: &str, things: &[&Instance]) -> Vec<String> {
-    let mut comments = vec![format!("scene {}", one_line(title))];
+    let mut comments = vec![format!("scene {}", to_header_text(title))];
     let mut bytes = 0;
     for (at, thing) in things.iter().enumerate() {
-        let comment = format!("instance {} {}", thing.id, one_line(thing.label()));
+        let comment = format!("instance {} {}", thing.id, to_header_text(thing.label()));
         bytes += comment.len() + "comment \n".len();
         if bytes > MOST_COMMENT_BYTES {
             comments.push(format!("and {} more instances", things.len() - at));
@@ -44,7 +44,7 @@ fn comments(title: &str, things: &[&Instance]) -> Vec<String> {
 
 /// Converts a name for a header: ASCII without line breaks. Other characters are written as
 /// `\u{e9}`.
-fn one_line(name: &str) -> String {
+fn to_header_text(name: &str) -> String {
     let mut line = String::new();
     for c in name.chars() {
         let written = if c.is_ascii_graphic() || c == ' ' {

@@ -5,7 +5,7 @@ use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
 use super::lifting::MasksOfFrames;
 use super::outline::Outline;
-use super::views::{LabelledPoints, Sighting, all_sightings, visible_pixels};
+use super::views::{LabeledPoints, Sighting, all_sightings, visible_pixels};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
@@ -67,7 +67,7 @@ pub fn look(
     frames: &[FrameRef],
     instances: &[Instance],
     boxes: &FrameBoxes,
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     (correction, encoder): (Option<Correction>, Option<&DualEncoder>),
     settings: &AppearanceSettings,
     progress: &Progress,
@@ -84,9 +84,7 @@ pub fn look(
             let mut seen = boxes[&frame.index].clone();
             let picture = frame.decode_color()?;
             let corrected = match correction {
-                Some(correction) => {
-                    correct(frame, &picture, labelled, correction, &seen, progress)?
-                }
+                Some(correction) => correct(frame, &picture, labeled, correction, &seen, progress)?,
                 None => BTreeMap::new(),
             };
             seen.extend(corrected.iter().map(|(instance, outline)| (*instance, outline.box_px)));
@@ -116,21 +114,21 @@ pub fn look(
 pub fn of_known(
     frames: &[FrameRef],
     instances: &[Instance],
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     encoder: &DualEncoder,
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
-    let seen = all_sightings(labelled, frames, &MasksOfFrames::new(), &quiet)?;
+    let seen = all_sightings(labeled, frames, &MasksOfFrames::new(), &quiet)?;
     let boxes = choose(instances, &seen, settings);
-    Ok(look(frames, instances, &boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
+    Ok(look(frames, instances, &boxes, labeled, (None, Some(encoder)), settings, &quiet)?.0)
 }
 
 /// For instances with projected boxes, returns the masks that agree with the projection.
 fn correct(
     frame: &FrameRef,
     picture: &RgbImage,
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     Correction { corrector, known }: Correction,
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
@@ -143,7 +141,7 @@ fn correct(
         .map(|masks| KnownMasks::of(masks, frame))
         .collect();
     let (mut encoded, mut outlines) = (None, BTreeMap::new());
-    let pixels = visible_pixels(labelled, frame, &depth);
+    let pixels = visible_pixels(labeled, frame, &depth);
     for of_instance in pixels.chunk_by(|a, b| a.instance == b.instance) {
         progress.check()?;
         let instance = of_instance[0].instance;

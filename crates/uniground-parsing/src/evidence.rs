@@ -1,11 +1,13 @@
 //! Evidence pictures for people: for every view a crop, and the full frame with a red box; the
 //! instance is outlined in both (paper: candidate visual evidence). Few of them are ever looked at,
 //! so each is drawn on request. Models get collages, whose outlines are drawn at their own size:
-//! [`uniground_render::Shot::of_view`].
+//! [`uniground_render::Shot::from_view`].
 
 use image::{Rgb, RgbImage};
 use uniground_geometry::scene::{CellMask, View};
-use uniground_render::{Surroundings, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
+use uniground_render::{
+    Surroundings, crop_area, cut_out_area, draw_outline, encode_jpeg, outline_reach, to_area_shares,
+};
 
 /// Selects one of the two pictures of a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,10 +28,10 @@ pub fn picture(color: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
         Picture::Crop => (crop_area(seen.box_px, color.dimensions()), Surroundings::Dimmed),
         Picture::Frame => ([0, 0, color.width(), color.height()], Surroundings::Kept),
     };
-    let mut drawn = cut(color, area);
+    let mut drawn = cut_out_area(color, area);
     let whole = (0, 0, drawn.width(), drawn.height());
     if let Some(mask) = &mask {
-        draw_outline(&mut drawn, whole, mask, shares(seen.box_px, area), around);
+        draw_outline(&mut drawn, whole, mask, to_area_shares(seen.box_px, area), around);
     }
     if picture == Picture::Frame {
         // Enlarges the box so that the outline fits inside.
@@ -43,7 +45,7 @@ pub fn picture(color: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
         ];
         draw_box(&mut drawn, boxed);
     }
-    jpeg(&drawn)
+    encode_jpeg(&drawn)
 }
 
 /// Draws a red outline just outside the box, three pixels wide, clipped to the picture.

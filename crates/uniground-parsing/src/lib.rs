@@ -66,7 +66,7 @@ use uniground_geometry::scene::{
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_models::{attributes, calibration};
 pub use uniground_types::settings::ParsingSettings;
-use views::LabelledPoints;
+use views::LabeledPoints;
 use visibility::Visibility;
 
 /// Why a scene could not be parsed into instances.
@@ -185,7 +185,7 @@ pub fn parse(
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
         let viewing = progress.sub_range(ends[5], ends[6]);
-        let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
+        let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
         let flats = FlatCandidates::of(
             &cloud,
             &superpoints,
@@ -194,7 +194,7 @@ pub fn parse(
             &centers(&frames),
             &settings.instances,
         );
-        let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &viewing)?;
+        let sighted = views::all_sighted(labeled, Some(&flats), &frames, &masks_of, &viewing)?;
         outcome.produced = sighted.sightings.len();
         Ok::<_, ParseError>(sighted)
     })?;
@@ -218,13 +218,13 @@ pub fn parse(
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
-            let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
+            let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
             let looking = progress.sub_range(ends[7], FRAMES_LOOKED_AT);
             let (rows, outlines) = appearance::look(
                 &frames,
                 &instances,
                 &looked_at,
-                labelled,
+                labeled,
                 (
                     perception
                         .corrector

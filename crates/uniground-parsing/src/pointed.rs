@@ -523,6 +523,6 @@ fn view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
     let (width, height) = (frame.color_intrinsics.width, frame.color_intrinsics.height);
     let ((left, right), (top, bottom)) = (span(|p| p.0, width), span(|p| p.1, height));
     let box_px = [left, top, right, bottom];
-    let mask = Outline::of_points(pixels, box_px).mask.packed();
+    let mask = Outline::of_points(pixels, box_px).mask.to_view_mask();
     Some(View { frame: frame.index, visible_points: pixels.len() as u32, box_px, mask: Some(mask) })
 }

@@ -8,7 +8,9 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     FrameError, FrameRef, Instance, InstanceId, ParsedScene, PointCloud, id_color,
 };
-use uniground_render::{Orbit, ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene_picture};
+use uniground_render::{
+    Orbit, ROOM_VIEW, RenderScene, draw_frame_overlay, draw_scene, encode_jpeg,
+};
 
 /// One picture of a report.
 pub struct ReportPicture {
@@ -36,11 +38,11 @@ pub fn render(
     frames: &[FrameRef],
     progress: &Progress,
 ) -> Result<Vec<ReportPicture>, ParseError> {
-    let by_superpoint = RenderScene::of_parsed(
+    let by_superpoint = RenderScene::with_building(
         recoloured(scene, |i| id_color(scene.superpoint_of_point[i])),
         &scene.instances,
     );
-    let by_instance = RenderScene::of_parsed(
+    let by_instance = RenderScene::with_building(
         recoloured(scene, |i| instance_color(&scene.instances, scene.instance_of_point[i])),
         &scene.instances,
     );
@@ -70,14 +72,12 @@ pub fn render(
         .map(|(name, title, subject)| {
             progress.check()?;
             let picture = match subject {
-                PictureSubject::Cloud(cloud) => {
-                    scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[])
-                }
+                PictureSubject::Cloud(cloud) => draw_scene(cloud, &scene.extent, &ROOM_VIEW, &[]),
                 PictureSubject::Frame(frame) => {
-                    frame_overlay(&frame.decode_color()?, &frame.color_camera(), &by_instance)
+                    draw_frame_overlay(&frame.decode_color()?, &frame.color_camera(), &by_instance)
                 }
             };
-            Ok(ReportPicture { name, title, jpeg: jpeg(&picture) })
+            Ok(ReportPicture { name, title, jpeg: encode_jpeg(&picture) })
         })
         .collect()
 }
@@ -86,7 +86,7 @@ pub fn render(
 #[must_use]
 pub fn thumbnail(render_scene: &RenderScene, extent: &Aabb) -> Vec<u8> {
     let small = Orbit { width: 320, height: 240, ..ROOM_VIEW };
-    jpeg(&scene_picture(render_scene, extent, &small, &[]))
+    encode_jpeg(&draw_scene(render_scene, extent, &small, &[]))
 }
 
 /// Draws the instances in a photograph in their colors, half transparent; parts of the building are
@@ -104,8 +104,8 @@ pub fn photograph_with_instances(
         .into_par_iter()
         .map(|point| instance_color(instances, shown_as(point)))
         .collect();
-    let colored = RenderScene::of(PointCloud { positions: cloud.positions.clone(), colors });
-    Ok(jpeg(&frame_overlay(&frame.decode_color()?, &frame.color_camera(), &colored)))
+    let colored = RenderScene::new(PointCloud { positions: cloud.positions.clone(), colors });
+    Ok(encode_jpeg(&draw_frame_overlay(&frame.decode_color()?, &frame.color_camera(), &colored)))
 }
 
 enum PictureSubject<'a> {

@@ -21,7 +21,7 @@ use uniground_types::settings::ViewSettings;
 
 /// The points of a scene by instance, prepared for look-ups in frames.
 #[derive(Clone, Copy)]
-pub struct LabelledPoints<'a> {
+pub struct LabeledPoints<'a> {
     /// The instances of each point.
     pub labels: &'a Labels<'a>,
     /// The points.
@@ -67,12 +67,11 @@ pub struct InstancePixel {
 /// Returns the visible points of every instance this frame shows, sorted by instance.
 #[must_use]
 pub fn visible_pixels(
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     frame: &FrameRef,
     depth: &DepthImage,
 ) -> Vec<InstancePixel> {
-    by_instance(labelled.labels, frame, &labelled.visibility.in_frame(&frame.depth_camera(), depth))
-        .0
+    by_instance(labeled.labels, frame, &labeled.visibility.in_frame(&frame.depth_camera(), depth)).0
 }
 
 /// Points of instances that lie inside the picture but are not visible.
@@ -131,15 +130,15 @@ fn by_instance(
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left
 /// out.
 fn sightings(
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     sampled: &[u32],
     frame: &FrameRef,
     points: &[FramePoint],
     masks: &[IdRuns],
 ) -> Vec<Sighting> {
-    let (hits, unseen) = by_instance(labelled.labels, frame, points);
+    let (hits, unseen) = by_instance(labeled.labels, frame, points);
     let (width, height) = (frame.color_intrinsics.width, frame.color_intrinsics.height);
-    let agreements = agreements(&hits, labelled.labels.things, masks);
+    let agreements = agreements(&hits, labeled.labels.things, masks);
     hits.chunk_by(|a, b| a.instance == b.instance)
         .map(|hits| {
             // At least one pixel each way, inside the picture.
@@ -159,7 +158,7 @@ fn sightings(
                 frame: frame.index,
                 visible_points: hits.len() as u32,
                 box_px,
-                mask: Some(outline.mask.packed()),
+                mask: Some(outline.mask.to_view_mask()),
             };
             let agreement = agreements.get(&instance).copied().unwrap_or(0.0);
             let of_instance = instance.0 as usize - 1;
@@ -237,12 +236,12 @@ const TRIM: f32 = 0.01;
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn all_sightings(
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     frames: &[FrameRef],
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
-    Ok(all_sighted(labelled, None, frames, masks, progress)?.sightings)
+    Ok(all_sighted(labeled, None, frames, masks, progress)?.sightings)
 }
 
 /// Same as [`all_sightings`], plus the reliefs of flat things.
@@ -250,14 +249,14 @@ pub fn all_sightings(
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn all_sighted(
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     flats: Option<&FlatCandidates>,
     frames: &[FrameRef],
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<InstanceViews, ParseError> {
     let (mut all, mut heights) = (Vec::new(), FlatHeights::default());
-    let sampled = labelled.labels.counts(is_sampled);
+    let sampled = labeled.labels.counts(is_sampled);
     stream_frames(
         frames,
         |frame| {
@@ -265,10 +264,10 @@ pub fn all_sighted(
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
             let depth = frame.decode_depth()?;
             let camera = frame.depth_camera();
-            let points = labelled.visibility.around_frame(&camera, &depth);
+            let points = labeled.visibility.around_frame(&camera, &depth);
             let heights =
                 flats.map(|flats| flats.heights(&camera, &depth, &points)).unwrap_or_default();
-            Ok::<_, ParseError>((sightings(labelled, &sampled, frame, &points, masks), heights))
+            Ok::<_, ParseError>((sightings(labeled, &sampled, frame, &points, masks), heights))
         },
         |i, (seen, of_frame)| {
             all.extend(seen);
@@ -312,7 +311,7 @@ pub fn tighten(instances: &mut [Instance], outlines: &Outlines) {
                 outlines.get(&view.frame).and_then(|of_frame| of_frame.get(&instance.id))
             {
                 view.box_px = outline.box_px;
-                view.mask = Some(outline.mask.packed());
+                view.mask = Some(outline.mask.to_view_mask());
             }
         }
     }

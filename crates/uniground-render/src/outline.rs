@@ -17,10 +17,10 @@ const USUAL_PX: f32 = 480.0;
 /// How far the lines reach outside of the object in a picture of this size, pixels.
 #[must_use]
 pub fn outline_reach(width: u32, height: u32) -> u32 {
-    (BOTH_WIDTH * unit(width, height)).ceil() as u32
+    (BOTH_WIDTH * line_unit_px(width, height)).ceil() as u32
 }
 
-fn unit(width: u32, height: u32) -> f32 {
+fn line_unit_px(width: u32, height: u32) -> f32 {
     (width.min(height) as f32 / USUAL_PX).max(1.0)
 }
 
@@ -64,7 +64,7 @@ pub fn draw_outline(
             }
         }
     }
-    let unit = unit(width, height);
+    let unit = line_unit_px(width, height);
     let reach = i64::from(outline_reach(width, height));
     let disc: Vec<(i64, i64, f32)> = (-reach..=reach)
         .flat_map(|y| (-reach..=reach).map(move |x| (x, y, ((x * x + y * y) as f32).sqrt())))

@@ -242,7 +242,7 @@ impl System for InProcess {
             .unwrap_or_else(|| attributes::NAME.into());
         let album = SceneAlbum::new(
             extent,
-            RenderScene::of_parsed(cloud, &instances),
+            RenderScene::with_building(cloud, &instances),
             models.encoder.zip(embeddings),
             encoder,
             frames,

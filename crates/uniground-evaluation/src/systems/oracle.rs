@@ -15,7 +15,7 @@ use uniground_parsing::instances::{Body, planarity, supports};
 use uniground_parsing::labels::Labels;
 use uniground_parsing::lifting::MasksOfFrames;
 use uniground_parsing::sharpness::SharpnessOfFrames;
-use uniground_parsing::views::LabelledPoints;
+use uniground_parsing::views::LabeledPoints;
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{ParseError, ParsingSettings, views};
 
@@ -119,8 +119,8 @@ pub fn see(
     let (own, instance_of_point) = points_of(annotations, cloud);
     let labels = Labels::of_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
-    let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-    let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
+    let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
+    let rows = appearance::of_known(frames, instances, labeled, encoder, &settings.appearance)?;
     Ok(calibration::name_all(instances, encoder, &rows)?)
 }
 
@@ -138,8 +138,8 @@ pub(super) fn view(
     let (own, instance_of_point) = points_of(annotations, cloud);
     let labels = Labels::of_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
-    let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-    let seen = views::all_sightings(labelled, frames, &MasksOfFrames::new(), &Progress::silent())?;
+    let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
+    let seen = views::all_sightings(labeled, frames, &MasksOfFrames::new(), &Progress::silent())?;
     views::choose(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
     Ok(())
 }

@@ -131,7 +131,7 @@ impl System for Server {
                 .context("the temporary folder is no text")?
                 .join("cloud.ply");
             fs::write(&file, cloud)?;
-            let render_scene = RenderScene::of(read_cloud(&file)?);
+            let render_scene = RenderScene::new(read_cloud(&file)?);
             let token = token_of(&self.client.scene(&id).await?);
             let scene = RemoteScene {
                 token,

@@ -38,7 +38,7 @@ pub fn write<'a>(
 ) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
     let positions = positions.into_iter();
-    let labelled = positions.len() > 0 && of_point(0).1.is_some();
+    let labeled = positions.len() > 0 && of_point(0).1.is_some();
     write!(out, "ply\nformat binary_little_endian 1.0\ncomment metres, Z up\n")?;
     comments.iter().try_for_each(|comment| writeln!(out, "comment {comment}"))?;
     writeln!(out, "element vertex {}", positions.len())?;
@@ -46,7 +46,7 @@ pub fn write<'a>(
         out,
         "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
     )?;
-    writeln!(out, "{}end_header", if labelled { "property int instance\n" } else { "" })?;
+    writeln!(out, "{}end_header", if labeled { "property int instance\n" } else { "" })?;
     for (i, p) in positions.enumerate() {
         let (color, instance) = of_point(i);
         for c in [p.x, p.y, p.z] {
@@ -78,7 +78,7 @@ pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<Instance
     }
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes)?;
-    let (points, rest) = bytes.as_chunks::<LABELLED_BYTES>();
+    let (points, rest) = bytes.as_chunks::<LABELED_BYTES>();
     if !rest.is_empty() || Some(points.len()) != count {
         return Err(malformed());
     }
@@ -91,7 +91,7 @@ pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<Instance
 /// Maximum length of a header line.
 const LONGEST_LINE: u64 = 200;
 /// Bytes per point: three coordinates, three colors, an id.
-const LABELLED_BYTES: usize = 19;
+const LABELED_BYTES: usize = 19;
 
 /// A color per id: steps of the golden angle around the hue circle, so that consecutive ids differ.
 #[must_use]

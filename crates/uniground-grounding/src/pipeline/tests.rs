@@ -88,7 +88,7 @@ fn room() -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
     Arc::new(SceneAlbum::new(
         extent,
-        RenderScene::of(PointCloud::default()),
+        RenderScene::new(PointCloud::default()),
         None,
         "attributes".into(),
         Vec::new(),
@@ -261,7 +261,7 @@ fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
     let album = SceneAlbum::new(
         extent,
-        RenderScene::of(PointCloud::default()),
+        RenderScene::new(PointCloud::default()),
         seen,
         "tiny".into(),
         vec![frame],

@@ -1,5 +1,5 @@
 use crate::render_scene::Cutaway;
-use crate::{BoxStyle, GlobalView, LabelledBox, Orbit, RenderScene, Subjects};
+use crate::{BoxStyle, GlobalView, LabeledBox, Orbit, RenderScene, Subjects};
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Instance, InstanceId, PointCloud, Structure, Support};
 use uniground_geometry::{Point3, Vector3};
@@ -115,7 +115,7 @@ impl Scene {
 
     fn rendered(&self) -> (RenderScene, Aabb) {
         (
-            RenderScene::of_parsed(self.cloud.clone(), &self.instances),
+            RenderScene::with_building(self.cloud.clone(), &self.instances),
             Aabb::around(&self.cloud.positions).unwrap(),
         )
     }
@@ -133,7 +133,7 @@ fn counted(
     cutaway: Cutaway,
     subjects: &[Aabb],
 ) -> impl Fn([u8; 3]) -> usize + use<> {
-    let drawn = scene.0.drawn(&orbit.camera(&scene.1), cutaway, subjects);
+    let drawn = scene.0.draw_from_outside(&orbit.camera(&scene.1), cutaway, subjects);
     move |color| drawn.picture.pixels().filter(|p| p.0[3] > 0 && p.0[..3] == color).count()
 }
 
@@ -249,11 +249,11 @@ fn what_hangs_on_a_wall_goes_with_it_unless_it_is_meant() {
 fn the_paper_s_filter_is_at_hand() {
     let scene = Scene::room(|x| 2.6 + 0.3 * x, 1.0);
     let (known, extent) = scene.rendered();
-    let unknown = RenderScene::of(scene.cloud.clone());
+    let unknown = RenderScene::new(scene.cloud.clone());
     let camera = orbit(-90.0, 35.0).camera(&extent);
-    let paper = known.drawn(&camera, Cutaway::HighestPoints, &[]).picture;
-    assert_eq!(paper, unknown.drawn(&camera, Cutaway::HighestPoints, &[]).picture);
-    assert_eq!(paper, unknown.drawn(&camera, Cutaway::Building, &[]).picture);
+    let paper = known.draw_from_outside(&camera, Cutaway::HighestPoints, &[]).picture;
+    assert_eq!(paper, unknown.draw_from_outside(&camera, Cutaway::HighestPoints, &[]).picture);
+    assert_eq!(paper, unknown.draw_from_outside(&camera, Cutaway::Building, &[]).picture);
     assert!(
         paper.pixels().filter(|p| p.0[..3] == CEILING).count() > 10_000,
         "a sloped ceiling hides the room from it"
@@ -265,7 +265,7 @@ fn the_global_render_shows_the_room_under_its_ceiling() {
     let scene = Scene::room(|_| 2.5, 1.0);
     let (rendered, extent) = scene.rendered();
     let label =
-        |aabb, label: &str| LabelledBox { aabb, label: label.into(), style: BoxStyle::Candidate };
+        |aabb, label: &str| LabeledBox { aabb, label: label.into(), style: BoxStyle::Candidate };
     let boxes = vec![label(scene.box_of(RED), "1"), label(scene.box_of(GREEN), "2")];
     let subjects = Subjects { boxes, words: Vec::new(), target: Point3::new(0.0, 0.0, 0.25) };
     let view = GlobalView { shading: 0.0, ..GlobalView::default() };

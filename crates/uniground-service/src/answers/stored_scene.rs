@@ -116,7 +116,7 @@ impl SceneSource for StoredScene {
             }
         };
         let cloud = uniground_ingest::read_cloud(&file).map_err(damaged)?;
-        let render_scene = Arc::new(RenderScene::of_parsed(cloud, &self.parse.instances));
+        let render_scene = Arc::new(RenderScene::with_building(cloud, &self.parse.instances));
         known.put(self.parse.id.clone(), render_scene.clone(), render_scene.cloud.len());
         Ok(render_scene)
     }
@@ -126,7 +126,7 @@ impl SceneSource for StoredScene {
             let shots = instance
                 .views
                 .iter()
-                .filter_map(|view| Some(Shot::of_view(self.photograph(view.frame)?, view)));
+                .filter_map(|view| Some(Shot::from_view(self.photograph(view.frame)?, view)));
             return shots.take(most).collect();
         }
         let folder = self.folder();
@@ -248,7 +248,7 @@ fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -
             .ok()
     };
     if of.mask.is_some() {
-        return Some(Shot::of_view(read(photograph(parse, of.frame))?, of));
+        return Some(Shot::from_view(read(photograph(parse, of.frame))?, of));
     }
     let drawn = |picture| read(view(parse, id, at, picture));
     Some(Shot::new(drawn(Picture::Crop)?, drawn(Picture::Frame)?, of.box_px))

@@ -14,7 +14,7 @@ use uniground_geometry::scene::{
 use uniground_parsing::evidence::Picture;
 use uniground_parsing::scan::ParsedScan;
 use uniground_parsing::{ParseError, report_pictures};
-use uniground_render::{RenderScene, jpeg};
+use uniground_render::{RenderScene, encode_jpeg};
 use uniground_storage::{Blobs, Scratch};
 
 /// A file of a parse that callers can download.
@@ -197,7 +197,9 @@ pub fn write(
         // The pixel coordinates of views refer to pinhole pictures.
         match frame.optics.color_lens {
             None => drop(fs::copy(&frame.color, file)?),
-            Some(_) => fs::write(file, jpeg(&frame.decode_color().map_err(ParseError::from)?))?,
+            Some(_) => {
+                fs::write(file, encode_jpeg(&frame.decode_color().map_err(ParseError::from)?))?
+            }
         }
     }
     Ok(())
@@ -227,7 +229,7 @@ fn write_rest(
     fs::write(
         ParseFile::Thumbnail.of(parse),
         report_pictures::thumbnail(
-            &RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances),
+            &RenderScene::with_building(parsed.cloud.clone(), &parsed.instances),
             &parsed.extent,
         ),
     )?;
