@@ -42,7 +42,7 @@ fn pipelines(c: &mut Criterion) {
         bundle.clone(),
         &Perception::with_masks(&masks),
         &settings,
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         &silent,
     )
     .unwrap();
@@ -65,7 +65,7 @@ fn pipelines(c: &mut Criterion) {
                 bundle.clone(),
                 &Perception::with_masks(&masks),
                 &settings,
-                &Checkpoints::none(),
+                &Checkpoints::disabled(),
                 &silent,
             )
             .unwrap()
@@ -75,7 +75,7 @@ fn pipelines(c: &mut Criterion) {
     let photograph = frames.iter().find(|frame| frame.index == instance.views[0].frame).unwrap();
     group.bench_function("evidence picture: decode, draw, encode", |b| {
         b.iter(|| {
-            evidence::picture(
+            evidence::draw_picture(
                 &photograph.decode_color().unwrap(),
                 &instance.views[0],
                 Picture::Frame,

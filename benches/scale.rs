@@ -92,7 +92,7 @@ fn parse(
         bundle,
         &Perception::with_masks(&RgbdMasks::default()),
         &ParsingSettings::default(),
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         progress,
     )
 }

@@ -76,7 +76,7 @@ impl Sample {
             &folder.path,
             &settings,
             &Models::default(),
-            &Checkpoints::none(),
+            &Checkpoints::disabled(),
             &Progress::silent(),
         )
         .unwrap();

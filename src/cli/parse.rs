@@ -78,7 +78,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     eprintln!("{told}");
 
     let progress = Progress::new(show_progress, || false);
-    let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);
+    let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::disabled(), &progress);
     show_progress("", 1.0);
     let ParsedScan { import, frames, scene: parsed, models } =
         scan.map_err(|error| hints::of_scan(error.into(), &args.scan))?;

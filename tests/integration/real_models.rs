@@ -232,7 +232,7 @@ fn sam2_masks_cut_rooms_into_their_things() {
             room.bundle.clone(),
             &perception,
             &settings,
-            &Checkpoints::none(),
+            &Checkpoints::disabled(),
             &Progress::silent(),
         )
         .unwrap();

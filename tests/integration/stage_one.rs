@@ -39,7 +39,7 @@ fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
         bundle,
         &Perception::with_masks(masks),
         &ParsingSettings::default(),
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         &Progress::silent(),
     )
     .unwrap()
@@ -198,7 +198,8 @@ fn sample_scan(folder: &Utf8Path) -> SceneBundle {
 fn a_cancelled_parse_goes_on_where_it_stopped() {
     let (scan, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let bundle = sample_scan(Utf8Path::from_path(scan.path()).unwrap());
-    let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
+    let checkpoints =
+        Checkpoints::in_folder(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
     let settings = ParsingSettings::default();
     let run = |watched: &Watched, settings: &ParsingSettings| {
         let stop = watched.stop.clone();
@@ -256,7 +257,8 @@ fn a_cancelled_parse_goes_on_where_it_stopped() {
 fn kept_frames_must_be_those_of_the_scan() {
     let (scan, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut bundle = sample_scan(Utf8Path::from_path(scan.path()).unwrap());
-    let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
+    let checkpoints =
+        Checkpoints::in_folder(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
     let frames_segmented = |bundle: &SceneBundle| {
         let watched = Watched::new(usize::MAX, CancellationToken::new());
         parsing::parse(
@@ -356,7 +358,7 @@ fn odd_clouds_become_instances_or_a_clear_error() {
         bare(Vec::new()),
         &Perception::with_masks(&RgbdMasks::default()),
         &ParsingSettings::default(),
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         &Progress::silent(),
     );
     assert!(matches!(nothing, Err(ParseError::NoPoints)));
@@ -430,12 +432,12 @@ fn what_somebody_points_at_is_cut_out() {
         };
         let known: Vec<Instance> =
             parsed.instances.iter().filter(|i| i.structure.is_some()).cloned().collect();
-        let again = pointing.find(place, &known, &[]).unwrap();
+        let again = pointing.find_at(place, &known, &[]).unwrap();
         asked += 1;
         found += u32::from(again.as_ref().is_some_and(|again| again.aabb.iou(&thing.aabb) >= 0.25));
         // The same place gives the same thing, with views that show it.
         if asked == 1 {
-            assert_eq!(pointing.find(place, &known, &[]).unwrap(), again);
+            assert_eq!(pointing.find_at(place, &known, &[]).unwrap(), again);
         }
         assert!(again.is_none_or(|again| again.id.0 as usize == known.len() + 1
             && again.point_count >= 20
@@ -445,5 +447,5 @@ fn what_somebody_points_at_is_cut_out() {
     assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
     // Beside the room nothing is cut out.
     let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0) };
-    assert_eq!(pointing.find(nowhere, &parsed.instances, &[]).unwrap(), None);
+    assert_eq!(pointing.find_at(nowhere, &parsed.instances, &[]).unwrap(), None);
 }

@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (settings, models) = (ParseSettings::default(), Models::default());
     let progress =
         Progress::new(|stage, done| eprint!("\r{:3.0} % {stage:<24}", done * 100.0), || false);
-    let parsed = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress)?;
+    let parsed = parse_scan(&folder.path, &settings, &models, &Checkpoints::disabled(), &progress)?;
     eprintln!(
         "\r{} instances from {} points{:20}",
         parsed.scene.instances.len(),

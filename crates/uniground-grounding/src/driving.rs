@@ -78,9 +78,14 @@ fn robot(radius_m: f32) -> Robot {
 fn room(folder: &Utf8Path, name: &str) -> DrivingScene {
     let unpacked = ScanFolder::open(&folder.join(format!("{name}.zip"))).unwrap();
     let (settings, progress) = (ParseSettings::default(), Progress::silent());
-    let scan =
-        parse_scan(&unpacked.path, &settings, &Models::default(), &Checkpoints::none(), &progress)
-            .unwrap();
+    let scan = parse_scan(
+        &unpacked.path,
+        &settings,
+        &Models::default(),
+        &Checkpoints::disabled(),
+        &progress,
+    )
+    .unwrap();
     let json = |kind: &str| -> Value {
         serde_json::from_slice(&std::fs::read(folder.join(format!("{name}.{kind}.json"))).unwrap())
             .unwrap()

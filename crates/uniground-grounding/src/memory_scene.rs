@@ -176,7 +176,7 @@ impl SceneSource for MemoryScene {
             segmenter: segmenter.as_deref(),
             settings: &settings,
         };
-        Ok(pointing.find(place, &self.instances, is_not)?)
+        Ok(pointing.find_at(place, &self.instances, is_not)?)
     }
 
     /// Applies to this question only: in an evaluation, an instance found for one question must not

@@ -73,11 +73,11 @@ impl Task {
                 uniground_ingest::check_fit(scan, to_scene, &known, 0).map(|_| TaskOutcome::Fits)
             }
             Self::Import { content, settings, checkpoints, origin } => {
-                let checkpoints = Checkpoints::kept_in(checkpoints, origin);
+                let checkpoints = Checkpoints::in_folder(checkpoints, origin);
                 let imported =
                     import_scan(content, settings, &checkpoints, &progress.sub_range(0.0, 0.8))
                         .and_then(|scan| {
-                            scan.try_pictures(&progress.sub_range(0.8, 1.0))?;
+                            scan.check_pictures(&progress.sub_range(0.8, 1.0))?;
                             Ok(TaskOutcome::Imported { stages: scan.stages().to_vec() })
                         });
                 imported.map_err(|error| of_import(error, content))

@@ -5,7 +5,7 @@ use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
 use super::lifting::MasksOfFrames;
 use super::outline::Outline;
-use super::views::{LabeledPoints, Sighting, all_sightings, visible_pixels};
+use super::views::{LabeledPoints, Sighting, compute_sightings, visible_pixels};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
@@ -19,7 +19,7 @@ pub type FrameBoxes = BTreeMap<FrameIndex, BTreeMap<InstanceId, [u32; 4]>>;
 /// Returns the frames in which each instance is embedded, with its projected box in each. Parts and
 /// wholes get half as many frames as things, because they overlap them.
 #[must_use]
-pub fn choose(
+pub fn choose_frames(
     instances: &[Instance],
     sightings: &[Sighting],
     settings: &AppearanceSettings,
@@ -63,7 +63,7 @@ pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a model that fails, cancellation.
-pub fn look(
+pub fn embed_instances(
     frames: &[FrameRef],
     instances: &[Instance],
     boxes: &FrameBoxes,
@@ -84,7 +84,9 @@ pub fn look(
             let mut seen = boxes[&frame.index].clone();
             let picture = frame.decode_color()?;
             let corrected = match correction {
-                Some(correction) => correct(frame, &picture, labeled, correction, &seen, progress)?,
+                Some(correction) => {
+                    correct_outlines(frame, &picture, labeled, correction, &seen, progress)?
+                }
                 None => BTreeMap::new(),
             };
             seen.extend(corrected.iter().map(|(instance, outline)| (*instance, outline.box_px)));
@@ -103,15 +105,15 @@ pub fn look(
             Ok(progress.report("appearance", (i + 1) as f32 / wanted.len() as f32)?)
         },
     )?;
-    Ok((if dim > 0 { finish(&sums, dim) } else { Vec::new() }, outlines))
+    Ok((if dim > 0 { normalize_rows(&sums, dim) } else { Vec::new() }, outlines))
 }
 
 /// Returns one vector per instance, row after row, for instances whose points are already known.
 /// Projected boxes are not corrected.
 ///
 /// # Errors
-/// As [`look`].
-pub fn of_known(
+/// As [`embed_instances`].
+pub fn embed_known(
     frames: &[FrameRef],
     instances: &[Instance],
     labeled: LabeledPoints,
@@ -119,13 +121,22 @@ pub fn of_known(
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
-    let seen = all_sightings(labeled, frames, &MasksOfFrames::new(), &quiet)?;
-    let boxes = choose(instances, &seen, settings);
-    Ok(look(frames, instances, &boxes, labeled, (None, Some(encoder)), settings, &quiet)?.0)
+    let seen = compute_sightings(labeled, frames, &MasksOfFrames::new(), &quiet)?;
+    let boxes = choose_frames(instances, &seen, settings);
+    Ok(embed_instances(
+        frames,
+        instances,
+        &boxes,
+        labeled,
+        (None, Some(encoder)),
+        settings,
+        &quiet,
+    )?
+    .0)
 }
 
 /// For instances with projected boxes, returns the masks that agree with the projection.
-fn correct(
+fn correct_outlines(
     frame: &FrameRef,
     picture: &RgbImage,
     labeled: LabeledPoints,
@@ -138,7 +149,7 @@ fn correct(
         .get(&frame.index)
         .into_iter()
         .flatten()
-        .map(|masks| KnownMasks::of(masks, frame))
+        .map(|masks| KnownMasks::from_runs(masks, frame))
         .collect();
     let (mut encoded, mut outlines) = (None, BTreeMap::new());
     let pixels = visible_pixels(labeled, frame, &depth);
@@ -161,11 +172,11 @@ fn correct(
                 Some(encoded) => encoded,
                 None => encoded.insert(corrector.frames.of(frame.index, picture)?),
             };
-            corrected = corrector.asked_outline(encoded, &projection, size)?;
+            corrected = corrector.segment_outline(encoded, &projection, size)?;
         }
         outlines.extend(corrected.map(|outline| (instance, outline)));
     }
-    corrector.frames.forget(frame.index);
+    corrector.frames.remove(frame.index);
     Ok(outlines)
 }
 
@@ -179,7 +190,7 @@ fn embed(
 ) -> Result<Vec<(InstanceId, Vec<f32>)>, ParseError> {
     let levels = settings.levels as usize;
     let crops: Vec<RgbImage> =
-        boxes.values().flat_map(|tight| crops(picture, *tight, settings)).collect();
+        boxes.values().flat_map(|tight| multiscale_crops(picture, *tight, settings)).collect();
     let mut vectors = Vec::with_capacity(crops.len());
     for batch in crops.chunks(encoder.batch_size()) {
         progress.check()?;
@@ -196,7 +207,7 @@ fn embed(
 }
 
 /// Returns the box with its surroundings, level by level, clipped to the picture.
-fn crops(
+fn multiscale_crops(
     picture: &RgbImage,
     [left, top, right, bottom]: [u32; 4],
     settings: &AppearanceSettings,
@@ -212,7 +223,7 @@ fn crops(
 }
 
 /// Scales sums to unit length; instances that were never seen stay zero.
-fn finish(sums: &[f64], dim: usize) -> Vec<f32> {
+fn normalize_rows(sums: &[f64], dim: usize) -> Vec<f32> {
     let mut rows = Vec::with_capacity(sums.len());
     for sum in sums.chunks_exact(dim) {
         let norm = sum.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -264,7 +275,7 @@ mod tests {
                 .map(|(f, _)| f.0)
                 .collect::<Vec<_>>()
         };
-        let chosen = choose(&instances, &seen, &settings);
+        let chosen = choose_frames(&instances, &seen, &settings);
         assert_eq!((frames_of(&chosen, 1), frames_of(&chosen, 2)), (vec![0, 3], vec![1]));
         assert_eq!(chosen[&FrameIndex(3)][&InstanceId(1)], [3, 0, 12, 9]);
     }
@@ -273,11 +284,12 @@ mod tests {
     fn crops_grow_level_by_level_and_stay_inside() {
         let picture = RgbImage::new(100, 80);
         let settings = AppearanceSettings { levels: 3, ..AppearanceSettings::default() };
-        let sizes: Vec<_> =
-            crops(&picture, [10, 20, 50, 40], &settings).map(|c| c.dimensions()).collect();
+        let sizes: Vec<_> = multiscale_crops(&picture, [10, 20, 50, 40], &settings)
+            .map(|c| c.dimensions())
+            .collect();
         assert_eq!(sizes, [(40, 20), (48, 24), (56, 28)]);
         assert_eq!(
-            crops(&picture, [0, 0, 100, 80], &settings).last().unwrap().dimensions(),
+            multiscale_crops(&picture, [0, 0, 100, 80], &settings).last().unwrap().dimensions(),
             (100, 80)
         );
     }
@@ -308,7 +320,7 @@ mod tests {
             .flat_map(|(_, sum)| sum.iter().map(|v| f64::from(*v)))
             .chain(vec![0.0; encoder.dim()])
             .collect();
-        let rows = finish(&sums, encoder.dim());
+        let rows = normalize_rows(&sums, encoder.dim());
         let norms: Vec<f32> =
             rows.chunks(encoder.dim()).map(|row| row.iter().map(|v| v * v).sum::<f32>()).collect();
         assert!((norms[0] - 1.0).abs() < 1e-5 && (norms[1] - 1.0).abs() < 1e-5 && norms[2] == 0.0);

@@ -22,7 +22,7 @@ const RED: Rgb<u8> = Rgb([230, 20, 20]);
 
 /// Draws one evidence picture of a view from its photograph, as JPEG.
 #[must_use]
-pub fn picture(color: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
+pub fn draw_picture(color: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
     let mask = seen.mask.as_ref().and_then(CellMask::from_view_mask);
     let (area, around) = match picture {
         Picture::Crop => (crop_area(seen.box_px, color.dimensions()), Surroundings::Dimmed),
@@ -87,7 +87,7 @@ mod tests {
             mask: Some(mask),
         };
         let decoded =
-            |of| image::load_from_memory(&picture(&color, &seen, of)).unwrap().into_rgb8();
+            |of| image::load_from_memory(&draw_picture(&color, &seen, of)).unwrap().into_rgb8();
         let (crop, frame) = (decoded(Picture::Crop), decoded(Picture::Frame));
         assert_eq!((crop.dimensions(), frame.dimensions()), ((224, 224), (400, 300)));
         let reddish = |p: &Rgb<u8>| p.0[0] > 150 && p.0[1] < 110;

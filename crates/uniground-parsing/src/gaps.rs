@@ -33,7 +33,7 @@ struct DepthGap {
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
-pub fn without_depth_edges(
+pub fn remove_pairs_across_gaps(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     voxel_m: f32,
@@ -42,7 +42,7 @@ pub fn without_depth_edges(
     progress: &Progress,
 ) -> Result<Vec<(u32, u32)>, ParseError> {
     progress.check()?;
-    let gaps = gaps(cloud, superpoints, voxel_m);
+    let gaps = find_gaps(cloud, superpoints, voxel_m);
     let mut seen_through = vec![0_i32; gaps.len()];
     stream_frames(
         frames,
@@ -83,7 +83,7 @@ fn vote(point: &Point3<f32>, camera: &Camera, depth: &DepthImage, tolerance: f32
 }
 
 /// Finds the neighbors whose voxels do not meet.
-fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<DepthGap> {
+fn find_gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<DepthGap> {
     let grid = VoxelGrid::new(&cloud.positions, voxel_m);
     // A voxel belongs to one superpoint; in a scene that has grown, to that of its last point.
     let mut superpoint_of = vec![0; grid.len()];
@@ -115,7 +115,7 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Dept
     }
     let reach_m = (WIDEST_RING + 1) as f32 * voxel_m;
     let gap = |&pair: &(u32, u32)| {
-        let middle = middle_between(&places[pair.0 as usize], &places[pair.1 as usize], reach_m)?;
+        let middle = midpoint_between(&places[pair.0 as usize], &places[pair.1 as usize], reach_m)?;
         Some(DepthGap { pair, middle })
     };
     superpoints
@@ -128,7 +128,11 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Dept
 
 /// Returns the midpoint between the nearest pair of points, one of each set; `None` beyond the
 /// reach.
-fn middle_between(one: &[Point3<f32>], other: &[Point3<f32>], reach_m: f32) -> Option<Point3<f32>> {
+fn midpoint_between(
+    one: &[Point3<f32>],
+    other: &[Point3<f32>],
+    reach_m: f32,
+) -> Option<Point3<f32>> {
     let (few, many) = if one.len() <= other.len() { (one, other) } else { (other, one) };
     // Of a long wall, only the part beside a small thing can be nearest to it.
     let mut around = Aabb::around(few)?;
@@ -184,7 +188,7 @@ mod tests {
     fn only_neighbours_that_do_not_touch_have_a_gap_between_them() {
         let gaps_of = |apart_m| {
             let (cloud, superpoints) = two_squares(apart_m);
-            gaps(&cloud, &superpoints, VOXEL_M)
+            find_gaps(&cloud, &superpoints, VOXEL_M)
         };
         let found = gaps_of(0.07);
         assert_eq!(found.len(), 1);
@@ -227,8 +231,15 @@ mod tests {
             let (cloud, superpoints) = two_squares(apart_m);
             let frames: Vec<FrameRef> =
                 (0..).zip(depths_m).map(|(i, &depth_m)| frame(folder, i, depth_m)).collect();
-            without_depth_edges(&cloud, &superpoints, VOXEL_M, &frames, 0.02, &Progress::silent())
-                .unwrap()
+            remove_pairs_across_gaps(
+                &cloud,
+                &superpoints,
+                VOXEL_M,
+                &frames,
+                0.02,
+                &Progress::silent(),
+            )
+            .unwrap()
         };
         let (wall, closed) = (2.0, 1.0);
         assert_eq!(neighbours(0.07, &[wall, closed, wall]), []);

@@ -108,7 +108,7 @@ impl<'a> Perception<'a> {
     }
 
     fn superpoints_end(&self) -> f32 {
-        let [superpoints, masks, ..] = self.ends();
+        let [superpoints, masks, ..] = self.stage_ends();
         superpoints / masks
     }
 
@@ -116,7 +116,7 @@ impl<'a> Perception<'a> {
     /// planes, merging, part merging, refinement, views, instances. Appearance comes last and ends
     /// at 1. Where networks take part, they take nearly all of the time. The remaining time is
     /// estimated from these.
-    fn ends(&self) -> [f32; 8] {
+    fn stage_ends(&self) -> [f32; 8] {
         match (self.corrector.is_some(), self.encoder.is_some()) {
             (false, false) => [0.3, 0.67, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
             (false, true) => [0.06, 0.14, 0.15, 0.165, 0.17, 0.18, 0.195, 0.2],
@@ -144,14 +144,14 @@ pub fn parse(
         return Err(ParseError::NoPoints);
     }
     let mut watch = Stopwatch::default();
-    let ends = perception.ends();
+    let ends = perception.stage_ends();
 
     let perceiving = progress.sub_range(0.0, ends[1]);
     let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
-        lift_frames::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
+        lift_frames::lift_scan(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
-    let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
+    let (tables, masks_of, sharpness_of) = Lifted::split(lifted);
     let blind: Vec<String> = tables
         .iter()
         .filter(|t| t.layer == 0 && t.rows.is_empty())
@@ -160,7 +160,7 @@ pub fn parse(
     if settings.merging.split_at_depth_edges {
         superpoints.adjacent = watch.time("gaps", |outcome| {
             let voxel_m = superpoints::voxel_m(&cloud, &settings.superpoints);
-            let kept = gaps::without_depth_edges(
+            let kept = gaps::remove_pairs_across_gaps(
                 &cloud,
                 &superpoints,
                 voxel_m,
@@ -181,20 +181,21 @@ pub fn parse(
         masks_of: &masks_of,
     };
     let RegionGrouping { planes, region_of, proposals } =
-        group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
-    let labels = Labels::of_regions(&region_of, &superpoints, proposals);
+        group_superpoints(seen, perception, settings, &checkpoints, progress, &mut watch)?;
+    let labels = Labels::from_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
         let viewing = progress.sub_range(ends[5], ends[6]);
         let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
-        let flats = FlatCandidates::of(
+        let flats = FlatCandidates::find(
             &cloud,
             &superpoints,
             &planes,
             &labels,
-            &centers(&frames),
+            &camera_centers(&frames),
             &settings.instances,
         );
-        let sighted = views::all_sighted(labeled, Some(&flats), &frames, &masks_of, &viewing)?;
+        let sighted =
+            views::compute_instance_views(labeled, Some(&flats), &frames, &masks_of, &viewing)?;
         outcome.produced = sighted.sightings.len();
         Ok::<_, ParseError>(sighted)
     })?;
@@ -213,14 +214,14 @@ pub fn parse(
         Ok::<_, ParseError>(built)
     })?;
     let BuiltInstances { mut instances, labels, sightings, dropped, specks } = built;
-    let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
-    views::choose(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
+    let looked_at = appearance::choose_frames(&instances, &sightings, &settings.appearance);
+    views::choose_views(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
             let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
             let looking = progress.sub_range(ends[7], FRAMES_LOOKED_AT);
-            let (rows, outlines) = appearance::look(
+            let (rows, outlines) = appearance::embed_instances(
                 &frames,
                 &instances,
                 &looked_at,
@@ -235,7 +236,7 @@ pub fn parse(
                 &settings.appearance,
                 &looking,
             )?;
-            views::tighten(&mut instances, &outlines);
+            views::apply_outlines(&mut instances, &outlines);
             outcome.produced = looked_at.values().map(std::collections::BTreeMap::len).sum();
             Ok::<_, ParseError>(rows)
         })?,
@@ -249,7 +250,7 @@ pub fn parse(
     let frame_embeddings = match perception.encoder {
         None => None,
         Some(encoder) => watch.time("frame_appearance", |outcome| {
-            let seen = frame_appearance::look(
+            let seen = frame_appearance::embed_frames(
                 &frames,
                 encoder,
                 &settings.appearance,
@@ -270,7 +271,7 @@ pub fn parse(
         specks,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
-        warnings: warnings(frames.len(), &blind),
+        warnings: blind_frame_warnings(frames.len(), &blind),
     };
     let instance_of_point = labels.thing_of_point.into_owned();
     let superpoint_of_point = superpoints.of_point;
@@ -307,7 +308,7 @@ struct RegionGrouping {
 }
 
 /// Finds planes and merges superpoints into regions.
-fn group(
+fn group_superpoints(
     seen: ScanObservations,
     perception: &Perception,
     settings: &ParsingSettings,
@@ -316,18 +317,18 @@ fn group(
     watch: &mut Stopwatch,
 ) -> Result<RegionGrouping, ParseError> {
     let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
-    let ends = perception.ends();
+    let ends = perception.stage_ends();
     let planes = watch.time("planes", |outcome| {
         let planes = planes::find(
             cloud,
             superpoints,
-            &centers(frames),
+            &camera_centers(frames),
             &progress.sub_range(ends[1], ends[2]),
         )?;
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
     })?;
-    let lifted_with = lift_frames::lifted_with(perception.masks, settings);
+    let lifted_with = lift_frames::lifting_dependencies(perception.masks, settings);
     let regions = watch.time("merging", |outcome| {
         let compute = || {
             merging::merge(
@@ -339,14 +340,14 @@ fn group(
             )
         };
         let (regions, reused) =
-            checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
-        *outcome = StageOutcome { produced: count(regions.last()), reused };
+            checkpoints.load_or_compute("merging", &(lifted_with, &settings.merging), compute)?;
+        *outcome = StageOutcome { produced: count_labels(regions.last()), reused };
         Ok::<_, ParseError>(regions)
     })?;
     let region_of = watch.time("part_merging", |outcome| {
         let freed = match settings.part_merging.enabled {
             false => regions.last().to_vec(),
-            true => split_supported::set_free(
+            true => split_supported::split_supported(
                 cloud,
                 superpoints,
                 &planes,
@@ -355,7 +356,7 @@ fn group(
                 progress,
             )?,
         };
-        let joined = part_merging::join(
+        let joined = part_merging::join_parts(
             cloud,
             superpoints,
             &planes,
@@ -363,7 +364,7 @@ fn group(
             &settings.part_merging,
             &progress.sub_range(ends[3], ends[4]),
         )?;
-        outcome.produced = count(&joined);
+        outcome.produced = count_labels(&joined);
         Ok::<_, ParseError>(joined)
     })?;
     let proposals = watch.time("hierarchy", |outcome| {
@@ -380,14 +381,14 @@ fn group(
         outcome.produced = proposals.len();
         Ok::<_, ParseError>(proposals)
     })?;
-    let region_of = superpoints.spread(&region_of);
+    let region_of = superpoints.regions_of_points(&region_of);
     let region_of = match settings.refine_borders {
         false => region_of,
         true => watch.time("refinement", |outcome| {
             let refining = progress.sub_range(ends[4], ends[5]);
             let refined =
                 refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
-            outcome.produced = count(&refined);
+            outcome.produced = count_labels(&refined);
             Ok::<_, ParseError>(refined)
         })?,
     };
@@ -395,12 +396,12 @@ fn group(
 }
 
 /// Camera positions, meters, world frame.
-fn centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
+fn camera_centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
     frames.iter().map(|frame| frame.camera_to_world.translation.vector.into()).collect()
 }
 
 /// Returns the warnings for the report, given the frames that see no point of the cloud.
-fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
+fn blind_frame_warnings(frames: usize, blind: &[String]) -> Vec<String> {
     let mut warnings = Vec::new();
     if frames == 0 {
         warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
@@ -409,19 +410,19 @@ fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
         warnings.push(format!(
             "{} of {frames} frames see no point of the cloud: {}",
             blind.len(),
-            shortened(blind)
+            shorten_list(blind)
         ));
     }
     warnings
 }
 
-fn shortened(names: &[String]) -> String {
+fn shorten_list(names: &[String]) -> String {
     const SHOWN: usize = 10;
     let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
     if names.len() > SHOWN { format!("{shown}, ...") } else { shown }
 }
 
 /// Number of labels `0..n`.
-fn count(labels: &[u32]) -> usize {
+fn count_labels(labels: &[u32]) -> usize {
     labels.iter().max().map_or(0, |&l| l as usize + 1)
 }

@@ -66,7 +66,7 @@ pub type MasksOfFrames = BTreeMap<FrameIndex, Vec<IdRuns>>;
 impl Lifted {
     /// Splits into the tables of all frames, and the masks and sharpness of each frame.
     #[must_use]
-    pub fn apart(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames, SharpnessOfFrames) {
+    pub fn split(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames, SharpnessOfFrames) {
         let sharpness =
             lifted.iter().map(|lifted| (lifted.frame, lifted.sharpness.clone())).collect();
         let (tables, masks): (Vec<_>, MasksOfFrames) =
@@ -93,20 +93,20 @@ impl LiftingInput<'_> {
     ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or cancellation.
-    pub fn all(
+    pub fn lift_all(
         &self,
         frames: &[FrameRef],
         mut log: StageLog<Lifted>,
         progress: &Progress,
     ) -> Result<(Vec<Lifted>, bool), ParseError> {
-        let mut lifted = log.kept();
+        let mut lifted = log.take_records();
         let kept = lifted
             .iter()
             .zip(frames)
             .take_while(|(lifted, frame)| lifted.frame == frame.index)
             .count();
         lifted.truncate(kept);
-        log.forget_after(kept);
+        log.truncate_after(kept);
         stream_frames(
             &frames[kept..],
             |frame| {
@@ -114,8 +114,10 @@ impl LiftingInput<'_> {
                 let frame = frame.decode()?;
                 let images = self.masks.masks(&frame, progress)?;
                 let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
-                let (masks, sharpness) =
-                    (images.iter().map(IdRuns::of).collect(), Sharpness::of(&frame.color));
+                let (masks, sharpness) = (
+                    images.iter().map(IdRuns::from_image).collect(),
+                    Sharpness::measure(&frame.color),
+                );
                 Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks, sharpness })
             },
             |i, frame| {
@@ -349,8 +351,8 @@ mod tests {
         Lifted {
             frame: FrameIndex(frame),
             tables,
-            masks: vec![IdRuns::of(&image)],
-            sharpness: Sharpness::of(&photograph),
+            masks: vec![IdRuns::from_image(&image)],
+            sharpness: Sharpness::measure(&photograph),
         }
     }
 
@@ -363,7 +365,7 @@ mod tests {
             10,
         );
         let other = lifted(8, vec![table(8, 0, 2, vec![row(4, 1, &[])])], vec![2, 0, 5], 200);
-        let (tables, masks, sharpness) = Lifted::apart(vec![one.clone(), other.clone()]);
+        let (tables, masks, sharpness) = Lifted::split(vec![one.clone(), other.clone()]);
         assert_eq!(tables, [&one.tables[..], &other.tables[..]].concat());
         assert_eq!(
             masks,
@@ -438,7 +440,7 @@ mod tests {
         let cloud = on_wall(&frame(), &[(0.0, 0.0), (3.0, 0.0), (3.0, 1.0)]);
         let superpoint_of_point = [0, 1, 1];
         let visibility = Visibility::new(&cloud, &superpoint_of_point, 0.02);
-        let checkpoints = Checkpoints::kept_in(folder, "scan");
+        let checkpoints = Checkpoints::in_folder(folder, "scan");
         // Of each call: what is lifted, whether that was all kept, how many frames were looked at,
         // and what was reported.
         let all = |frames: &[FrameRef]| {
@@ -454,7 +456,7 @@ mod tests {
                 || false,
             );
             let (lifted, all_kept) =
-                lifting.all(frames, checkpoints.log("masks", &0), &progress).unwrap();
+                lifting.lift_all(frames, checkpoints.open_log("masks", &0), &progress).unwrap();
             let told = told.lock().unwrap().clone();
             (lifted, all_kept, halves.0.into_inner(), told)
         };
@@ -477,7 +479,7 @@ mod tests {
         assert_eq!((all_kept, asked), (false, 2));
         assert_eq!(told, [(stage, 0.75), (stage, 1.0)]);
         assert_eq!(tables_of(more.clone()), [seen(0), seen(2), seen(4), seen(6)]);
-        assert_eq!(more[3].masks, [IdRuns::of(&halves_of_a_frame())]);
+        assert_eq!(more[3].masks, [IdRuns::from_image(&halves_of_a_frame())]);
         let (again, all_kept, asked, told) = all(&frames);
         assert_eq!((again, all_kept, asked, told), (more, true, 0, vec![]));
         // Another second frame: what is kept counts up to there, and what came after is forgotten.
@@ -506,13 +508,14 @@ mod tests {
         let halves = Halves::default();
         let lifting =
             LiftingInput { visibility: &visibility, superpoint_of_point: &[0], masks: &halves };
-        let nowhere = Checkpoints::none();
+        let nowhere = Checkpoints::disabled();
         let cancelled = Progress::new(|_, _| {}, || true);
-        let stopped = lifting.all(&frames, nowhere.log("masks", &0), &cancelled).unwrap_err();
+        let stopped =
+            lifting.lift_all(&frames, nowhere.open_log("masks", &0), &cancelled).unwrap_err();
         assert!(matches!(stopped, ParseError::Cancelled(_)), "{stopped:?}");
         assert_eq!(halves.0.load(Ordering::Relaxed), 0, "nothing was cut into masks");
         frames[0].depth = folder.join("missing.png");
-        let failed = lifting.all(&frames, nowhere.log("masks", &0), &Progress::silent());
+        let failed = lifting.lift_all(&frames, nowhere.open_log("masks", &0), &Progress::silent());
         assert!(matches!(failed, Err(ParseError::Frame(_))), "{:?}", failed.map(drop));
     }
 

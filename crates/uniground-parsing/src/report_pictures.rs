@@ -39,11 +39,11 @@ pub fn render(
     progress: &Progress,
 ) -> Result<Vec<ReportPicture>, ParseError> {
     let by_superpoint = RenderScene::with_building(
-        recoloured(scene, |i| id_color(scene.superpoint_of_point[i])),
+        with_colors(scene, |i| id_color(scene.superpoint_of_point[i])),
         &scene.instances,
     );
     let by_instance = RenderScene::with_building(
-        recoloured(scene, |i| instance_color(&scene.instances, scene.instance_of_point[i])),
+        with_colors(scene, |i| instance_color(&scene.instances, scene.instance_of_point[i])),
         &scene.instances,
     );
     let count = FRAMES.min(frames.len());
@@ -113,7 +113,7 @@ enum PictureSubject<'a> {
     Frame(&'a FrameRef),
 }
 
-fn recoloured(scene: &ParsedScene, color: impl Fn(usize) -> [u8; 3] + Sync + Send) -> PointCloud {
+fn with_colors(scene: &ParsedScene, color: impl Fn(usize) -> [u8; 3] + Sync + Send) -> PointCloud {
     let positions = scene.cloud.positions.clone();
     PointCloud { colors: (0..positions.len()).into_par_iter().map(color).collect(), positions }
 }

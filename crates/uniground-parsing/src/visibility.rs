@@ -102,19 +102,19 @@ impl Visibility {
     /// unspecified but always the same.
     #[must_use]
     pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
-        self.look(camera, depth, |_, sight| sight == PointVisibility::Visible)
+        self.collect_points(camera, depth, |_, sight| sight == PointVisibility::Visible)
     }
 
     /// Same as [`in_frame`](Self::in_frame), plus a sample of the points that are inside the
     /// picture but not visible; see [`is_sampled`].
     #[must_use]
     pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
-        self.look(camera, depth, |point, sight| {
+        self.collect_points(camera, depth, |point, sight| {
             sight == PointVisibility::Visible || is_sampled(point)
         })
     }
 
-    fn look(
+    fn collect_points(
         &self,
         camera: &Camera,
         depth: &DepthImage,

@@ -262,7 +262,7 @@ fn draw_red_box(
         (y.round() as i64).clamp(i64::from(top) + WIDTH_PX, i64::from(top + height) - WIDTH_PX)
     };
     let (l, t, r, b) = (inside_x(low.0), inside_y(low.1), inside_x(high.0), inside_y(high.1));
-    let mut put = |x: i64, y: i64| {
+    let mut draw_pixel = |x: i64, y: i64| {
         if let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y))
             && x < sheet.width()
             && y < sheet.height()
@@ -272,12 +272,12 @@ fn draw_red_box(
     };
     for k in 1..=WIDTH_PX {
         for x in l - k..r + k {
-            paste(x, t - k);
-            paste(x, b - 1 + k);
+            draw_pixel(x, t - k);
+            draw_pixel(x, b - 1 + k);
         }
         for y in t - k..b + k {
-            paste(l - k, y);
-            paste(r - 1 + k, y);
+            draw_pixel(l - k, y);
+            draw_pixel(r - 1 + k, y);
         }
     }
 }

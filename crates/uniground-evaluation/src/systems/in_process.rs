@@ -111,7 +111,7 @@ impl InProcess {
 
     /// Returns the stored stages of one scan's parses.
     fn checkpoints(&self, scan: &Utf8Path, import: &ImportSettings) -> anyhow::Result<Checkpoints> {
-        let Some(parses) = &self.parses else { return Ok(Checkpoints::none()) };
+        let Some(parses) = &self.parses else { return Ok(Checkpoints::disabled()) };
         let mut hasher = Sha256::new();
         digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
         let content = digest::finish(hasher);
@@ -122,7 +122,7 @@ impl InProcess {
         for entry in parses.read_dir_utf8()?.flatten().filter(|entry| entry.path() != own) {
             fs::remove_dir_all(entry.path()).with_context(|| entry.path().to_string())?;
         }
-        Ok(Checkpoints::kept_in(&folder, &serde_json::to_string(&(content, import))?))
+        Ok(Checkpoints::in_folder(&folder, &serde_json::to_string(&(content, import))?))
     }
 
     /// Returns the models of a configuration, loaded once.

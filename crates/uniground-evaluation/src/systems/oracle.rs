@@ -11,7 +11,7 @@ use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::DualEncoder;
 use uniground_models::{attributes, calibration};
 use uniground_parsing::appearance;
-use uniground_parsing::instances::{Body, planarity, supports};
+use uniground_parsing::instances::{Body, find_supports, planarity};
 use uniground_parsing::labels::Labels;
 use uniground_parsing::lifting::MasksOfFrames;
 use uniground_parsing::sharpness::SharpnessOfFrames;
@@ -51,14 +51,14 @@ pub fn instances_of(
     }
     let structures: Vec<Option<Structure>> = objects.iter().map(SceneObject::structure).collect();
     let bodies: Vec<Body> =
-        objects.iter().map(|o| Body::of_box(o.aabb, &oriented_box_of(o))).collect();
+        objects.iter().map(|o| Body::from_box(o.aabb, &oriented_box_of(o))).collect();
     let floor =
         objects.iter().find(|o| o.structure() == Some(Structure::Floor)).map(|o| o.aabb.max().z);
     let floor_z = floor
         .or_else(|| objects.iter().map(|o| o.aabb.min().z).min_by(f32::total_cmp))
         .unwrap_or(0.0);
     // Silent progress cannot be cancelled.
-    let supports = supports(&bodies, &structures, floor_z, &Progress::silent())
+    let supports = find_supports(&bodies, &structures, floor_z, &Progress::silent())
         .unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
     let build = |(i, object): (usize, &SceneObject)| {
         let seen = &colors[i];
@@ -117,10 +117,10 @@ pub fn see(
     settings: &ParsingSettings,
 ) -> Result<Embeddings, ParseError> {
     let (own, instance_of_point) = points_of(annotations, cloud);
-    let labels = Labels::of_things(&instance_of_point);
+    let labels = Labels::from_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
     let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
-    let rows = appearance::of_known(frames, instances, labeled, encoder, &settings.appearance)?;
+    let rows = appearance::embed_known(frames, instances, labeled, encoder, &settings.appearance)?;
     Ok(calibration::name_all(instances, encoder, &rows)?)
 }
 
@@ -136,11 +136,12 @@ pub(super) fn view(
     settings: &ParsingSettings,
 ) -> Result<(), ParseError> {
     let (own, instance_of_point) = points_of(annotations, cloud);
-    let labels = Labels::of_things(&instance_of_point);
+    let labels = Labels::from_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
     let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
-    let seen = views::all_sightings(labeled, frames, &MasksOfFrames::new(), &Progress::silent())?;
-    views::choose(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
+    let seen =
+        views::compute_sightings(labeled, frames, &MasksOfFrames::new(), &Progress::silent())?;
+    views::choose_views(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
     Ok(())
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Connected green pieces are one plant. A part under it, no wider than its leaves, is its pot.
 
-use super::{RegionFacts, united};
+use super::{RegionFacts, join_sets};
 use crate::superpoints::Superpoints;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::color::ColorName;
@@ -25,7 +25,7 @@ const STEM_M: f32 = 0.25;
 
 /// Joins leaves with each other and with their pots. Returns the regions, and the facts of those
 /// that did not change.
-pub(super) fn gather(
+pub(super) fn join_foliage(
     superpoints: &Superpoints,
     region_of: Vec<u32>,
     parts: &[RegionFacts],
@@ -46,7 +46,7 @@ pub(super) fn gather(
             && parts[i].aabb.size.max() <= LARGEST_M
     };
     let leaves: Vec<usize> = (0..parts.len()).filter(|&i| is_leaves(i)).collect();
-    let plants = plants(&leaves, parts);
+    let plants = group_leaves(&leaves, parts);
     let mut sets = UnionFind::new(parts.len());
     // A single green piece may be a cushion on a stool, so it is not joined.
     for (leaves, members) in plants.iter().filter(|(_, members)| members.len() > 1) {
@@ -56,11 +56,11 @@ pub(super) fn gather(
             sets.union(i as u32, members[0] as u32);
         });
     }
-    united(sets, region_of, parts)
+    join_sets(sets, region_of, parts)
 }
 
 /// Groups leaves that are connected: the box around each group, and its members.
-fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
+fn group_leaves(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
     let mut plants: Vec<(Aabb, Vec<usize>)> =
         leaves.iter().map(|&i| (parts[i].aabb, vec![i])).collect();
     let mut plant_of: Vec<usize> = (0..leaves.len()).collect();
@@ -70,7 +70,7 @@ fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
             if one == other || parts[leaf].aabb.gap(&parts[leaves[b]].aabb) > NEAR_M {
                 continue;
             }
-            let both = around(&plants[one].0, &plants[other].0);
+            let both = union_box(&plants[one].0, &plants[other].0);
             if both.size.z <= TALLEST_M && both.size.x.max(both.size.y) <= WIDEST_M {
                 let moved = std::mem::take(&mut plants[other].1);
                 plant_of.iter_mut().filter(|plant| **plant == other).for_each(|plant| *plant = one);
@@ -83,7 +83,7 @@ fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
     plants
 }
 
-fn around(a: &Aabb, b: &Aabb) -> Aabb {
+fn union_box(a: &Aabb, b: &Aabb) -> Aabb {
     Aabb::from_corners(
         a.min().coords.inf(&b.min().coords).into(),
         a.max().coords.sup(&b.max().coords).into(),
@@ -119,7 +119,7 @@ mod tests {
         let part = |(low, high, _): &([f32; 3], [f32; 3], [u8; 3])| {
             let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / 9.0;
             let cells = (0..1000_u32).map(|i| (i % 10, i / 10 % 10, i / 100));
-            RegionFacts::of(
+            RegionFacts::measure(
                 &cells
                     .map(|(x, y, z)| Point3::new(at(0, x), at(1, y), at(2, z)))
                     .collect::<Vec<_>>(),
@@ -137,7 +137,7 @@ mod tests {
             adjacent: Vec::new(),
             roughness_m: vec![0.0; blocks.len()],
         };
-        gather(
+        join_foliage(
             &superpoints,
             (0..blocks.len() as u32).collect(),
             &blocks.iter().map(part).collect::<Vec<_>>(),

@@ -64,7 +64,7 @@ pub(super) fn grow(
         centers = recenter(voxels, &labels, &centers);
     }
     // Voxels that no seed reached still share one label: connected() separates them.
-    Ok(voxels.connected(&labels))
+    Ok(voxels.connected_labels(&labels))
 }
 
 /// Places one seed per occupied cell of the coarse grid: the voxel nearest the cell's center of

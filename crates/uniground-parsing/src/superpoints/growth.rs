@@ -1,7 +1,7 @@
 //! Superpoints of a cloud that has grown. Superpoints of points that stayed do not change, so that
 //! what frames saw of them stays valid. New points are divided into new superpoints.
 
-use super::{Patch, Superpoints, coarsened_to, compute, relabelled};
+use super::{Patch, Superpoints, coarsen_settings, compute, relabel_pairs};
 use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
@@ -17,7 +17,7 @@ use uniground_types::settings::SuperpointSettings;
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn grown(
+pub fn grow_superpoints(
     before: &Superpoints,
     addition: &Addition,
     cloud: &PointCloud,
@@ -46,7 +46,7 @@ pub fn grown(
         .collect();
     let mut roughness_m: Vec<f32> =
         (0..left.len()).filter(|&s| stays(s)).map(|s| before.roughness_m[s]).collect();
-    let mut patches = shrunk(before, &left, &of_point, cloud);
+    let mut patches = shrink_patches(before, &left, &of_point, cloud);
     let mut adjacent: Vec<(u32, u32)> = before
         .adjacent
         .iter()
@@ -59,20 +59,26 @@ pub fn grown(
         roughness_m.extend(new.roughness_m);
         adjacent.extend(new.adjacent.iter().map(|(a, b)| (a + count, b + count)));
         progress.check()?;
-        let voxel_m = coarsened_to(*settings, typical_spacing_m(&addition.new.positions)).voxel_m;
+        let voxel_m =
+            coarsen_settings(*settings, typical_spacing_m(&addition.new.positions)).voxel_m;
         // A floor continues beyond the gap between new and known points.
         let reach_m = voxel_m.max(REACH * addition.apart_m);
         adjacent.extend(borders(cloud, &of_point, addition.kept.len(), reach_m));
     }
     let same: Vec<u32> = (0..patches.len() as u32).collect();
     Ok((
-        Superpoints { of_point, patches, adjacent: relabelled(&adjacent, &same), roughness_m },
+        Superpoints { of_point, patches, adjacent: relabel_pairs(&adjacent, &same), roughness_m },
         number,
     ))
 }
 
 /// The patches that remain; those that lost points are measured again.
-fn shrunk(before: &Superpoints, left: &[u32], of_kept: &[u32], cloud: &PointCloud) -> Vec<Patch> {
+fn shrink_patches(
+    before: &Superpoints,
+    left: &[u32],
+    of_kept: &[u32],
+    cloud: &PointCloud,
+) -> Vec<Patch> {
     let stay = || left.iter().zip(&before.patches).filter(|(left, _)| **left > 0);
     let has_lost: Vec<bool> = stay().map(|(left, patch)| *left < patch.points).collect();
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); has_lost.len()];
@@ -174,7 +180,8 @@ mod tests {
         let (settings, silent) = (SuperpointSettings::default(), Progress::silent());
         let first = compute(before, &settings, &silent).unwrap();
         let (now, number) =
-            grown(&first, addition, &addition.apply_to(before), &settings, &silent).unwrap();
+            grow_superpoints(&first, addition, &addition.apply_to(before), &settings, &silent)
+                .unwrap();
         (first, now, number)
     }
 

@@ -8,7 +8,7 @@ mod growth;
 mod region_growing;
 mod voxel_cloud;
 
-pub use growth::grown;
+pub use growth::grow_superpoints;
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -24,12 +24,12 @@ pub(super) use voxel_cloud::WIDEST_RING;
 /// Edge of the voxels from which this cloud's superpoints are made, meters.
 #[must_use]
 pub fn voxel_m(cloud: &PointCloud, settings: &SuperpointSettings) -> f32 {
-    coarsened_to(*settings, typical_spacing_m(&cloud.positions)).voxel_m
+    coarsen_settings(*settings, typical_spacing_m(&cloud.positions)).voxel_m
 }
 
 /// Coarsens the settings to the density of the cloud: voxels smaller than the gaps between points
 /// would fall apart into islands.
-fn coarsened_to(settings: SuperpointSettings, spacing_m: f32) -> SuperpointSettings {
+fn coarsen_settings(settings: SuperpointSettings, spacing_m: f32) -> SuperpointSettings {
     let voxel_m = settings.voxel_m.max(VOXEL_SPACINGS * spacing_m);
     let seed_voxels = (settings.seed_m / settings.voxel_m).min(ENOUGH_SEED_VOXELS);
     SuperpointSettings { voxel_m, seed_m: settings.seed_m.max(seed_voxels * voxel_m), ..settings }
@@ -73,7 +73,7 @@ pub struct Patch {
 impl Superpoints {
     /// Returns the region of each point, given that of each superpoint.
     #[must_use]
-    pub fn spread(&self, region_of: &[u32]) -> Vec<u32> {
+    pub fn regions_of_points(&self, region_of: &[u32]) -> Vec<u32> {
         self.of_point.iter().map(|&superpoint| region_of[superpoint as usize]).collect()
     }
 }
@@ -81,7 +81,7 @@ impl Superpoints {
 impl Patch {
     /// Merges patches by label `0..count`: point-weighted means of `parts`.
     #[must_use]
-    pub fn joined(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
+    pub fn merge_by_label(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
         let mut sums =
             vec![(0_u32, nalgebra::Vector3::<f64>::zeros(), Matrix3::zeros(), Lab::zeros()); count];
         for (part, &label) in parts.iter().zip(labels) {
@@ -121,7 +121,7 @@ pub fn compute(
     progress: &Progress,
 ) -> Result<Superpoints, Cancelled> {
     progress.report("superpoints", 0.0)?;
-    let settings = &coarsened_to(*settings, typical_spacing_m(&cloud.positions));
+    let settings = &coarsen_settings(*settings, typical_spacing_m(&cloud.positions));
     let voxels = VoxelCloud::new(cloud, settings.voxel_m, progress)?;
     progress.report("superpoints", 0.4)?;
     let labels = flow::grow(&voxels, settings, &progress.sub_range(0.4, 0.8))?;
@@ -132,15 +132,15 @@ pub fn compute(
     let labels: Vec<u32> = labels.into_iter().map(|l| region_of[l as usize]).collect();
     progress.report("superpoints", 0.95)?;
     let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    let patches = Patch::joined(&voxels.patches, &labels, count);
-    let adjacent = relabelled(&adjacent, &region_of);
+    let patches = Patch::merge_by_label(&voxels.patches, &labels, count);
+    let adjacent = relabel_pairs(&adjacent, &region_of);
     let of_point = voxels.grid.of_point.iter().map(|&v| labels[v as usize]).collect();
     let roughness_m = mean_per_label(&labels, &voxels.roughness_m, count);
     Ok(Superpoints { of_point, patches, adjacent, roughness_m })
 }
 
 /// Pairs `(low, high)` of neighbors after `label_of` has joined some of them, sorted.
-pub(super) fn relabelled(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u32, u32)> {
+pub(super) fn relabel_pairs(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u32, u32)> {
     let mut pairs: Vec<(u32, u32)> = adjacent
         .iter()
         .map(|&(a, b)| (label_of[a as usize], label_of[b as usize]))
@@ -224,14 +224,15 @@ mod tests {
     #[test]
     fn finer_settings_never_give_coarser_superpoints() {
         let asked = |voxel_m: f32| SuperpointSettings { voxel_m, ..SuperpointSettings::default() };
-        let (fine, default) = (coarsened_to(asked(0.002), 0.02), coarsened_to(asked(0.025), 0.02));
+        let (fine, default) =
+            (coarsen_settings(asked(0.002), 0.02), coarsen_settings(asked(0.025), 0.02));
         assert_eq!((fine.voxel_m, fine.seed_m), (default.voxel_m, default.seed_m));
         assert!(
             (fine.voxel_m - 0.03).abs() < 1e-6 && (fine.seed_m - 0.18).abs() < 1e-6,
             "{fine:?}"
         );
         assert_eq!(
-            coarsened_to(asked(0.05), 0.02),
+            coarsen_settings(asked(0.05), 0.02),
             asked(0.05),
             "what the cloud bears is left alone"
         );

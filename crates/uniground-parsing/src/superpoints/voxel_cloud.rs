@@ -38,7 +38,7 @@ impl ScatterMoments {
     }
 
     /// Moments of both sets together (Chan's pairwise update): no cancellation far from the origin.
-    fn joined(self, other: &Self) -> Self {
+    fn merge(self, other: &Self) -> Self {
         let count = self.count + other.count;
         if count == 0.0 {
             return self;
@@ -66,7 +66,9 @@ impl VoxelCloud {
             .into_par_iter()
             .map(|v| {
                 let around = neighbours.neighbors_of(v as u32);
-                surface(&around.iter().fold(moments[v], |sum, &n| sum.joined(&moments[n as usize])))
+                estimate_surface(
+                    &around.iter().fold(moments[v], |sum, &n| sum.merge(&moments[n as usize])),
+                )
             })
             .collect();
         let curvatures = surfaces.iter().map(|s| s.curvature).collect();
@@ -75,7 +77,7 @@ impl VoxelCloud {
             .par_iter()
             .zip(&moments)
             .zip(&labs)
-            .map(|((surface, m), &lab)| Patch {
+            .map(|((estimate_surface, m), &lab)| Patch {
                 points: m.count as u32,
                 center: Point3::from(m.mean),
                 normal: surface.normal,
@@ -95,7 +97,7 @@ impl VoxelCloud {
 
     /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is
     /// one piece.
-    pub fn connected(&self, labels: &[u32]) -> Vec<u32> {
+    pub fn connected_labels(&self, labels: &[u32]) -> Vec<u32> {
         const NONE: u32 = u32::MAX;
         let mut pieces = vec![NONE; self.len()];
         let mut count = 0;
@@ -220,7 +222,7 @@ struct VoxelSurface {
     roughness_m: f32,
 }
 
-fn surface(moments: &ScatterMoments) -> VoxelSurface {
+fn estimate_surface(moments: &ScatterMoments) -> VoxelSurface {
     let covariance = moments.scatter / moments.count.max(1.0);
     let total = covariance.trace();
     if total <= f32::EPSILON * f32::EPSILON {

@@ -185,7 +185,7 @@ impl SceneSource for StoredScene {
             segmenter: segmenter.map(|s| &**s),
             settings: &settings,
         };
-        match pointing.find(place, &self.parse.instances, is_not) {
+        match pointing.find_at(place, &self.parse.instances, is_not) {
             Ok(found) => Ok(found),
             // An answer does not need the scan's own pictures.
             Err(ParseError::Frame(error)) => {

@@ -150,8 +150,13 @@ impl StoredScene {
         let owners = Owners::new(&of_point, known);
         let owner =
             |point: usize| owners.owner_of(of_point[point], &render_scene.cloud.positions[point]);
-        let merged =
-            instances::merged(&render_scene.cloud, owner, members, known, &settings.instances);
+        let merged = instances::merge_points(
+            &render_scene.cloud,
+            owner,
+            members,
+            known,
+            &settings.instances,
+        );
         merged.ok_or(Error::NotAThing { id: members[0] })
     }
 }

@@ -21,7 +21,8 @@ use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
 use uniground_models::neural::Models;
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{
-    ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import,
+    ImportedScan, ParsedScan, STAGE_1_VERSION, import_share, load_stored_import,
+    parse_imported_scan, select_models,
 };
 use uniground_storage::{
     Blobs, ContinuedParse, CorrectionRepository, HealthProbe, IdGenerator, NewParse,
@@ -183,10 +184,10 @@ impl ParseRunner {
         let work = move || {
             let _entered = entered.enter();
             let folder = blobs.use_checkpoints(&hash)?;
-            let checkpoints = Checkpoints::kept_in(&folder, &origin);
-            let imported = share_of_import(&chosen(job_settings.models, &models));
+            let checkpoints = Checkpoints::in_folder(&folder, &origin);
+            let imported = import_share(&select_models(job_settings.models, &models));
             let scan = if let Some(scan) =
-                stored_import(&scan_folder, &job_settings.import, &checkpoints)?
+                load_stored_import(&scan_folder, &job_settings.import, &checkpoints)?
             {
                 scan
             } else {
@@ -196,8 +197,8 @@ impl ParseRunner {
             };
             // Parallel work stays in the pool of parses, whose threads have a low priority.
             pool.install(|| {
-                service.capacity.check_memory(scan.memory_wanted())?;
-                Ok::<_, Error>(cut_scan(
+                service.capacity.check_memory(scan.estimate_memory())?;
+                Ok::<_, Error>(parse_imported_scan(
                     scan,
                     &job_settings,
                     &models,
@@ -308,7 +309,7 @@ impl ParseRunner {
                 "the reader of scans answered another question",
             )));
         };
-        let scan = stored_import(content, settings, checkpoints)?;
+        let scan = load_stored_import(content, settings, checkpoints)?;
         // Most likely the disk is full: checkpoints are not written then.
         let scan = scan
             .ok_or_else(|| Error::Io(io::Error::other("the scan's import could not be stored")))?;

@@ -15,7 +15,7 @@ use uniground_grounding::vlm::naming;
 use uniground_grounding::{NameIndex, PictureCache};
 use uniground_jobs::{JobKind, Jobs};
 use uniground_models::neural::Models;
-use uniground_parsing::scan::{chosen, names_of};
+use uniground_parsing::scan::{model_names, select_models};
 use uniground_storage::{
     Blobs, CheckDepth, CorrectionRepository, DamagedFile, NameRepository, NewJob, ParseRecord,
     ParseRepository, PinnedPath, SceneRepository,
@@ -57,7 +57,8 @@ impl ParsedScenes {
         content_hash: &str,
         settings: &ParseSettings,
     ) -> Result<Option<String>, Error> {
-        let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
+        let hash =
+            settings_hash(settings, &model_names(&select_models(settings.models, &self.models)))?;
         let Some(parse) = self.parse_repository.parse_of(content_hash, &hash).await? else {
             return Ok(None);
         };

@@ -157,7 +157,7 @@ impl MediaService {
             };
             let photograph = read_photograph(&service.blobs, &folder, &parse.content, seen.frame);
             Ok(photograph
-                .map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
+                .map(|photograph| Bytes::from(evidence::draw_picture(&photograph, &seen, picture))))
         });
         let Some(drawn) = drawn.await? else { return Ok(None) };
         if stays {

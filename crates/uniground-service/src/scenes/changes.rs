@@ -15,7 +15,7 @@ use uniground_geometry::{Isometry3, Vector3};
 use uniground_grounding::pipeline::SceneSource;
 use uniground_parsing::ParseError;
 use uniground_parsing::changes::{
-    Alignment, Counterparts, RoomState, SAME_PLACE_M, align, compare, pairs,
+    Alignment, Counterparts, RoomState, SAME_PLACE_M, align, compare, match_things,
 };
 use uniground_render::RenderScene;
 use uniground_storage::{PinnedPath, SceneRepository, SceneRow};
@@ -187,10 +187,15 @@ fn compared(
     }
     let (positions_before, positions_after) =
         (&before.scene.cloud.positions, &after.scene.cloud.positions);
-    let counterparts =
-        Counterparts::nearest(positions_before, positions_after, &place, SAME_PLACE_M, progress);
+    let counterparts = Counterparts::match_nearest(
+        positions_before,
+        positions_after,
+        &place,
+        SAME_PLACE_M,
+        progress,
+    );
     let counterparts = counterparts.map_err(ParseError::from)?;
-    let same = pairs(&before.owner_of_point, &after.owner_of_point, &counterparts);
+    let same = match_things(&before.owner_of_point, &after.owner_of_point, &counterparts);
     let changes =
         compare(&before.look(from), &after.look(to), &same, &counterparts, &place, progress)?;
     let turn = place.rotation.cast::<f64>();

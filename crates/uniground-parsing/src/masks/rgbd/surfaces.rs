@@ -21,7 +21,7 @@ pub(super) struct SurfaceGrid {
 }
 
 impl SurfaceGrid {
-    pub fn of(frame: &Frame, stride: u32) -> Self {
+    pub fn from_frame(frame: &Frame, stride: u32) -> Self {
         let stride = stride.max(1);
         let intrinsics = frame.depth_camera.intrinsics;
         let (width, height) = (
@@ -62,7 +62,7 @@ impl SurfaceGrid {
 
     /// Whether the surface continues from one element to another: their depths differ by no more
     /// than noise and slant explain.
-    pub fn continuous(&self, a: usize, b: usize) -> bool {
+    pub fn is_continuous(&self, a: usize, b: usize) -> bool {
         let (za, zb) = (self.depth_m[a], self.depth_m[b]);
         if za <= 0.0 || zb <= 0.0 {
             return false;
@@ -76,7 +76,7 @@ impl SurfaceGrid {
     }
 
     /// Pairs of each element with those right of and below it.
-    pub fn links(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+    pub fn adjacent_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let (w, n) = (self.width, self.width * self.height);
         (0..n).flat_map(move |i| {
             let right = (i % w + 1 < w).then_some((i, i + 1));

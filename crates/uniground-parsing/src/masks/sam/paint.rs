@@ -22,18 +22,18 @@ pub(super) fn paint(
         ordered = masks.iter().collect();
         ordered.sort_by_key(|mask| std::cmp::Reverse(mask.area));
     }
-    let mut images = vec![one_image(&ordered, segmenter, frame)];
+    let mut images = vec![paint_image(&ordered, segmenter, frame)];
     if settings.wholes {
         let largest = LARGEST_WHOLE * (GRID * GRID) as f32;
         ordered = masks.iter().filter(|mask| mask.area as f32 <= largest).collect();
         ordered.sort_by_key(|mask| mask.area);
-        images.push(one_image(&ordered, segmenter, frame));
+        images.push(paint_image(&ordered, segmenter, frame));
     }
     images
 }
 
 /// Paints masks over each other in this order, with ids from 1.
-fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
+fn paint_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
     // So far below the threshold that the border does not move.
     const OUTSIDE: f32 = -1e3;
     let threshold = segmenter.threshold();
@@ -48,9 +48,9 @@ fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> 
         index: 0,
     };
     for (id, mask) in (1..=u16::MAX).zip(masks) {
-        mask.patch.spread(threshold + OUTSIDE, &mut low.logits);
+        mask.patch.write_into(threshold + OUTSIDE, &mut low.logits);
         let (color_width, color_height) = frame.color.dimensions();
-        let [left, top, right, bottom] = bounds(mask, color_width, color_height);
+        let [left, top, right, bottom] = mask_bounds(mask, color_width, color_height);
         for (v, y) in rows.iter().enumerate().filter(|(_, y)| (top..=bottom).contains(*y)) {
             for (u, x) in columns.iter().enumerate().filter(|(_, x)| (left..=right).contains(*x)) {
                 let at = (x - mask.window.left as f32, y - mask.window.top as f32);
@@ -65,7 +65,7 @@ fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> 
 
 /// Left, top, right and bottom of a mask in picture pixels, extended by two cells on every side,
 /// within its window.
-fn bounds(mask: &MaskCandidate, width: u32, height: u32) -> [f32; 4] {
+fn mask_bounds(mask: &MaskCandidate, width: u32, height: u32) -> [f32; 4] {
     let (mut low, mut high) = ([GRID; 2], [0; 2]);
     for (i, word) in mask.cells.iter().enumerate().filter(|(_, word)| **word != 0) {
         for bit in (0..64).filter(|bit| word >> bit & 1 == 1) {
