@@ -43,7 +43,7 @@ fn hall(room_m: f32, things: usize) -> Vec<Instance> {
             rotated: None,
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         }
     };

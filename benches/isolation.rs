@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::progress::Progress;
-use uniground_core::scan::{import_scan, stored_import};
+use uniground_core::scan::{import_scan, load_stored_import};
 use uniground_isolation::{ChildProcess, ScanReader, Task, TaskOutcome};
 use uniground_types::settings::ImportSettings;
 
@@ -114,7 +114,7 @@ fn import_here(scan: &Utf8Path) -> Duration {
     import_scan(
         &content,
         &ImportSettings::default(),
-        &Checkpoints::kept_in(&checkpoints, "bench"),
+        &Checkpoints::in_folder(&checkpoints, "bench"),
         &Progress::silent(),
     )
     .unwrap();
@@ -133,7 +133,8 @@ fn import_isolated(scan: &Utf8Path, reader: &ScanReader) -> Duration {
     let start = Instant::now();
     reader.import(&task, &Progress::silent()).unwrap();
     let scan =
-        stored_import(&content, &settings, &Checkpoints::kept_in(&checkpoints, "bench")).unwrap();
+        load_stored_import(&content, &settings, &Checkpoints::in_folder(&checkpoints, "bench"))
+            .unwrap();
     assert!(scan.is_some());
     start.elapsed()
 }

@@ -6,7 +6,7 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::geometry::statistics::largest;
+use uniground_core::geometry::statistics::largest_indices;
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
 use uniground_core::language::parse;
@@ -63,7 +63,7 @@ fn hall(count: usize) -> Vec<Instance> {
             rotated: None,
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         }
     };
@@ -118,7 +118,7 @@ fn bench_shortlist(c: &mut Criterion) {
         drop(row);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(cores).build().unwrap();
         group.bench_function(format!("{count} instances, {cores} cores"), |b| {
-            b.iter(|| pool.install(|| largest(&embeddings.cosines(black_box(&query)), 5)));
+            b.iter(|| pool.install(|| largest_indices(&embeddings.cosines(black_box(&query)), 5)));
         });
     }
     group.finish();

@@ -16,7 +16,7 @@ use uniground_core::parsing::masks::MaskSource;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
-use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
+use uniground_core::render::{ROOM_VIEW, RenderScene, draw_scene};
 use uniground_core::scene::SceneBundle;
 use uniground_types::settings::ImportSettings;
 
@@ -42,7 +42,7 @@ fn pipelines(c: &mut Criterion) {
         bundle.clone(),
         &Perception::with_masks(&masks),
         &settings,
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         &silent,
     )
     .unwrap();
@@ -65,7 +65,7 @@ fn pipelines(c: &mut Criterion) {
                 bundle.clone(),
                 &Perception::with_masks(&masks),
                 &settings,
-                &Checkpoints::none(),
+                &Checkpoints::disabled(),
                 &silent,
             )
             .unwrap()
@@ -75,8 +75,8 @@ fn pipelines(c: &mut Criterion) {
     let photograph = frames.iter().find(|frame| frame.index == instance.views[0].frame).unwrap();
     group.bench_function("evidence picture: decode, draw, encode", |b| {
         b.iter(|| {
-            evidence::picture(
-                &photograph.decode_colour().unwrap(),
+            evidence::draw_picture(
+                &photograph.decode_color().unwrap(),
                 &instance.views[0],
                 Picture::Frame,
             )
@@ -99,7 +99,7 @@ fn pipelines(c: &mut Criterion) {
     let extent = Aabb::around(&parsed.cloud.positions).unwrap();
     group.sample_size(20);
     group.bench_function("picture of the room, 1024x768", |b| {
-        b.iter(|| scene_picture(&RenderScene::of(parsed.cloud.clone()), &extent, &ROOM_VIEW, &[]));
+        b.iter(|| draw_scene(&RenderScene::new(parsed.cloud.clone()), &extent, &ROOM_VIEW, &[]));
     });
     group.finish();
 }

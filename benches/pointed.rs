@@ -18,7 +18,7 @@ use uniground_core::models::neural::Segmenter;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::masks::{IdImage, MaskSource};
-use uniground_core::parsing::pointed::{PhotographPoint, PointedObjectFinder, known_as};
+use uniground_core::parsing::pointed::{PhotographPoint, PointedObjectFinder, find_identical};
 use uniground_core::parsing::{self, ParsingSettings, Perception, frame_appearance};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{FrameIndex, Instance};
@@ -68,7 +68,7 @@ fn main() {
             room.bundle.clone(),
             &perception,
             &settings,
-            &Checkpoints::none(),
+            &Checkpoints::disabled(),
             &Progress::silent(),
         )
         .unwrap();
@@ -79,7 +79,7 @@ fn main() {
         let ids: Vec<u32> = objects.iter().map(|o| o.id).collect();
         let shown = ObjectViews::of(&room, &room.masks(), &ids);
         if let Some(encoder) = &loaded.encoder {
-            let seen = frame_appearance::look(
+            let seen = frame_appearance::embed_frames(
                 &room.bundle.frames,
                 encoder,
                 &settings.appearance,
@@ -104,7 +104,7 @@ fn main() {
                     segmenter,
                     settings: &settings,
                 };
-                pointing.find(place, &parsed.instances, &[]).unwrap()
+                pointing.find_at(place, &parsed.instances, &[]).unwrap()
             };
             let iou = |found: &Option<Instance>| {
                 found.as_ref().map_or(0.0, |found| found.aabb.iou(&object.aabb))
@@ -121,7 +121,7 @@ fn main() {
             );
             let known = ours
                 .as_ref()
-                .and_then(|ours| known_as(&parsed.instances, ours))
+                .and_then(|ours| find_identical(&parsed.instances, ours))
                 .map_or("", |_| "yes");
             table.add_row([
                 name.clone(),
@@ -174,7 +174,7 @@ impl ObjectViews {
                         pixels,
                         Some(PhotographPoint {
                             frame: frame.index,
-                            at: decoded.colour_position(u as f32, v as f32),
+                            at: decoded.color_position(u as f32, v as f32),
                         }),
                     );
                 }

@@ -200,11 +200,11 @@ fn other_nouns<'a>(phrase: &'a Phrase, into: &mut Vec<&'a Phrase>) {
 fn target_statements(read: &ParsedQuery) -> BTreeSet<&'static str> {
     let phrases = [Some(&read.target), read.other_reading.as_ref()];
     let of = |phrase: &Phrase| {
-        let relations = phrase.relations.iter().map(|relation| relation.kind.word());
-        let traits = phrase.traits.iter().map(|seen| seen.word());
+        let relations = phrase.relations.iter().map(|relation| relation.kind.as_str());
+        let traits = phrase.traits.iter().map(|seen| seen.as_str());
         relations
             .chain(traits)
-            .chain(phrase.superlative.map(|superlative| superlative.measure.word()))
+            .chain(phrase.superlative.map(|superlative| superlative.measure.as_str()))
             .collect::<Vec<_>>()
     };
     phrases.into_iter().flatten().flat_map(of).collect()
@@ -308,9 +308,9 @@ fn main() {
     // A word of `MEANINGS` that no parse can contain would always count as wrong.
     let known: Vec<&str> = RelationKind::ALL
         .iter()
-        .map(|kind| kind.word())
-        .chain(Measure::ALL.iter().map(|measure| measure.word()))
-        .chain(Trait::ALL.iter().map(|seen| seen.word()))
+        .map(|kind| kind.as_str())
+        .chain(Measure::ALL.iter().map(|measure| measure.as_str()))
+        .chain(Trait::ALL.iter().map(|seen| seen.as_str()))
         .collect();
     assert!(MEANINGS.iter().flat_map(|(_, words)| *words).all(|word| known.contains(word)));
     let (mut folder, mut list, mut of, mut rest) = (None, None, 2, 0);

@@ -244,7 +244,7 @@ fn parse(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSetting
         room.bundle.clone(),
         &Perception::with_masks(masks),
         settings,
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         &Progress::silent(),
     )
     .unwrap()

@@ -125,7 +125,7 @@ fn import_once(root: &Utf8Path) -> (f64, f64) {
     let server = Server::start(&data, &root.join("scans"));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let client = Client::new(&server.address, None).unwrap();
-    let request = ImportRequest { parse: false, ..ImportRequest::of("scan") };
+    let request = ImportRequest { parse: false, ..ImportRequest::from_path("scan") };
     let start = Instant::now();
     runtime.block_on(client.import_scene(&request)).unwrap();
     let taken = start.elapsed().as_secs_f64();

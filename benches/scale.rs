@@ -93,7 +93,7 @@ fn parse(
         bundle,
         &Perception::with_masks(&RgbdMasks::default()),
         &ParsingSettings::default(),
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         progress,
     )
 }
@@ -104,7 +104,7 @@ fn side_by_side(room: &SceneBundle, rooms: usize) -> SceneBundle {
     for k in 0..rooms {
         let shift = Vector3::new(k as f32 * STEP_M, 0.0, 0.0);
         all.cloud.positions.extend(room.cloud.positions.iter().map(|p| p + shift));
-        all.cloud.colours.extend(&room.cloud.colours);
+        all.cloud.colors.extend(&room.cloud.colors);
         for mut frame in room.frames.iter().cycle().take(FRAMES_PER_ROOM).cloned() {
             frame.index = uniground_core::scene::FrameIndex(all.frames.len() as u32);
             frame.camera_to_world.translation.vector += shift;

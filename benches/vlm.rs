@@ -70,13 +70,13 @@ struct Sample {
 
 impl Sample {
     fn parse(scan: &Utf8Path) -> Self {
-        let folder = ScanFolder::of(scan).unwrap();
+        let folder = ScanFolder::open(scan).unwrap();
         let settings = ParseSettings::default();
         let parsed = parse_scan(
             &folder.path,
             &settings,
             &Models::default(),
-            &Checkpoints::none(),
+            &Checkpoints::disabled(),
             &Progress::silent(),
         )
         .unwrap();
@@ -107,10 +107,10 @@ impl Sample {
         let kept = (0..points).map(|i| (i as f64 * every) as usize);
         let cloud = PointCloud {
             positions: kept.clone().map(|i| all.positions[i]).collect(),
-            colours: kept.map(|i| all.colours[i]).collect(),
+            colors: kept.map(|i| all.colors[i]).collect(),
         };
         let frames = self.parsed.frames.clone();
-        let render_scene = RenderScene::of_parsed(cloud, &scene.instances);
+        let render_scene = RenderScene::with_building(cloud, &scene.instances);
         Arc::new(SceneAlbum::new(scene.extent, render_scene, None, String::new(), frames))
             .scene(scene.instances.clone().into())
     }
@@ -154,7 +154,7 @@ impl Sample {
             let first_step = {
                 let ids: Vec<InstanceId> = many.candidates.iter().map(|c| c.id).collect();
                 let sheets = contact_sheets(scene.as_ref(), &ids).unwrap();
-                Tokens::of(&narrowing(
+                Tokens::estimate(&narrowing(
                     &many,
                     &VisualEvidence { sheets, ..VisualEvidence::default() },
                 ))
@@ -176,7 +176,7 @@ impl Sample {
                 let request =
                     Conversation { context, evidence: &pictures, options, names, unnamed: None }
                         .first_request();
-                let tokens = Tokens::of(&request);
+                let tokens = Tokens::estimate(&request);
                 *total += tokens.total();
                 match evidence {
                     EvidenceMode::Full => text = text.max(tokens.text),
@@ -197,7 +197,7 @@ impl Sample {
             .chunks(naming::PER_SHEET)
             .filter_map(|ids| {
                 let (sheet, ids) = naming::sheet_of(scene.as_ref(), 1, ids).unwrap()?;
-                Some(Tokens::of(&naming::request(sheet, &ids)).total())
+                Some(Tokens::estimate(&naming::request(sheet, &ids)).total())
             })
             .sum();
         let count = queries.len() as u64;
@@ -360,7 +360,7 @@ impl Server {
 
     /// Returns an answer by the model and its latency in milliseconds.
     async fn ask(&self, scene: &str, words: &str) -> (Answer, f64) {
-        let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..GroundRequest::of(words) };
+        let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..GroundRequest::new(words) };
         let start = Instant::now();
         let answer = self.client.ground(scene, &request).await.unwrap();
         (answer, start.elapsed().as_secs_f64() * 1e3)

@@ -112,7 +112,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
     let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, &store, metrics.clone()));
-    let parsing = background::pool().context("threads for parses")?;
+    let parsing = background::low_priority_pool().context("threads for parses")?;
     let inference =
         config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
     let inference =

@@ -65,7 +65,7 @@ pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
 /// Returns an error for an invalid amount. `NaN` is rejected, because JSON cannot represent it and
 /// would drop the limit.
 pub fn usd(text: &str) -> Result<f64, String> {
-    checked(text, |usd| numbers::zero_or_more("", usd))
+    checked(text, |usd| numbers::check_zero_or_more("", usd))
 }
 
 /// Parses the length of one unit of a scan's files, meters.

@@ -17,16 +17,16 @@ use uniground_core::ingest::read_cloud;
 use uniground_core::models::neural::{Encoded, Prompt, Segmenter};
 use uniground_core::parsing::superpoints;
 use uniground_core::progress::Progress;
-use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
+use uniground_core::render::{ROOM_VIEW, RenderScene, draw_scene};
 use uniground_core::scene::{PointCloud, write_cloud_ply};
 use uniground_types::settings::SuperpointSettings;
 
 /// Edge of the voxels for thinning a cloud, in meters.
 const THINNED_M: f32 = 0.05;
-/// The ceiling cut and the splat size of `scene_picture`, so that the peer's mesh shows the same.
+/// The ceiling cut and the splat size of `draw_scene`, so that the peer's mesh shows the same.
 const CEILING_PERCENTILE: f32 = 0.95;
 const SPLAT_OVERLAP: f32 = 1.6;
-/// The background of `scene_picture`.
+/// The background of `draw_scene`.
 const BACKGROUND: [u8; 3] = [250, 250, 250];
 
 /// The cloud in memory, the same as a file, and its extent.
@@ -142,17 +142,17 @@ pub fn thinning<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
 fn means(cloud: &PointCloud) -> PointCloud {
     let grid = VoxelGrid::new(&cloud.positions, THINNED_M);
     let mut sums = vec![(0.0, Vector3::zeros(), Vector3::zeros()); grid.len()];
-    for ((p, c), &voxel) in cloud.positions.iter().zip(&cloud.colours).zip(&grid.of_point) {
-        let (count, position, colour) = &mut sums[voxel as usize];
+    for ((p, c), &voxel) in cloud.positions.iter().zip(&cloud.colors).zip(&grid.of_point) {
+        let (count, position, color) = &mut sums[voxel as usize];
         *count += 1.0;
         *position += p.coords;
-        *colour += Vector3::from(c.map(f32::from));
+        *color += Vector3::from(c.map(f32::from));
     }
-    let mean = |(count, position, colour): (f32, Vector3<f32>, Vector3<f32>)| {
-        (Point3::from(position / count), <[u8; 3]>::from((colour / count).map(|c| c.round() as u8)))
+    let mean = |(count, position, color): (f32, Vector3<f32>, Vector3<f32>)| {
+        (Point3::from(position / count), <[u8; 3]>::from((color / count).map(|c| c.round() as u8)))
     };
-    let (positions, colours) = sums.into_iter().map(mean).unzip();
-    PointCloud { positions, colours }
+    let (positions, colors) = sums.into_iter().map(mean).unzip();
+    PointCloud { positions, colors }
 }
 
 pub fn normals<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
@@ -192,8 +192,8 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
             };
             Ok(timed(
                 || {
-                    scene_picture(
-                        &RenderScene::of(input.cloud.clone()),
+                    draw_scene(
+                        &RenderScene::new(input.cloud.clone()),
                         &input.extent,
                         &ROOM_VIEW,
                         &[],
@@ -263,7 +263,7 @@ pub fn perception<'a>(
             ours: measured(|asked| {
                 let masks = asked
                     .segmenter
-                    .decode(&asked.encoded, &[Prompt::inside([(300.0, 200.0)]), Prompt::inside([(100.0, 90.0)])]);
+                    .decode(&asked.encoded, &[Prompt::from_inside_points([(300.0, 200.0)]), Prompt::from_inside_points([(100.0, 90.0)])]);
                 format!("{} masks", masks.unwrap().iter().map(Vec::len).sum::<usize>())
             }),
             peer: ask_peer(onnxruntime, "decode 2".into()),

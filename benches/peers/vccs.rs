@@ -51,7 +51,7 @@ impl Vccs {
 
 /// Returns rows of `x y z r g b` in the program's format.
 fn raw_floats(cloud: &PointCloud) -> Vec<u8> {
-    let rows = cloud.positions.iter().zip(&cloud.colours);
+    let rows = cloud.positions.iter().zip(&cloud.colors);
     rows.flat_map(|(p, c)| [p.x, p.y, p.z, f32::from(c[0]), f32::from(c[1]), f32::from(c[2])])
         .flat_map(f32::to_le_bytes)
         .collect()

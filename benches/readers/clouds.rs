@@ -38,9 +38,9 @@ fn ply(file: &Utf8Path, points: usize) {
     .unwrap();
     write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n")
         .unwrap();
-    for (at, colour) in (0..points).map(point) {
+    for (at, color) in (0..points).map(point) {
         at.iter().for_each(|v| out.write_all(&v.to_le_bytes()).unwrap());
-        out.write_all(&colour).unwrap();
+        out.write_all(&color).unwrap();
     }
     out.flush().unwrap();
 }
@@ -56,10 +56,10 @@ fn ply_doubles(file: &Utf8Path, points: usize) {
     write!(out, "property float nx\nproperty float ny\nproperty float nz\n").unwrap();
     write!(out, "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n")
         .unwrap();
-    for (at, colour) in (0..points).map(point) {
+    for (at, color) in (0..points).map(point) {
         at.iter().for_each(|v| out.write_all(&f64::from(*v).to_le_bytes()).unwrap());
         out.write_all(&[0; 12]).unwrap();
-        out.write_all(&colour).unwrap();
+        out.write_all(&color).unwrap();
     }
     out.flush().unwrap();
 }
@@ -95,9 +95,9 @@ fn las_of(file: &Utf8Path, points: usize, compressed: bool) {
     let to_millimetres = las::Transform { scale: 0.001, offset: 0.0 };
     builder.transforms = las::Vector { x: to_millimetres, y: to_millimetres, z: to_millimetres };
     let mut writer = las::Writer::new(create(file), builder.into_header().unwrap()).unwrap();
-    for (at, colour) in (0..points).map(point) {
+    for (at, color) in (0..points).map(point) {
         let [x, y, z] = at.map(f64::from);
-        let [red, green, blue] = colour.map(|c| u16::from(c) * 257);
+        let [red, green, blue] = color.map(|c| u16::from(c) * 257);
         let color = Some(las::Color { red, green, blue });
         writer.write_point(las::Point { x, y, z, color, ..las::Point::default() }).unwrap();
     }

@@ -23,11 +23,11 @@ pub fn write(root: &Utf8Path, frames: usize, bytes: usize) {
         .unwrap();
     let views: Vec<_> = (0..VIEWS).map(view).collect();
     let own: usize =
-        views.iter().map(|(colour, depth, _)| colour.len() + depth.len()).sum::<usize>() / VIEWS;
+        views.iter().map(|(color, depth, _)| color.len() + depth.len()).sum::<usize>() / VIEWS;
     let more = (bytes / frames).saturating_sub(own);
     for i in 0..frames {
-        let (colour, depth, pose) = &views[i % VIEWS];
-        fs::write(root.join(format!("color/{i}.jpg")), with_comment(colour, more, i)).unwrap();
+        let (color, depth, pose) = &views[i % VIEWS];
+        fs::write(root.join(format!("color/{i}.jpg")), with_comment(color, more, i)).unwrap();
         fs::write(root.join(format!("depth/{i}.png")), depth).unwrap();
         fs::write(root.join(format!("pose/{i}.txt")), pose).unwrap();
     }
@@ -70,7 +70,7 @@ fn view(i: usize) -> (Vec<u8>, Vec<u8>, String) {
             .wrapping_mul(3_266_489_917)
             >> 28
     };
-    let colour = RgbImage::from_fn(WIDTH, HEIGHT, |u, v| {
+    let color = RgbImage::from_fn(WIDTH, HEIGHT, |u, v| {
         let shade = (depth_m(u, v) * 50.0) as u32 + noise(u, v);
         Rgb([shade, shade + 20, shade / 2 + 60].map(|c| c.min(255) as u8))
     });
@@ -79,7 +79,7 @@ fn view(i: usize) -> (Vec<u8>, Vec<u8>, String) {
         Luma([(depth_m(u, v) * 1000.0) as u16 + noise(u, v) as u16])
     });
     (
-        encoded(colour.into(), ImageFormat::Jpeg),
+        encoded(color.into(), ImageFormat::Jpeg),
         encoded(depth.into(), ImageFormat::Png),
         format!("{rows}0 0 0 1\n"),
     )

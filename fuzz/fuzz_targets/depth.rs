@@ -4,7 +4,9 @@
 use camino::Utf8Path;
 use libfuzzer_sys::fuzz_target;
 use uniground_core::geometry::Isometry3;
-use uniground_core::scene::{FrameIndex, FrameRef, Intrinsics, Optics, float_picture_size, is_float_picture};
+use uniground_core::scene::{
+    FrameIndex, FrameRef, Intrinsics, Optics, float_picture_size, is_float_picture,
+};
 
 fuzz_target!(|data: &[u8]| {
     let folder = tempfile::tempdir().unwrap();
@@ -16,9 +18,9 @@ fuzz_target!(|data: &[u8]| {
     let intrinsics = Intrinsics { width, height, fx: 4.0, fy: 4.0, cx: 2.0, cy: 2.0 };
     let frame = FrameRef {
         index: FrameIndex(0),
-        colour: file.clone(),
+        color: file.clone(),
         depth: file,
-        colour_intrinsics: intrinsics,
+        color_intrinsics: intrinsics,
         depth_intrinsics: intrinsics,
         depth_scale_m: 1.0,
         camera_to_world: Isometry3::identity(),

@@ -11,11 +11,11 @@ fuzz_target!(|data: &[u8]| {
     let folder = tempfile::tempdir().unwrap();
     let file = Utf8Path::from_path(folder.path()).unwrap().join("scan.pcd");
     std::fs::write(&file, data).unwrap();
-    let Ok(unpacked) = ScanFolder::of(&file) else { return };
+    let Ok(unpacked) = ScanFolder::open(&file) else { return };
     let Ok(scan) = ingest::open(&unpacked.path) else { return };
     if let Ok(found) = ingest::inspect(&scan, &ImportSettings::default(), &Progress::silent()) {
         let cloud = found.cloud.unwrap_or_default();
-        assert_eq!(cloud.positions.len(), cloud.colours.len());
+        assert_eq!(cloud.positions.len(), cloud.colors.len());
         assert!(cloud.positions.iter().all(|p| p.iter().all(|v| v.is_finite())));
     }
 });

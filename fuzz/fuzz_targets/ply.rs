@@ -10,7 +10,7 @@ fuzz_target!(|data: &[u8]| {
     let file = Utf8Path::from_path(folder.path()).unwrap().join("cloud.ply");
     std::fs::write(&file, data).unwrap();
     if let Ok(cloud) = read_cloud(&file) {
-        assert_eq!(cloud.positions.len(), cloud.colours.len());
+        assert_eq!(cloud.positions.len(), cloud.colors.len());
         assert!(cloud.positions.iter().all(|p| p.iter().all(|v| v.is_finite())));
     }
 });

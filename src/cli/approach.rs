@@ -72,8 +72,8 @@ pub async fn run(args: &ApproachArgs) -> anyhow::Result<()> {
         reach_m: args.reach,
     };
     let request = match (args.instance, &args.query) {
-        (Some(id), _) => ApproachRequest::to(InstanceId(id), robot),
-        (None, query) => ApproachRequest::asking(query.clone().unwrap_or_default(), robot),
+        (Some(id), _) => ApproachRequest::for_instance(InstanceId(id), robot),
+        (None, query) => ApproachRequest::for_query(query.clone().unwrap_or_default(), robot),
     };
     let request = ApproachRequest {
         from: args.from,

@@ -83,7 +83,7 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
     let questions = if args.questions.is_empty() { &samples } else { &args.questions };
     let mut pictures = Vec::new();
     for (i, question) in questions.iter().enumerate() {
-        let answer = client.ground(&scene.id, &GroundRequest::of(question)).await?;
+        let answer = client.ground(&scene.id, &GroundRequest::new(question)).await?;
         println!("{}\n", table::answer_table(&answer));
         if answer.status == Status::Ambiguous {
             println!("{}\n", table::alternatives_table(&answer.alternatives));
@@ -109,7 +109,7 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     let (name, kind, bytes) = match archive {
         None => ("the sample scene", ArchiveKind::Zip, LIVING_ROOM.to_vec()),
         Some(file) => {
-            let kind = ArchiveKind::of_file_name(file.as_str())
+            let kind = ArchiveKind::from_file_name(file.as_str())
                 .with_context(|| format!("{file}: expected .zip, .tar or .tar.zst"))?;
             (file.as_str(), kind, fs::read(file).with_context(|| file.to_string())?)
         }

@@ -59,7 +59,7 @@ pub async fn run(args: &FindArgs) -> anyhow::Result<()> {
         top_k: args.top_k,
         reasoner: args.reasoner,
         max_cost_usd: args.max_cost_usd,
-        ..ManyGroundRequest::of(&args.query)
+        ..ManyGroundRequest::new(&args.query)
     };
     let found = client.ground_many(&request).await?;
     match args.json {

@@ -115,7 +115,7 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         max_cost_usd: args.max_cost_usd,
         observer: args.observer.map(ObserverArg::to_observer),
         frame: args.frame,
-        ..GroundRequest::of(&args.query)
+        ..GroundRequest::new(&args.query)
     };
     let answer = match (&args.scan, &args.scene) {
         (Some(_), _) if args.server.explicit_address().is_some() => usage(

@@ -13,7 +13,7 @@ use std::time::Instant;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::ingest::{self, InspectedScan, NeighborAgreement, ScanFolder};
 use uniground_core::progress::Progress;
-use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
+use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, draw_scene, encode_jpeg};
 use uniground_core::scene::{FrameRef, ImportReport, PointCloud};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::settings::{ImportSettings, LevellingChoice};
@@ -88,7 +88,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         ..ImportSettings::default()
     };
     let begun = Instant::now();
-    let folder = ScanFolder::of(&args.scan)?;
+    let folder = ScanFolder::open(&args.scan)?;
     let scan = ingest::open(&folder.path)?;
     let InspectedScan { frames, cloud, report } = if args.check {
         ingest::inspect(&scan, &settings, &Progress::silent())?
@@ -96,7 +96,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
         InspectedScan { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
     };
-    let neighbours = ingest::neighbours(&frames);
+    let neighbours = ingest::compare_neighbors(&frames);
     let imported = ImportedScanInfo {
         report,
         frames,
@@ -203,17 +203,17 @@ fn write_report(
     if let Some((cloud, extent)) =
         imported.cloud.as_ref().and_then(|cloud| Some((cloud, Aabb::around(&cloud.positions)?)))
     {
-        let scene = RenderScene::of(cloud.clone());
+        let scene = RenderScene::new(cloud.clone());
         for (name, title, orbit) in VIEWS {
             fs::write(
                 out.join(format!("{name}.jpg")),
-                jpeg(&scene_picture(&scene, &extent, &orbit, &[])),
+                encode_jpeg(&draw_scene(&scene, &extent, &orbit, &[])),
             )?;
             pictures.push((name, title));
         }
     }
     if let Some(sheet) = page::contact_sheet(&imported.frames) {
-        fs::write(out.join("frames.jpg"), jpeg(&sheet))?;
+        fs::write(out.join("frames.jpg"), encode_jpeg(&sheet))?;
         pictures.push(("frames", "Sample frames"));
     }
     fs::write(

@@ -88,7 +88,7 @@ pub fn describe_outcome(job: &Job) -> anyhow::Result<String> {
     match (job.state, &job.error) {
         (JobState::Succeeded, _) => Ok(job.message.clone().unwrap_or_default()),
         (_, Some(error)) => Err(hints::ParseFailed(error.clone()).into()),
-        (state, None) => anyhow::bail!("the parse was {}", state.word()),
+        (state, None) => anyhow::bail!("the parse was {}", state.as_str()),
     }
 }
 

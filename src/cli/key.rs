@@ -221,7 +221,7 @@ async fn create(args: &CreateArgs) -> anyhow::Result<()> {
     writeln!(io::stdout(), "{}", created.secret)?;
     eprintln!(
         "key with scope {}, shown only once. Use it as: Authorization: Bearer {}_…",
-        created.key.scope.word(),
+        created.key.scope.as_str(),
         created.key.prefix
     );
     Ok(())

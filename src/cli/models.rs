@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use serde_json::json;
 use std::io::{self, Write};
-use uniground_core::models::neural::{BundleListing, LoadedModel, folder_of, list, verify};
+use uniground_core::models::neural::{BundleListing, LoadedModel, bundle_folder, list, verify};
 
 #[derive(Debug, Args)]
 pub struct ModelsArgs {
@@ -134,7 +134,7 @@ fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
             .into_iter()
             .map(|bundle| bundle.folder)
             .collect(),
-        false => bundles.iter().map(|bundle| folder_of(bundle, &config.models)).collect(),
+        false => bundles.iter().map(|bundle| bundle_folder(bundle, &config.models)).collect(),
     };
     ensure!(!folders.is_empty(), "{}: no bundles found", config.models);
     let engine = config.engine()?;

@@ -79,7 +79,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     }
     ensure!(args.scan.exists(), "{}: no such file or folder", args.scan);
-    let folder = ScanFolder::of(&args.scan)
+    let folder = ScanFolder::open(&args.scan)
         .map_err(|error| hints::with_scan_hint(error.into(), &args.scan))?;
     let ChosenModels { models, summary, warnings } = ModelsConfig {
         masks: args.masks.clone(),
@@ -91,7 +91,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     eprintln!("{summary}");
 
     let progress = Progress::new(show_progress, || false);
-    let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);
+    let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::disabled(), &progress);
     show_progress("", 1.0);
     let ParsedScan { import, frames, scene: parsed, models } =
         scan.map_err(|error| hints::with_scan_hint(error.into(), &args.scan))?;

@@ -73,7 +73,7 @@ pub(super) fn render(
             page,
             "<tr><td class=\"n\">{}<td>{}<td>{}<td>{}<td>{}<td class=\"n\">{}<td>{}</tr>",
             instance.id,
-            instance.level.word(),
+            instance.level.as_str(),
             escape_html(instance.label()),
             triple(instance.aabb.center.into()),
             triple(instance.aabb.size.into()),

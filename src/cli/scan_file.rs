@@ -34,7 +34,8 @@ impl ScanFile {
         let source = match is_known_by_its_bytes(scan).with_context(|| scan.to_string())? {
             true => Source::File(scan.to_owned()),
             false => Source::Folder(
-                ScanFolder::of(scan).map_err(|error| hints::with_scan_hint(error.into(), scan))?,
+                ScanFolder::open(scan)
+                    .map_err(|error| hints::with_scan_hint(error.into(), scan))?,
             ),
         };
         Ok(Self { name, source })
@@ -87,11 +88,11 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
     }
     let mut head = Vec::new();
     File::open(scan)?.take(ArchiveFormat::HEAD_BYTES as u64).read_to_end(&mut head)?;
-    let packed = ArchiveFormat::of_head(&head, scan.as_str());
+    let packed = ArchiveFormat::from_head(&head, scan.as_str());
     // A file with the name of an archive is sent unchanged, so that the service reports why it is
     // invalid.
     Ok(matches!(packed, Some(ArchiveFormat::Archive(_) | ArchiveFormat::Sens))
-        || ArchiveKind::of_file_name(scan.as_str()).is_some())
+        || ArchiveKind::from_file_name(scan.as_str()).is_some())
 }
 
 struct HashWriter(Sha256);

@@ -214,7 +214,7 @@ pub fn keys_table(keys: &[Key]) -> Table {
         table.add_row(vec![
             key.prefix.clone(),
             key.name.clone(),
-            key.scope.word().to_owned(),
+            key.scope.as_str().to_owned(),
             limits.into_iter().flatten().collect::<Vec<_>>().join(", "),
             format!("{:.4} USD", key.spent_today_usd),
             key.last_used_at

@@ -5,7 +5,7 @@ use super::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
 use anyhow::Context;
 use std::io;
 use uniground_core::models::neural::{
-    BundleListing, Engine, ModelError, Models, Provider, Role, folder_of, list,
+    BundleListing, Engine, ModelError, Models, Provider, Role, bundle_folder, list,
 };
 use uniground_evaluation::systems::ModelLoader;
 
@@ -153,7 +153,8 @@ impl ModelChooser<'_> {
                 let names: Vec<&str> =
                     if role == Role::Masks { names_of_masks.collect() } else { vec![names] };
                 for name in &names {
-                    self.models = self.load_with(role, &folder_of(name, &self.bundles.models))?;
+                    self.models =
+                        self.load_with(role, &bundle_folder(name, &self.bundles.models))?;
                 }
                 Ok(format!("{} (as configured)", names.join("+")))
             }

@@ -49,8 +49,8 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     if caller.scope < wanted {
         let detail = format!(
             "this key has the scope {:?}, but this request requires {:?}",
-            caller.scope.word(),
-            wanted.word()
+            caller.scope.as_str(),
+            wanted.as_str()
         );
         return with_rate_limit_headers(
             ProblemResponse::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(),

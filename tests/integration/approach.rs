@@ -17,7 +17,7 @@ const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, re
 fn approach_request(query: &str) -> ApproachRequest {
     ApproachRequest {
         from: Some(FloorPoint { x: 1.43, y: 0.16, ..FloorPoint::default() }),
-        ..ApproachRequest::asking(query, ROBOT)
+        ..ApproachRequest::for_query(query, ROBOT)
     }
 }
 
@@ -223,8 +223,10 @@ async fn merged_instances_are_approached_as_one() {
         .correct(&scene.id, &Change::Merge { instance_ids: ids, name: Some("pair".into()) })
         .await
         .unwrap();
-    let told =
-        client.approach(&scene.id, &ApproachRequest::to(made.made.unwrap(), ROBOT)).await.unwrap();
+    let told = client
+        .approach(&scene.id, &ApproachRequest::for_instance(made.made.unwrap(), ROBOT))
+        .await
+        .unwrap();
     assert_eq!(
         (told.status, told.target.unwrap().name.as_str()),
         (ApproachStatus::Found, "pair"),
@@ -244,8 +246,10 @@ async fn ambiguous_targets_get_no_pose_and_invalid_requests_are_refused() {
     let server = TestServer::start().await;
     let scene = server.upload_and_parse(Scan::neutral().zip()).await;
     let client = &server.client;
-    let told =
-        client.approach(&scene.id, &ApproachRequest::asking("the theremin", ROBOT)).await.unwrap();
+    let told = client
+        .approach(&scene.id, &ApproachRequest::for_query("the theremin", ROBOT))
+        .await
+        .unwrap();
     assert_eq!(
         (told.status, told.answer_status),
         (ApproachStatus::NotGrounded, Some(Status::NoMatch))
@@ -259,7 +263,7 @@ async fn ambiguous_targets_get_no_pose_and_invalid_requests_are_refused() {
     );
     let nowhere = ApproachRequest {
         from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }),
-        ..ApproachRequest::to(InstanceId(1), ROBOT)
+        ..ApproachRequest::for_instance(InstanceId(1), ROBOT)
     };
     assert_eq!(
         client.approach(&scene.id, &nowhere).await.unwrap().failed,

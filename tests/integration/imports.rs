@@ -35,13 +35,13 @@ async fn a_scan_below_the_import_folder_needs_no_upload() {
     let mut command = serve_command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0");
     let process = Process::spawn(command.arg("--import-root").arg(&root));
     let client = &process.client;
-    let first = client.import_scene(&ImportRequest::of("room.zip")).await.unwrap();
+    let first = client.import_scene(&ImportRequest::from_path("room.zip")).await.unwrap();
     assert_eq!(wait_for_job(client, &first.job.unwrap().id).await.state, JobState::Succeeded);
     // A symbolic link that stays below the folder is accepted; the same bytes are parsed once.
     let again = client
         .import_scene(&ImportRequest {
             name: Some("again".into()),
-            ..ImportRequest::of("again.zip")
+            ..ImportRequest::from_path("again.zip")
         })
         .await
         .unwrap();
@@ -49,33 +49,33 @@ async fn a_scan_below_the_import_folder_needs_no_upload() {
         (again.scene.content_hash.as_str(), again.scene.name.as_str()),
         (first.scene.content_hash.as_str(), "again")
     );
-    let folder = client.import_scene(&ImportRequest::of("room")).await.unwrap();
+    let folder = client.import_scene(&ImportRequest::from_path("room")).await.unwrap();
     assert_eq!(wait_for_job(client, &folder.job.unwrap().id).await.state, JobState::Succeeded);
     let [zipped, unpacked] = [first.scene.id, folder.scene.id];
     let (zipped, unpacked) =
         (client.scene(&zipped).await.unwrap(), client.scene(&unpacked).await.unwrap());
     assert_eq!((unpacked.status, &unpacked.counts), (SceneStatus::Ready, &zipped.counts));
     let stored = client
-        .import_scene(&ImportRequest { parse: false, ..ImportRequest::of("./room/../room.zip") })
+        .import_scene(&ImportRequest { parse: false, ..ImportRequest::from_path("./room/../room.zip") })
         .await
         .unwrap();
     assert!(stored.job.is_none());
 
     let (outside, absolute) = ("../room.zip", root.join("room.zip"));
     for path in [outside, "link.zip", "no such", "/etc/passwd", "room.zip/x", ""] {
-        let refused = expect_problem(client.import_scene(&ImportRequest::of(path)).await);
+        let refused = expect_problem(client.import_scene(&ImportRequest::from_path(path)).await);
         let expected =
             if path.is_empty() { (422, "invalid_request") } else { (404, "import_not_found") };
         assert_eq!((refused.status, refused.code.as_str()), expected, "{path:?}: {refused:?}");
         assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
     }
     // An absolute path below the folder is accepted too.
-    client.import_scene(&ImportRequest::of(absolute)).await.unwrap();
-    let refused = expect_problem(client.import_scene(&ImportRequest::of("nothing")).await);
+    client.import_scene(&ImportRequest::from_path(absolute)).await.unwrap();
+    let refused = expect_problem(client.import_scene(&ImportRequest::from_path("nothing")).await);
     assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/path"), "{refused:?}");
     assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
     fs::write(root.join("room/grown.json"), "{}").unwrap();
-    let refused = expect_problem(client.import_scene(&ImportRequest::of("room")).await);
+    let refused = expect_problem(client.import_scene(&ImportRequest::from_path("room")).await);
     assert_eq!(
         (refused.status, refused.code.as_str()),
         (422, "archive_entry_unsafe"),
@@ -100,7 +100,7 @@ async fn a_scan_below_the_import_folder_needs_no_upload() {
 async fn imports_are_refused_without_an_import_folder() {
     let server = TestServer::start().await;
     let refused =
-        expect_problem(server.client.import_scene(&ImportRequest::of("etc/passwd")).await);
+        expect_problem(server.client.import_scene(&ImportRequest::from_path("etc/passwd")).await);
     assert_eq!((refused.status, refused.code.as_str()), (403, "import_not_allowed"));
     server.stop().await;
 }

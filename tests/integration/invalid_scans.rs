@@ -323,7 +323,7 @@ fn invalid_uploads() -> Vec<Case> {
 
 fn with_cut_jpeg() -> Scan {
     let picture = image::load_from_memory(&Scan::frames_only().0["color/5.png"]).unwrap();
-    let jpeg = uniground_core::render::jpeg(&picture.into_rgb8());
+    let jpeg = uniground_core::render::encode_jpeg(&picture.into_rgb8());
     Scan::frames_only().without("color/5.png").with("color/5.jpg", &jpeg[..jpeg.len() / 2])
 }
 

@@ -38,7 +38,7 @@ async fn the_scene_with_the_target_is_ranked_first() {
     let without = server.upload_and_parse(Scan::of_room(&THINGS[..2], &EIGHTHS).zip()).await;
     set_name_and_labels(client, &with, "office", &[("building", "A"), ("floor", "2")]).await;
     set_name_and_labels(client, &without, "hall", &[("building", "A"), ("floor", "1")]).await;
-    let asked = client.ground_many(&ManyGroundRequest::of("the green trash can")).await.unwrap();
+    let asked = client.ground_many(&ManyGroundRequest::new("the green trash can")).await.unwrap();
     assert_eq!(
         (asked.looked_into, asked.answers.len(), &asked.not_asked[..]),
         (2, 2, &[][..]),
@@ -52,7 +52,7 @@ async fn the_scene_with_the_target_is_ranked_first() {
     assert_eq!(client.answer(&best.answer.id).await.unwrap(), best.answer);
 
     // Restricted to some scenes, with a limit on answers.
-    let one = ManyGroundRequest { top_k: 1, ..ManyGroundRequest::of("the red sofa") };
+    let one = ManyGroundRequest { top_k: 1, ..ManyGroundRequest::new("the red sofa") };
     assert_eq!(client.ground_many(&one).await.unwrap().answers.len(), 1);
     let on_the_first = ManyGroundRequest { labels: to_labels(&[("floor", "1")]), ..one.clone() };
     let asked = client.ground_many(&on_the_first).await.unwrap();
@@ -97,7 +97,7 @@ async fn only_likely_scenes_are_scanned_among_many() {
     let found = async |query: &str, id: &str| {
         for _ in 0..100 {
             let asked = client
-                .ground_many(&ManyGroundRequest { top_k: 1, ..ManyGroundRequest::of(query) })
+                .ground_many(&ManyGroundRequest { top_k: 1, ..ManyGroundRequest::new(query) })
                 .await
                 .unwrap();
             assert!(asked.narrowed && asked.looked_into <= 200, "{asked:?}");
@@ -119,7 +119,7 @@ async fn only_likely_scenes_are_scanned_among_many() {
     assert!(found("the theremin", &with.id).await);
     let elsewhere = ManyGroundRequest {
         labels: to_labels(&[("floor", "9")]),
-        ..ManyGroundRequest::of("the theremin")
+        ..ManyGroundRequest::new("the theremin")
     };
     assert_eq!(client.ground_many(&elsewhere).await.unwrap().looked_into, 0);
     server.stop().await;
@@ -156,7 +156,7 @@ async fn the_latest_labels_apply() {
 async fn invalid_many_scene_requests_are_refused() {
     let server = TestServer::start().await;
     let client = &server.client;
-    let asked = || ManyGroundRequest::of("the red sofa");
+    let asked = || ManyGroundRequest::new("the red sofa");
     let refused =
         async |request: ManyGroundRequest| expect_problem(client.ground_many(&request).await).code;
     assert_eq!(refused(ManyGroundRequest { top_k: 21, ..asked() }).await, "invalid_request");

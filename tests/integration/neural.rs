@@ -111,7 +111,7 @@ async fn models_are_used_from_upload_to_answer() {
     let request = |query_text, calibrated| ShortlistRequest {
         query_text,
         calibrated,
-        ..ShortlistRequest::of("the red sofa")
+        ..ShortlistRequest::new("the red sofa")
     };
     let plain = server.client.shortlist(&scene, &request(QueryText::Mean, false)).await.unwrap();
     assert_eq!((plain.candidates.len(), plain.encoder.as_str()), (5, used.encoder.as_str()));
@@ -132,7 +132,7 @@ async fn models_are_used_from_upload_to_answer() {
     let calibrated =
         server.client.shortlist(&scene, &request(QueryText::Mean, true)).await.unwrap();
     assert_ne!(calibrated.candidates, plain.candidates);
-    let long = ShortlistRequest::of("the chair ".repeat(30));
+    let long = ShortlistRequest::new("the chair ".repeat(30));
     assert!(server.client.shortlist(&scene, &long).await.unwrap().cut && !plain.cut);
 
     let answer = server.client.ground(&scene, &ask("the sofa")).await.unwrap();
@@ -198,7 +198,7 @@ async fn a_scene_parsed_with_another_encoder_degrades_the_answer() {
         .client
         .shortlist(
             &scene,
-            &ShortlistRequest { allow_builtin: true, ..ShortlistRequest::of("the sofa") },
+            &ShortlistRequest { allow_builtin: true, ..ShortlistRequest::new("the sofa") },
         )
         .await
         .unwrap();

@@ -102,7 +102,7 @@ fn clip_embeddings_equal_the_python_runtime() {
     )
     .unwrap();
     let encoder = encoder();
-    assert_eq!(encoder.batch(), 1, "its activations are quantized over the batch");
+    assert_eq!(encoder.batch_size(), 1, "its activations are quantized over the batch");
     let expected = read_rows("clip-vitb16-lite/image_embeds.npy", encoder.dim());
     for (files, least) in
         [(to_strings(&known["resized"]), 0.999), (to_strings(&known["images"]), 0.97)]
@@ -238,7 +238,7 @@ fn sam2_masks_segment_annotated_rooms() {
             room.bundle.clone(),
             &perception,
             &settings,
-            &Checkpoints::none(),
+            &Checkpoints::disabled(),
             &Progress::silent(),
         )
         .unwrap();
@@ -394,7 +394,8 @@ fn local_and_remote_inference_give_the_same_results() {
             .segmenters
             .remove(0)
     });
-    let prompts: Vec<Prompt> = (0..20).map(|i| Prompt::inside([(i as f32 * 3.0, 20.0)])).collect();
+    let prompts: Vec<Prompt> =
+        (0..20).map(|i| Prompt::from_inside_points([(i as f32 * 3.0, 20.0)])).collect();
     let masks = |segmenter: &Segmenter| {
         segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap()
     };

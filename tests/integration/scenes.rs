@@ -119,7 +119,7 @@ async fn the_six_fields_describe_the_decision() {
 
     let shortlist = server
         .client
-        .shortlist(&scene.id, &ShortlistRequest { top_k: 3, ..ShortlistRequest::of("red sofa") })
+        .shortlist(&scene.id, &ShortlistRequest { top_k: 3, ..ShortlistRequest::new("red sofa") })
         .await
         .unwrap();
     assert_eq!(shortlist.candidates[0].id, short.answer.predicted_id.unwrap());

@@ -20,7 +20,7 @@ async fn answers_match_their_snapshots() {
     ] {
         let answer = server
             .client
-            .ground(&scene.id, &GroundRequest { top_k: 3, ..GroundRequest::of(query) })
+            .ground(&scene.id, &GroundRequest { top_k: 3, ..GroundRequest::new(query) })
             .await
             .unwrap();
         insta::assert_json_snapshot!(name, answer, {

@@ -38,7 +38,7 @@ fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
         bundle,
         &Perception::with_masks(masks),
         &ParsingSettings::default(),
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         &Progress::silent(),
     )
     .unwrap()
@@ -197,7 +197,8 @@ fn sample_scan(folder: &Utf8Path) -> SceneBundle {
 fn a_cancelled_parse_resumes_where_it_stopped() {
     let (scan, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let bundle = sample_scan(Utf8Path::from_path(scan.path()).unwrap());
-    let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
+    let checkpoints =
+        Checkpoints::in_folder(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
     let settings = ParsingSettings::default();
     let run = |watched: &CountingMasks, settings: &ParsingSettings| {
         let stop = watched.stop.clone();
@@ -256,7 +257,8 @@ fn a_cancelled_parse_resumes_where_it_stopped() {
 fn saved_frames_of_another_scan_are_not_reused() {
     let (scan, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let mut bundle = sample_scan(Utf8Path::from_path(scan.path()).unwrap());
-    let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
+    let checkpoints =
+        Checkpoints::in_folder(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
     let frames_segmented = |bundle: &SceneBundle| {
         let watched = CountingMasks::new(usize::MAX, CancellationToken::new());
         parsing::parse(
@@ -290,9 +292,9 @@ fn cloud_only_bundle(positions: Vec<Point3<f32>>) -> SceneBundle {
         reprojection_agreement: None,
         warnings: Vec::new(),
     };
-    let colours = positions.iter().map(|p| [(p.x * 40.0) as u8, 90, 120]).collect();
+    let colors = positions.iter().map(|p| [(p.x * 40.0) as u8, 90, 120]).collect();
     SceneBundle {
-        cloud: PointCloud { positions, colours },
+        cloud: PointCloud { positions, colors },
         frames: Vec::new(),
         report,
         additions: Vec::new(),
@@ -352,7 +354,7 @@ fn degenerate_clouds_become_instances_or_a_clear_error() {
         cloud_only_bundle(Vec::new()),
         &Perception::with_masks(&RgbdMasks::default()),
         &ParsingSettings::default(),
-        &Checkpoints::none(),
+        &Checkpoints::disabled(),
         &Progress::silent(),
     );
     assert!(matches!(nothing, Err(ParseError::NoPoints)));
@@ -426,12 +428,12 @@ fn an_instance_is_segmented_from_a_point() {
         };
         let known: Vec<Instance> =
             parsed.instances.iter().filter(|i| i.structure.is_some()).cloned().collect();
-        let again = pointing.find(place, &known, &[]).unwrap();
+        let again = pointing.find_at(place, &known, &[]).unwrap();
         asked += 1;
         found += u32::from(again.as_ref().is_some_and(|again| again.aabb.iou(&thing.aabb) >= 0.25));
         // The same point gives the same instance, with views that show it.
         if asked == 1 {
-            assert_eq!(pointing.find(place, &known, &[]).unwrap(), again);
+            assert_eq!(pointing.find_at(place, &known, &[]).unwrap(), again);
         }
         assert!(again.is_none_or(|again| again.id.0 as usize == known.len() + 1
             && again.point_count >= 20
@@ -441,5 +443,5 @@ fn an_instance_is_segmented_from_a_point() {
     assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
     // A point outside of the room yields nothing.
     let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0) };
-    assert_eq!(pointing.find(nowhere, &parsed.instances, &[]).unwrap(), None);
+    assert_eq!(pointing.find_at(nowhere, &parsed.instances, &[]).unwrap(), None);
 }

@@ -77,7 +77,7 @@ async fn a_folder_without_record_versions_is_served_completely() {
     );
     // Every setting of that time, under today's names.
     let mut expected = scene_told.clone();
-    uniground_types::settings::with_names_of_today(&mut expected["settings"]);
+    uniground_types::settings::rename_deprecated_settings(&mut expected["settings"]);
     // That version did not have these stages.
     expected["settings"]["parsing"]["merging"]["keep_planes_apart"] = false.into();
     expected["settings"]["parsing"]["merging"]["split_at_depth_edges"] = false.into();

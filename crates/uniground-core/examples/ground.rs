@@ -23,11 +23,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     // Stage 1: the scan, cut into instances.
-    let folder = ScanFolder::of(&scan)?;
+    let folder = ScanFolder::open(&scan)?;
     let (settings, models) = (ParseSettings::default(), Models::default());
     let progress =
         Progress::new(|stage, done| eprint!("\r{:3.0} % {stage:<24}", done * 100.0), || false);
-    let parsed = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress)?;
+    let parsed = parse_scan(&folder.path, &settings, &models, &Checkpoints::disabled(), &progress)?;
     eprintln!(
         "\r{} instances from {} points{:20}",
         parsed.scene.instances.len(),

@@ -122,7 +122,7 @@ impl AnnotatedRoom {
         let mut room = self.clone();
         let cloud = &self.bundle.cloud;
         room.bundle.cloud.positions = order.iter().map(|&i| cloud.positions[i]).collect();
-        room.bundle.cloud.colours = order.iter().map(|&i| cloud.colours[i]).collect();
+        room.bundle.cloud.colors = order.iter().map(|&i| cloud.colors[i]).collect();
         room.truth = order.iter().map(|&i| self.truth[i]).collect();
         room
     }
@@ -177,7 +177,7 @@ impl Annotations {
         let mut near: VoxelMap<Vec<LabeledPoint>> = VoxelMap::default();
         if let Some(of_point) = self.of_point.as_ref().filter(|ids| ids.len() == cloud.len()) {
             for (p, &id) in cloud.positions.iter().zip(of_point) {
-                near.entry(VoxelKey::of(p, NEAR_M)).or_default().push((*p, id));
+                near.entry(VoxelKey::containing(p, NEAR_M)).or_default().push((*p, id));
             }
         }
         AnnotatedMasks { annotations: Arc::new(self.clone()), near: Arc::new(near) }
@@ -228,7 +228,7 @@ impl AnnotatedMasks {
         if self.near.is_empty() {
             return self.annotations.object_at(p, 0.01 + 0.003 * z_m * z_m).unwrap_or_default();
         }
-        let center = VoxelKey::of(p, NEAR_M);
+        let center = VoxelKey::containing(p, NEAR_M);
         let mut best = (NEAR_M * NEAR_M, 0);
         for d in 0..27 {
             let key = center.offset([d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1]);
@@ -286,7 +286,7 @@ mod tests {
             Point3::new(1.0, 0.0, 0.0),
             Point3::new(9.0, 0.0, 0.0),
         ];
-        let cloud = PointCloud { colours: vec![[0; 3]; 3], positions };
+        let cloud = PointCloud { colors: vec![[0; 3]; 3], positions };
         assert_eq!(annotations.label_points(&cloud), [Some(0), Some(1), None]);
     }
 }

@@ -13,7 +13,7 @@ use serde_json::value::RawValue;
 use std::collections::BTreeMap;
 use std::fs;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::rotated_box::RotatedBox;
 use uniground_geometry::scene::Structure;
 use uniground_geometry::{MAX_COORDINATE_M, Point3, Vector3};
@@ -30,7 +30,7 @@ pub struct SceneObject {
     pub cloud_points: u32,
     pub mean_rgb: Option<[f32; 3]>,
     /// Color names, as annotated.
-    pub colours: Vec<ColourName>,
+    pub colors: Vec<ColorName>,
     /// Name given by an annotator who had only seen a picture of it (`<scene>.names.json`).
     pub seen_as: Option<String>,
 }
@@ -160,7 +160,7 @@ impl Annotations {
             rotated: None,
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         };
         Self { objects: boxes.iter().enumerate().map(object).collect(), of_point: None }
@@ -201,7 +201,7 @@ impl SceneObject {
     pub fn structure(&self) -> Option<Structure> {
         [Structure::Floor, Structure::Ceiling, Structure::Wall]
             .into_iter()
-            .find(|s| s.word() == self.name)
+            .find(|s| s.as_str() == self.name)
     }
 
     #[must_use]
@@ -217,9 +217,9 @@ fn object_from_record(
 ) -> Result<SceneObject, Omission> {
     let ObjectRecord { id, name, min, max, obb, cloud_points, mean_rgb, colour } = record;
     let words = colour.unwrap_or_default().replace("gray", "grey");
-    let colours = ColourName::ALL
+    let colors = ColorName::ALL
         .into_iter()
-        .filter(|c| words.split_whitespace().any(|word| word == c.word()))
+        .filter(|c| words.split_whitespace().any(|word| word == c.as_str()))
         .collect();
     let aabb = Aabb::from_corners(Point3::from(min), Point3::from(max));
     let rotated = obb.map(|TurnedRecord { center, size, yaw_deg }| RotatedBox {
@@ -228,7 +228,7 @@ fn object_from_record(
         rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()),
     });
     let object =
-        SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours, seen_as: None };
+        SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colors, seen_as: None };
     check_object(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
@@ -245,7 +245,7 @@ fn object_from_lookup(
             rotated: (bbox_3d.len() == 9).then_some(rotated),
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         })
         .and_then(check_object)

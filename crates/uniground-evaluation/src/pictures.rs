@@ -3,7 +3,9 @@
 
 use super::scoring::ScoredExpression;
 use uniground_geometry::boxes::Aabb;
-use uniground_render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
+use uniground_render::{
+    BoxStyle, LabeledBox, Orbit, ROOM_VIEW, RenderScene, draw_scene, encode_jpeg,
+};
 
 /// Folder of the pictures below the output folder.
 pub const FOLDER: &str = "pictures";
@@ -15,7 +17,7 @@ const MAX_CANDIDATES: usize = 5;
 
 /// Returns the boxes to draw. Later boxes are drawn on top.
 #[must_use]
-pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
+pub fn boxes(outcome: &ScoredExpression) -> Vec<LabeledBox> {
     let mut boxes = Vec::new();
     if let Some(reply) = &outcome.reply {
         let name = |id: u32| {
@@ -28,10 +30,10 @@ pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
             .filter(|c| reply.answer.predicted_id != Some(c.id))
         {
             let label = format!("{}{}", candidate.id, name(candidate.id.0));
-            boxes.push(LabelledBox { aabb: candidate.aabb, label, style: BoxStyle::Candidate });
+            boxes.push(LabeledBox { aabb: candidate.aabb, label, style: BoxStyle::Candidate });
         }
         if let (Some(aabb), Some(id)) = (reply.aabb, reply.answer.predicted_id) {
-            boxes.push(LabelledBox {
+            boxes.push(LabeledBox {
                 aabb,
                 label: format!("answer {id}{}", name(id.0)),
                 style: BoxStyle::Anchor,
@@ -40,19 +42,19 @@ pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
     }
     if let Some(target) = &outcome.target {
         let label = format!("truth: {}", target.name.as_deref().unwrap_or("target"));
-        boxes.push(LabelledBox { aabb: target.aabb, label, style: BoxStyle::Answer });
+        boxes.push(LabeledBox { aabb: target.aabb, label, style: BoxStyle::Answer });
     }
     boxes
 }
 
 /// Draws a room. Returns `None` for one without points and boxes.
 #[must_use]
-pub fn draw(render_scene: &RenderScene, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
+pub fn draw(render_scene: &RenderScene, boxes: &[LabeledBox]) -> Option<Vec<u8>> {
     let corners: Vec<_> = boxes.iter().flat_map(|b| b.aabb.corners()).collect();
     let extent = Aabb::around(if render_scene.cloud.is_empty() {
         &corners
     } else {
         &render_scene.cloud.positions
     })?;
-    Some(jpeg(&scene_picture(render_scene, &extent, &VIEW, boxes)))
+    Some(encode_jpeg(&draw_scene(render_scene, &extent, &VIEW, boxes)))
 }

@@ -16,7 +16,7 @@ use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
 use uniground_parsing::masks::{IdImage, MaskSource};
 use uniground_parsing::relief::FlatCandidates;
 use uniground_parsing::superpoints::{self, Superpoints};
-use uniground_parsing::views::{InstanceViews, LabelledPoints};
+use uniground_parsing::views::{InstanceViews, LabeledPoints};
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{
     ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging,
@@ -57,13 +57,13 @@ pub fn measure_stage_losses(
     let cloud = &room.bundle.cloud;
     let objects = room.objects(min_points);
     let superpoints = superpoints::compute(cloud, &settings.superpoints, &quiet)?;
-    let frames = frame_sampling::sample(&room.bundle.frames, &settings.frame_sampling);
+    let frames = frame_sampling::sample_frames(&room.bundle.frames, &settings.frame_sampling);
     let cameras: Vec<_> =
         frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
     let planes = planes::find(cloud, &superpoints, &cameras, &quiet)?;
     // Without sightings no instance is dropped.
     let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
-        let labels = Labels::of_regions(region_of, &superpoints, Vec::new());
+        let labels = Labels::from_regions(region_of, &superpoints, Vec::new());
         let built = instances::build(
             cloud,
             &superpoints,
@@ -75,7 +75,7 @@ pub fn measure_stage_losses(
         )?;
         Ok(score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth))
     };
-    let score = |region_of: &[u32]| score_points(&superpoints.spread(region_of));
+    let score = |region_of: &[u32]| score_points(&superpoints.regions_of_points(region_of));
     let mut rungs = Vec::new();
     let mut push = |step: &str, pieces: usize, score: InstanceScore| {
         rungs.push(StageLoss {
@@ -101,9 +101,13 @@ pub fn measure_stage_losses(
         superpoint_of_point: &superpoints.of_point,
         masks: &judged,
     };
-    let (lifted, _) =
-        lifting.all(&frames, &depths, Checkpoints::none().log("lifting", &()), &quiet)?;
-    let (tables, masks_of, _) = Lifted::apart(lifted);
+    let (lifted, _) = lifting.lift_all(
+        &frames,
+        &depths,
+        Checkpoints::disabled().open_log("lifting", &()),
+        &quiet,
+    )?;
+    let (tables, masks_of, _) = Lifted::split(lifted);
     let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
     let pixels = objects.iter().map(|object| mean_iou_of_best_views(&best, object.id)).collect();
     let count = tables.iter().map(|t| t.masks as usize).sum();
@@ -124,7 +128,7 @@ pub fn measure_stage_losses(
     let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
     let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    let freed = split_supported::set_free(
+    let freed = split_supported::split_supported(
         cloud,
         &superpoints,
         &planes,
@@ -132,7 +136,7 @@ pub fn measure_stage_losses(
         settings.merging.min_points,
         &quiet,
     )?;
-    let joined = part_merging::join(
+    let joined = part_merging::join_parts(
         cloud,
         &superpoints,
         &planes,
@@ -160,7 +164,7 @@ pub fn measure_stage_losses(
     let refined = refinement::refine(
         cloud,
         &visibility,
-        superpoints.spread(&joined),
+        superpoints.regions_of_points(&joined),
         (&frames, &depths),
         &masks_of,
         &quiet,
@@ -168,12 +172,17 @@ pub fn measure_stage_losses(
     push("refined", labels(&refined), score_points(&refined)?);
     let proposals =
         hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
-    let labels = Labels::of_regions(&refined, &superpoints, proposals);
-    let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
+    let labels = Labels::from_regions(&refined, &superpoints, proposals);
+    let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
     let flats =
-        FlatCandidates::of(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
-    let sighted =
-        views::all_sighted(labelled, Some(&flats), (&frames, &depths), &masks_of, &quiet)?;
+        FlatCandidates::find(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
+    let sighted = views::compute_instance_views(
+        labeled,
+        Some(&flats),
+        (&frames, &depths),
+        &masks_of,
+        &quiet,
+    )?;
     let built = instances::build(
         cloud,
         &superpoints,
@@ -202,7 +211,7 @@ fn best_ious(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec
         (BTreeMap::new(), vec![0_u32; labels.len() + 1], BTreeMap::new());
     for (point, &object) in truth.iter().enumerate() {
         *of_object.entry(object).or_insert(0_u32) += 1;
-        for instance in labels.of(point) {
+        for instance in labels.instances_of_point(point) {
             of_instance[instance.0 as usize] += 1;
             *shared.entry((object, instance)).or_insert(0_u32) += 1;
         }

@@ -12,11 +12,11 @@
 //! colors, and readers misread 16-bit integers. Materials are unlit: points have no normals, and
 //! their colors already include the light of the room.
 
-use super::{EDGES, Export, ObjectDescription, REST, light, unit_corners};
+use super::{EDGES, Export, ObjectDescription, REST, srgb_to_linear, unit_corners};
 use serde::Serialize;
 use std::io::{self, BufWriter, Write};
 use uniground_geometry::Point3;
-use uniground_geometry::scene::{Instance, id_colour};
+use uniground_geometry::scene::{Instance, id_color};
 
 /// Column-major matrix that maps `(x, y, z)` to `(x, z, -y)`.
 const Z_UP_TO_Y_UP: [f32; 16] =
@@ -37,7 +37,7 @@ const LINES: u32 = 1;
 const CORNERS_VIEW: usize = 0;
 const EDGES_VIEW: usize = 1;
 const POSITIONS_VIEW: usize = 2;
-const COLOURS_VIEW: usize = 3;
+const COLORS_VIEW: usize = 3;
 const CORNERS: usize = 0;
 const EDGE_INDICES: usize = 1;
 const POINT_MATERIAL: usize = 0;
@@ -45,15 +45,15 @@ const POINT_MATERIAL: usize = 0;
 const CORNERS_BYTES: usize = 8 * 12;
 const EDGES_BYTES: usize = 24 * 2;
 const POSITION_BYTES: usize = 12;
-const COLOUR_BYTES: usize = 12;
+const COLOR_BYTES: usize = 12;
 
 /// Writes a scene as GLB.
 ///
 /// # Errors
 /// Returns errors of `out`, and an error for more than 4 GB.
 pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
-    let (things, rest) = export.groups();
-    let document = Document::of(export, &things, &rest);
+    let (things, rest) = export.group_points();
+    let document = Document::from_export(export, &things, &rest);
     let mut json = serde_json::to_vec(&document)?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let blob_bytes = document.buffers[0].byte_length;
@@ -82,8 +82,8 @@ pub fn write_glb(export: &Export, out: impl Write) -> io::Result<()> {
     for number in points().flat_map(|point| <[f32; 3]>::from(export.cloud.positions[point])) {
         out.write_all(&number.to_le_bytes())?;
     }
-    let lights: Vec<f32> = (0..=255).map(light).collect();
-    for channel in points().flat_map(|point| export.cloud.colours[point]) {
+    let lights: Vec<f32> = (0..=255).map(srgb_to_linear).collect();
+    for channel in points().flat_map(|point| export.cloud.colors[point]) {
         out.write_all(&lights[usize::from(channel)].to_le_bytes())?;
     }
     out.flush()
@@ -157,7 +157,7 @@ struct Primitive {
 struct Attributes {
     position: usize,
     #[serde(rename = "COLOR_0", skip_serializing_if = "Option::is_none")]
-    colour: Option<usize>,
+    color: Option<usize>,
 }
 
 #[derive(Serialize)]
@@ -172,7 +172,7 @@ struct Material {
 #[derive(Serialize)]
 struct PbrSurface {
     #[serde(rename = "baseColorFactor")]
-    colour: [f32; 4],
+    color: [f32; 4],
     #[serde(rename = "metallicFactor")]
     metallic: f32,
     #[serde(rename = "roughnessFactor")]
@@ -221,7 +221,7 @@ struct Buffer {
 }
 
 impl<'a> Document<'a> {
-    fn of(export: &Export<'a>, things: &[(&'a Instance, Vec<u32>)], rest: &[u32]) -> Self {
+    fn from_export(export: &Export<'a>, things: &[(&'a Instance, Vec<u32>)], rest: &[u32]) -> Self {
         let count = export.points.len();
         let mut document = Self {
             asset: Asset { version: "2.0", generator: "uniground" },
@@ -236,20 +236,20 @@ impl<'a> Document<'a> {
                 extras: None,
             }],
             meshes: Vec::new(),
-            materials: vec![Material::of("points".into(), [u8::MAX; 3])],
+            materials: vec![Material::new("points".into(), [u8::MAX; 3])],
             accessors: box_accessors(),
             buffer_views: buffer_views(count),
             buffers: [Buffer {
-                byte_length: CORNERS_BYTES + EDGES_BYTES + count * (POSITION_BYTES + COLOUR_BYTES),
+                byte_length: CORNERS_BYTES + EDGES_BYTES + count * (POSITION_BYTES + COLOR_BYTES),
             }],
         };
         let mut before = 0;
         for (thing, points) in things {
-            let mesh = document.points(export, thing.label(), points, before);
+            let mesh = document.add_points(export, thing.label(), points, before);
             before += points.len();
-            document.thing(thing, mesh);
+            document.add_object(thing, mesh);
         }
-        if let Some(mesh) = document.points(export, REST, rest, before) {
+        if let Some(mesh) = document.add_points(export, REST, rest, before) {
             let node = Node {
                 name: REST.into(),
                 mesh: Some(mesh),
@@ -257,7 +257,7 @@ impl<'a> Document<'a> {
                 place: None,
                 extras: None,
             };
-            let added = document.add(node);
+            let added = document.add_node(node);
             document.nodes[0].children.push(added);
         }
         document
@@ -265,7 +265,7 @@ impl<'a> Document<'a> {
 
     /// Returns the mesh of points that are stored after `before` other points. `None` if there are
     /// none.
-    fn points(
+    fn add_points(
         &mut self,
         export: &Export,
         name: &'a str,
@@ -276,7 +276,7 @@ impl<'a> Document<'a> {
         let (min, max) = positions.fold(None, |around, p| {
             Some(around.map_or((p, p), |(min, max): (Point3<f32>, _)| (min.inf(&p), p.sup(&max))))
         })?;
-        let (position, colour) = (self.accessors.len(), self.accessors.len() + 1);
+        let (position, color) = (self.accessors.len(), self.accessors.len() + 1);
         self.accessors.push(Accessor {
             buffer_view: POSITIONS_VIEW,
             byte_offset: before * POSITION_BYTES,
@@ -287,15 +287,15 @@ impl<'a> Document<'a> {
             max: Some(max.into()),
         });
         self.accessors.push(Accessor {
-            buffer_view: COLOURS_VIEW,
-            byte_offset: before * COLOUR_BYTES,
+            buffer_view: COLORS_VIEW,
+            byte_offset: before * COLOR_BYTES,
             component_type: FLOAT,
             count: points.len(),
             shape: "VEC3",
             min: None,
             max: None,
         });
-        let attributes = Attributes { position, colour: Some(colour) };
+        let attributes = Attributes { position, color: Some(color) };
         self.meshes.push(Mesh {
             name,
             primitives: [Primitive {
@@ -309,11 +309,11 @@ impl<'a> Document<'a> {
     }
 
     /// Adds a thing with its box, below the root.
-    fn thing(&mut self, thing: &'a Instance, mesh: Option<usize>) {
+    fn add_object(&mut self, thing: &'a Instance, mesh: Option<usize>) {
         let name = thing.label();
         let material = self.materials.len();
-        self.materials.push(Material::of(format!("box of {name}"), id_colour(thing.id.0)));
-        let attributes = Attributes { position: CORNERS, colour: None };
+        self.materials.push(Material::new(format!("box of {name}"), id_color(thing.id.0)));
+        let attributes = Attributes { position: CORNERS, color: None };
         let lines = Primitive { attributes, indices: Some(EDGE_INDICES), material, mode: LINES };
         self.meshes.push(Mesh { name: "box", primitives: [lines] });
         let (half_sin, half_cos) = (thing.oriented_box.yaw_rad / 2.0).sin_cos();
@@ -323,15 +323,15 @@ impl<'a> Document<'a> {
             scale: thing.oriented_box.size.map(|side| side.max(THINNEST_M)).into(),
         };
         let lines = Some(self.meshes.len() - 1);
-        let outline = self.add(Node {
+        let outline = self.add_node(Node {
             name: format!("box of {name}"),
             mesh: lines,
             children: Vec::new(),
             place: Some(place),
             extras: None,
         });
-        let extras = Some(ObjectDescription::of(thing));
-        let added = self.add(Node {
+        let extras = Some(ObjectDescription::from_instance(thing));
+        let added = self.add_node(Node {
             name: name.to_owned(),
             mesh,
             children: vec![outline],
@@ -341,16 +341,16 @@ impl<'a> Document<'a> {
         self.nodes[0].children.push(added);
     }
 
-    fn add(&mut self, node: Node<'a>) -> usize {
+    fn add_node(&mut self, node: Node<'a>) -> usize {
         self.nodes.push(node);
         self.nodes.len() - 1
     }
 }
 
 impl Material {
-    fn of(name: String, colour: [u8; 3]) -> Self {
-        let [red, green, blue] = colour.map(light);
-        let surface = PbrSurface { colour: [red, green, blue, 1.0], metallic: 0.0, rough: 1.0 };
+    fn new(name: String, color: [u8; 3]) -> Self {
+        let [red, green, blue] = color.map(srgb_to_linear);
+        let surface = PbrSurface { color: [red, green, blue, 1.0], metallic: 0.0, rough: 1.0 };
         Self {
             name,
             pbr_metallic_roughness: surface,
@@ -393,8 +393,8 @@ fn buffer_views(count: usize) -> Vec<BufferView> {
         views.push(view(positions, count * POSITION_BYTES, Some(POSITION_BYTES), VERTICES));
         views.push(view(
             positions + count * POSITION_BYTES,
-            count * COLOUR_BYTES,
-            Some(COLOUR_BYTES),
+            count * COLOR_BYTES,
+            Some(COLOR_BYTES),
             VERTICES,
         ));
     }
@@ -492,8 +492,8 @@ mod tests {
         };
         let turned = |p: &Point3<f32>| [p.x, p.z, -p.y];
         let expected =
-            room.cloud.positions.iter().map(turned).zip(room.cloud.colours.iter().copied());
-        let read = read.positions.iter().map(|p| [p.x, p.y, p.z]).zip(read.colours.iter().copied());
+            room.cloud.positions.iter().map(turned).zip(room.cloud.colors.iter().copied());
+        let read = read.positions.iter().map(|p| [p.x, p.y, p.z]).zip(read.colors.iter().copied());
         assert_eq!(sorted(read.collect()), sorted(expected.collect()));
     }
 

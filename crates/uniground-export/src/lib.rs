@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 use uniground_geometry::Vector3;
 use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::scene::{
-    Instance, InstanceId, Level, Owners, PointCloud, Structure, Support, evenly,
+    Instance, InstanceId, Level, Owners, PointCloud, Structure, Support, evenly_spread_order,
 };
 
 /// Name of the points that belong to no thing.
@@ -52,15 +52,17 @@ impl<'a> Export<'a> {
         instances: &'a [Instance],
         most: usize,
     ) -> Self {
-        let owners = Owners::of(instance_of_point, instances);
+        let owners = Owners::new(instance_of_point, instances);
         let mut chosen: Vec<u32> = match cloud.len() > most {
-            true => evenly(&cloud.positions).take(most).map(|point| point as u32).collect(),
+            true => {
+                evenly_spread_order(&cloud.positions).take(most).map(|point| point as u32).collect()
+            }
             false => (0..cloud.len() as u32).collect(),
         };
         chosen.sort_unstable();
         let owner = |point: u32| {
             let found = instance_of_point.get(point as usize).copied().unwrap_or_default();
-            owners.of_point(found, &cloud.positions[point as usize])
+            owners.owner_of(found, &cloud.positions[point as usize])
         };
         let points = chosen.into_iter().map(|point| (point, owner(point))).collect();
         Self {
@@ -73,7 +75,7 @@ impl<'a> Export<'a> {
 
     /// Returns the points of each thing, in order of id, followed by the points that belong to no
     /// thing.
-    fn groups(&self) -> (Vec<(&'a Instance, Vec<u32>)>, Vec<u32>) {
+    fn group_points(&self) -> (Vec<(&'a Instance, Vec<u32>)>, Vec<u32>) {
         let mut by_owner: BTreeMap<InstanceId, Vec<u32>> = BTreeMap::new();
         self.points
             .iter()
@@ -108,10 +110,10 @@ struct ObjectDescription<'a> {
 }
 
 impl<'a> ObjectDescription<'a> {
-    fn of(instance: &'a Instance) -> Self {
+    fn from_instance(instance: &'a Instance) -> Self {
         let guess = instance.names.first().filter(|_| instance.structure.is_none());
         let label = match instance.structure {
-            Some(structure) => structure.word(),
+            Some(structure) => structure.as_str(),
             None => guess.map_or("object", |guess| &guess.name),
         };
         Self {
@@ -151,14 +153,14 @@ const EDGES: [[u8; 2]; 12] = [
 ];
 
 /// Returns the corners of a thing's box, in the order of [`unit_corners`].
-fn corners(of: &OrientedBox) -> [nalgebra::Point3<f32>; 8] {
+fn box_corners(of: &OrientedBox) -> [nalgebra::Point3<f32>; 8] {
     let to_world =
         Translation3::from(of.center) * Rotation3::from_axis_angle(&Vector3::z_axis(), of.yaw_rad);
     unit_corners().map(|corner| to_world * nalgebra::Point3::from(corner.component_mul(&of.size)))
 }
 
 /// Converts an 8-bit sRGB channel to linear light, `0..=1`. glTF and USD store linear colors.
-fn light(channel: u8) -> f32 {
+fn srgb_to_linear(channel: u8) -> f32 {
     let c = f32::from(channel) / 255.0;
     if c <= 0.040_45 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }
@@ -220,7 +222,7 @@ mod tests {
         ];
         let cloud = PointCloud {
             positions: points.iter().map(|(_, at, _)| Point3::from(*at)).collect(),
-            colours: points.iter().map(|(.., colour)| *colour).collect(),
+            colors: points.iter().map(|(.., color)| *color).collect(),
         };
         Room { cloud, of_point: points.iter().map(|(id, ..)| InstanceId(*id)).collect(), instances }
     }
@@ -252,7 +254,8 @@ mod tests {
             })
             .collect();
         correct(&mut instances, &corrections);
-        let (things, rest) = Export::new("", &cloud, &of_point, &instances, usize::MAX).groups();
+        let (things, rest) =
+            Export::new("", &cloud, &of_point, &instances, usize::MAX).group_points();
         things
             .iter()
             .map(|(thing, points)| (thing.id.0, points.len()))
@@ -305,7 +308,7 @@ mod tests {
         // A floor of 64 x 64 points, listed row by row.
         let positions: Vec<Point3<f32>> =
             (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
-        let cloud = PointCloud { colours: vec![[1, 2, 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[1, 2, 3]; positions.len()], positions };
         let points = |most| Export::new("", &cloud, &[], &[], most).points;
         let chosen = points(256);
         let squares: BTreeSet<(u32, u32)> =
@@ -322,7 +325,7 @@ mod tests {
             size: Vector3::new(2.0, 4.0, 6.0),
             yaw_rad: std::f32::consts::FRAC_PI_2,
         };
-        let corners = corners(&turned);
+        let corners = box_corners(&turned);
         assert!((corners[7] - Point3::new(-1.0, 3.0, 6.0)).norm() < 1e-5, "{corners:?}");
         for [from, to] in EDGES {
             let side = (corners[usize::from(to)] - corners[usize::from(from)]).norm();

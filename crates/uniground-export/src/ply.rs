@@ -22,16 +22,16 @@ pub fn write_ply(export: &Export, out: impl Write) -> io::Result<()> {
         points.iter().map(|(point, _)| cloud.positions[*point as usize]).collect();
     let of_point = |i: usize| {
         let (point, owner): (u32, InstanceId) = points[i];
-        (cloud.colours[point as usize], Some(owner))
+        (cloud.colors[point as usize], Some(owner))
     };
     scene::write_ply(&comments(title, things), &positions, of_point, out)
 }
 
 fn comments(title: &str, things: &[&Instance]) -> Vec<String> {
-    let mut comments = vec![format!("scene {}", one_line(title))];
+    let mut comments = vec![format!("scene {}", to_header_text(title))];
     let mut bytes = 0;
     for (at, thing) in things.iter().enumerate() {
-        let comment = format!("instance {} {}", thing.id, one_line(thing.label()));
+        let comment = format!("instance {} {}", thing.id, to_header_text(thing.label()));
         bytes += comment.len() + "comment \n".len();
         if bytes > MOST_COMMENT_BYTES {
             comments.push(format!("and {} more instances", things.len() - at));
@@ -44,7 +44,7 @@ fn comments(title: &str, things: &[&Instance]) -> Vec<String> {
 
 /// Converts a name for a header: ASCII without line breaks. Other characters are written as
 /// `\u{e9}`.
-fn one_line(name: &str) -> String {
+fn to_header_text(name: &str) -> String {
     let mut line = String::new();
     for c in name.chars() {
         let written = if c.is_ascii_graphic() || c == ' ' {

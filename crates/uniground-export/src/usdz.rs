@@ -11,12 +11,12 @@
 //! ```
 //! Positions are rounded to a tenth of a millimeter.
 
-use super::{EDGES, Export, ObjectDescription, REST, corners, light};
+use super::{EDGES, Export, ObjectDescription, REST, box_corners, srgb_to_linear};
 use std::fmt::{self, Display, Formatter};
 use std::io::{self, BufWriter, Seek, Write};
 use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::scene::{Instance, Support, id_colour};
+use uniground_geometry::scene::{Instance, Support, id_color};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
@@ -46,8 +46,9 @@ pub fn write_usdz(export: &Export, out: impl Write + Seek) -> io::Result<()> {
 }
 
 fn write_layer(export: &Export, out: &mut impl Write) -> io::Result<()> {
-    let (things, rest) = export.groups();
-    let light: Vec<String> = (0..=255).map(|channel| format!("{:.4}", light(channel))).collect();
+    let (things, rest) = export.group_points();
+    let light: Vec<String> =
+        (0..=255).map(|channel| format!("{:.4}", srgb_to_linear(channel))).collect();
     writeln!(
         out,
         "#usda 1.0\n(\n    defaultPrim = \"Scene\"\n    metersPerUnit = 1\n    upAxis = \"Z\"\n)\n"
@@ -58,16 +59,16 @@ fn write_layer(export: &Export, out: &mut impl Write) -> io::Result<()> {
         writeln!(
             out,
             "    def Xform \"{}_{}\" (\n        displayName = {}\n    )\n    {{",
-            identifier(name),
+            to_identifier(name),
             thing.id,
             QuotedText(name)
         )?;
-        write_attributes(&ObjectDescription::of(thing), out)?;
+        write_attributes(&ObjectDescription::from_instance(thing), out)?;
         write_points(export, "points", points, &light, out)?;
         write_outline(thing, &light, out)?;
         writeln!(out, "    }}")?;
     }
-    write_points(export, &identifier(REST), &rest, &light, out)?;
+    write_points(export, &to_identifier(REST), &rest, &light, out)?;
     writeln!(out, "}}")
 }
 
@@ -92,9 +93,9 @@ fn write_attributes(of: &ObjectDescription, out: &mut impl Write) -> io::Result<
     if let Some(confidence) = confidence {
         attribute("float", "confidence", confidence)?;
     }
-    attribute("string", "level", &QuotedText(level.word()))?;
+    attribute("string", "level", &QuotedText(level.as_str()))?;
     if let Some(structure) = structure {
-        attribute("string", "structure", &QuotedText(structure.word()))?;
+        attribute("string", "structure", &QuotedText(structure.as_str()))?;
     }
     attribute("float3", "box:center", &Vec3Text(aabb.center.into()))?;
     attribute("float3", "box:size", &Vec3Text(aabb.size.into()))?;
@@ -124,14 +125,14 @@ fn write_points(
     writeln!(out, "        def Points \"{name}\"\n        {{")?;
     write_extent(&extent, POINT_WIDTH_M, out)?;
     write_list("point3f[] points", positions.iter().map(|p| Vec3Text((*p).into())), out)?;
-    let colour = |point: &u32| PointColor(export.cloud.colours[*point as usize], light);
-    write_spread("color3f[] primvars:displayColor", points.iter().map(colour), "vertex", out)?;
+    let color = |point: &u32| PointColor(export.cloud.colors[*point as usize], light);
+    write_spread("color3f[] primvars:displayColor", points.iter().map(color), "vertex", out)?;
     write_spread("float[] widths", [POINT_WIDTH_M], "constant", out)?;
     writeln!(out, "        }}")
 }
 
 fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io::Result<()> {
-    let corners = corners(&thing.oriented_box);
+    let corners = box_corners(&thing.oriented_box);
     writeln!(
         out,
         "        def BasisCurves \"outline\"\n        {{\n            uniform token type = \"linear\""
@@ -147,7 +148,7 @@ fn write_outline(thing: &Instance, light: &[String], out: &mut impl Write) -> io
     )?;
     write_spread(
         "color3f[] primvars:displayColor",
-        [PointColor(id_colour(thing.id.0), light)],
+        [PointColor(id_color(thing.id.0), light)],
         "constant",
         out,
     )?;
@@ -197,7 +198,7 @@ fn write_values<T: Display>(
 }
 
 /// Converts a name to a valid identifier of the format: ASCII letters, digits and underscores.
-fn identifier(name: &str) -> String {
+fn to_identifier(name: &str) -> String {
     const LONGEST: usize = 60;
     let mut identifier: String = name
         .chars()
@@ -315,7 +316,7 @@ mod tests {
             ("", "_"),
             ("\u{6905}", "__"),
         ] {
-            assert_eq!(identifier(name), expected);
+            assert_eq!(to_identifier(name), expected);
         }
     }
 }

@@ -15,18 +15,18 @@ const NICENESS: i32 = 10;
 ///
 /// # Errors
 /// When the system cannot start more threads.
-pub fn pool() -> Result<ThreadPool, ThreadPoolBuildError> {
+pub fn low_priority_pool() -> Result<ThreadPool, ThreadPoolBuildError> {
     ThreadPoolBuilder::new()
         .thread_name(|i| format!("background-{i}"))
-        .start_handler(|_| give_way())
+        .start_handler(|_| lower_thread_priority())
         .build()
 }
 
 /// Runs `work` on a low-priority thread. Threads it starts have low priority too.
-pub fn on_low_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+pub fn run_at_low_priority<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     std::thread::scope(|scope| {
         let low = scope.spawn(|| {
-            give_way();
+            lower_thread_priority();
             work()
         });
         low.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
@@ -35,7 +35,7 @@ pub fn on_low_thread<T: Send>(work: impl FnOnce() -> T + Send) -> T {
 
 /// Lowers the priority of this thread. If the system refuses, other work gets slower, but results
 /// do not change.
-fn give_way() {
+fn lower_thread_priority() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::nice(NICENESS) {
         tracing::debug!(%error, "priority of a background thread could not be lowered");
@@ -55,9 +55,10 @@ mod tests {
             stat.rsplit(')').next().unwrap().split_whitespace().nth(16).unwrap().parse().unwrap()
         };
         let own = niceness();
-        assert_eq!(pool().unwrap().install(niceness), (own + NICENESS).min(19));
-        let inherited =
-            on_low_thread(|| std::thread::scope(|scope| scope.spawn(niceness).join().unwrap()));
+        assert_eq!(low_priority_pool().unwrap().install(niceness), (own + NICENESS).min(19));
+        let inherited = run_at_low_priority(|| {
+            std::thread::scope(|scope| scope.spawn(niceness).join().unwrap())
+        });
         assert_eq!(inherited, (own + NICENESS).min(19));
         assert_eq!(niceness(), own, "the caller keeps its own");
     }

@@ -6,7 +6,7 @@
 #![warn(missing_docs)]
 
 pub mod background;
-pub mod colour;
+pub mod color;
 pub mod least_axis;
 pub mod lru_cache;
 pub mod moments;

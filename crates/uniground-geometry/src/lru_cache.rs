@@ -38,7 +38,7 @@ impl<V: Clone> LruCache<V> {
     }
 
     /// Numbers of cache hits and misses.
-    pub fn looks(&self) -> (u64, u64) {
+    pub fn hits_and_misses(&self) -> (u64, u64) {
         (self.hits.load(Relaxed), self.misses.load(Relaxed))
     }
 
@@ -76,7 +76,7 @@ mod tests {
         assert!(cache.get("0").is_some());
         cache.put("new".into(), 64, 1);
         assert!(cache.get("0").is_some() && cache.get("new").is_some() && cache.get("1").is_none());
-        assert_eq!(cache.looks(), (3, 1));
+        assert_eq!(cache.hits_and_misses(), (3, 1));
     }
 
     #[test]

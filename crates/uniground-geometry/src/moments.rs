@@ -16,7 +16,7 @@ pub struct Moments {
 impl Moments {
     /// Moments of no points: the origin and no spread.
     #[must_use]
-    pub fn of(points: &[Point3<f32>]) -> Self {
+    pub fn from_points(points: &[Point3<f32>]) -> Self {
         let n = points.len().max(1) as f64;
         let mean =
             points.iter().fold(nalgebra::Vector3::zeros(), |sum, p| sum + p.coords.cast::<f64>())
@@ -45,7 +45,7 @@ mod tests {
                 )
             })
             .collect();
-        let moments = Moments::of(&points);
+        let moments = Moments::from_points(&points);
         assert!(
             (moments.mean - Point3::new(1002.25, -798.0, 2.3)).norm() < 0.01,
             "{}",

@@ -37,7 +37,7 @@ impl Progress {
 
     /// Returns the part `from..to` (shares of this progress) as a progress of its own.
     #[must_use]
-    pub fn part(&self, from: f32, to: f32) -> Self {
+    pub fn sub_range(&self, from: f32, to: f32) -> Self {
         let at = |share: f32| self.from + (self.to - self.from) * share;
         Self { from: at(from), to: at(to), ..self.clone() }
     }
@@ -75,7 +75,7 @@ mod tests {
         };
         let asked = cancel.clone();
         let progress = Progress::new(sink, move || asked.load(Ordering::Relaxed));
-        progress.part(0.5, 1.0).part(0.0, 0.5).report("inner", 1.0).unwrap();
+        progress.sub_range(0.5, 1.0).sub_range(0.0, 0.5).report("inner", 1.0).unwrap();
         assert_eq!(*seen.lock().unwrap(), [("inner", 0.75)]);
         cancel.store(true, Ordering::Relaxed);
         assert_eq!(progress.report("late", 0.0), Err(Cancelled));

@@ -65,7 +65,7 @@ impl RotatedBox {
             for sign in [1.0, -1.0] {
                 let normal = turn * (Vector3::ith(axis, sign));
                 let offset = normal.dot(&center) + f64::from(other.size[axis]) / 2.0;
-                faces = cut(faces, &normal, offset);
+                faces = clip_to_plane(faces, &normal, offset);
             }
         }
         volume(&faces)
@@ -88,7 +88,7 @@ impl RotatedBox {
 }
 
 /// Keeps the part of a convex body where `normal . p <= offset`, and closes it.
-fn cut(faces: Vec<Face>, normal: &Vector3<f64>, offset: f64) -> Vec<Face> {
+fn clip_to_plane(faces: Vec<Face>, normal: &Vector3<f64>, offset: f64) -> Vec<Face> {
     const ON_PLANE_M: f64 = 1e-9;
     let height = |p: &Point3<f64>| normal.dot(&p.coords) - offset;
     let mut kept: Vec<Face> = Vec::with_capacity(faces.len() + 1);
@@ -112,13 +112,13 @@ fn cut(faces: Vec<Face>, normal: &Vector3<f64>, offset: f64) -> Vec<Face> {
         }
     }
     if rim.len() >= 3 {
-        kept.push(ordered(rim, normal));
+        kept.push(sort_counter_clockwise(rim, normal));
     }
     kept
 }
 
 /// Points of a convex polygon, counter-clockwise seen against `normal`.
-fn ordered(mut points: Face, normal: &Vector3<f64>) -> Face {
+fn sort_counter_clockwise(mut points: Face, normal: &Vector3<f64>) -> Face {
     let middle =
         points.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / points.len() as f64;
     let u = normal.cross(&Vector3::ith(normal.iamin(), 1.0)).normalize();

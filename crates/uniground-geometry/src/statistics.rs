@@ -20,7 +20,7 @@ pub fn median(values: &mut [f32]) -> Option<f32> {
 /// Returns the positions of the `count` largest values, largest first, ties in order of position.
 /// NaN is larger than all.
 #[must_use]
-pub fn largest(values: &[f32], count: usize) -> Vec<usize> {
+pub fn largest_indices(values: &[f32], count: usize) -> Vec<usize> {
     let by_value = |a: &usize, b: &usize| values[*b].total_cmp(&values[*a]).then(a.cmp(b));
     let mut positions: Vec<usize> = (0..values.len()).collect();
     if count < positions.len() {
@@ -37,9 +37,9 @@ mod tests {
 
     #[test]
     fn the_largest_come_first_and_ties_in_order() {
-        assert_eq!(largest(&[0.2, 0.9, 0.2, 0.5, 0.9], 3), [1, 4, 3]);
-        assert_eq!(largest(&[0.2, 0.9, 0.2], 9), [1, 0, 2]);
-        assert!(largest(&[], 2).is_empty() && largest(&[1.0], 0).is_empty());
+        assert_eq!(largest_indices(&[0.2, 0.9, 0.2, 0.5, 0.9], 3), [1, 4, 3]);
+        assert_eq!(largest_indices(&[0.2, 0.9, 0.2], 9), [1, 0, 2]);
+        assert!(largest_indices(&[], 2).is_empty() && largest_indices(&[1.0], 0).is_empty());
     }
 
     #[test]

@@ -16,8 +16,8 @@ impl VoxelKey {
     /// The voxel of edge `voxel_m` that contains `p`. Coordinates beyond ±2^20 voxels are clamped
     /// to the border.
     #[must_use]
-    pub fn of(p: &Point3<f32>, voxel_m: f32) -> Self {
-        Self::pack([p.x, p.y, p.z].map(|c| floor(c / voxel_m)))
+    pub fn containing(p: &Point3<f32>, voxel_m: f32) -> Self {
+        Self::pack([p.x, p.y, p.z].map(|c| floor_to_int(c / voxel_m)))
     }
 
     fn pack(cell: [i64; 3]) -> Self {
@@ -32,7 +32,7 @@ impl VoxelKey {
         Self::pack(std::array::from_fn(|i| cell[i] as i64 - BIAS + d[i]))
     }
 
-    /// An offset in voxels as one number to add; see [`stepped`](Self::stepped).
+    /// An offset in voxels as one number to add; see [`offset_by_step`](Self::offset_by_step).
     #[must_use]
     pub const fn step([x, y, z]: [i64; 3]) -> i64 {
         (x << 42) + (y << 21) + z
@@ -41,7 +41,7 @@ impl VoxelKey {
     /// The key at the offset of a [`step`](Self::step). Faster than [`offset`](Self::offset).
     /// Beyond the border it is an arbitrary other key.
     #[must_use]
-    pub const fn stepped(self, step: i64) -> Self {
+    pub const fn offset_by_step(self, step: i64) -> Self {
         Self((self.0 as i64).wrapping_add(step) as u64)
     }
 
@@ -56,7 +56,7 @@ impl VoxelKey {
 
 /// `value.floor() as i64`, without the call into the C library that the oldest x86-64 processors
 /// need.
-fn floor(value: f32) -> i64 {
+fn floor_to_int(value: f32) -> i64 {
     let towards_zero = value as i64;
     towards_zero.saturating_sub(i64::from((towards_zero as f32) > value))
 }
@@ -99,7 +99,7 @@ impl VoxelGrid {
     #[must_use]
     pub fn new(points: &[Point3<f32>], voxel_m: f32) -> Self {
         let point_keys: Vec<VoxelKey> =
-            points.par_iter().map(|p| VoxelKey::of(p, voxel_m)).collect();
+            points.par_iter().map(|p| VoxelKey::containing(p, voxel_m)).collect();
         let keys = distinct(point_keys.clone());
         let index: VoxelMap<u32> = keys.iter().enumerate().map(|(i, &k)| (k, i as u32)).collect();
         let of_point = point_keys.par_iter().map(|k| index[k]).collect();
@@ -153,7 +153,7 @@ impl VoxelGrid {
     fn neighbours_of(&self, voxels: std::ops::Range<usize>) -> (Vec<u32>, Vec<u32>) {
         let columns: [i64; 9] =
             std::array::from_fn(|i| VoxelKey::step([i as i64 / 3 - 1, i as i64 % 3 - 1, -1]));
-        let lowest = |voxel: usize, column: i64| self.keys[voxel].stepped(column);
+        let lowest = |voxel: usize, column: i64| self.keys[voxel].offset_by_step(column);
         let mut cursors =
             columns.map(|column| self.keys.partition_point(|&k| k < lowest(voxels.start, column)));
         let (mut counts, mut list) =
@@ -186,7 +186,7 @@ pub struct VoxelNeighbors {
 impl VoxelNeighbors {
     /// Numbers of the occupied voxels around this one, ascending, at most 26.
     #[must_use]
-    pub fn of(&self, voxel: u32) -> &[u32] {
+    pub fn neighbors_of(&self, voxel: u32) -> &[u32] {
         let v = voxel as usize;
         &self.list[self.starts[v] as usize..self.starts[v + 1] as usize]
     }
@@ -214,7 +214,8 @@ pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
     const LARGEST_CELL_M: f32 = 1000.0;
     let mut cell_m = AREA_CELL_M;
     loop {
-        let cells = distinct(points.par_iter().map(|p| VoxelKey::of(p, cell_m)).collect()).len();
+        let cells =
+            distinct(points.par_iter().map(|p| VoxelKey::containing(p, cell_m)).collect()).len();
         if cells * POINTS_PER_CELL <= points.len() || cells <= 1 || cell_m > LARGEST_CELL_M {
             return (cells as f32 * cell_m * cell_m / points.len().max(1) as f32).sqrt();
         }
@@ -243,8 +244,11 @@ mod tests {
 
     #[test]
     fn keys_know_their_neighbours_across_zero() {
-        let key = VoxelKey::of(&Point3::new(-0.01, 0.01, 0.0), 0.05);
-        assert_eq!(key.offset([1, 0, 0]), VoxelKey::of(&Point3::new(0.01, 0.01, 0.0), 0.05));
+        let key = VoxelKey::containing(&Point3::new(-0.01, 0.01, 0.0), 0.05);
+        assert_eq!(
+            key.offset([1, 0, 0]),
+            VoxelKey::containing(&Point3::new(0.01, 0.01, 0.0), 0.05)
+        );
         assert!((key.center(0.05) - Point3::new(-0.025, 0.025, 0.025)).norm() < 1e-6);
     }
 
@@ -256,14 +260,14 @@ mod tests {
             .collect();
         let grid = VoxelGrid::new(&points, 0.05);
         for (p, &v) in points.iter().zip(&grid.of_point) {
-            assert_eq!(grid.keys[v as usize], VoxelKey::of(p, 0.05));
+            assert_eq!(grid.keys[v as usize], VoxelKey::containing(p, 0.05));
         }
         assert!(grid.len() < points.len());
         let neighbours = grid.neighbours();
         for (v, key) in grid.keys.iter().enumerate() {
             let looked_up: Vec<u32> =
                 NEIGHBOURS_26.iter().filter_map(|&d| grid.get(key.offset(d))).collect();
-            assert_eq!(neighbours.of(v as u32), looked_up);
+            assert_eq!(neighbours.neighbors_of(v as u32), looked_up);
         }
     }
 

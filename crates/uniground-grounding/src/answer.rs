@@ -10,7 +10,7 @@ use super::{
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 use uniground_geometry::boxes::{Aabb, OrientedBox};
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::{Instance, Level};
 use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 
@@ -228,24 +228,24 @@ impl Grounding {
 
 /// Returns dominant color and best name, such as "red sofa", whatever the question says.
 pub(super) fn described(instance: &Instance) -> String {
-    let says_colour = |name: &String| {
+    let says_color = |name: &String| {
         name.split_whitespace()
-            .any(|word| ColourName::ALL.iter().any(|colour| colour.word() == word))
+            .any(|word| ColorName::ALL.iter().any(|color| color.as_str() == word))
     };
-    if let Some(name) = instance.given_name.as_ref().filter(|name| says_colour(name)) {
+    if let Some(name) = instance.given_name.as_ref().filter(|name| says_color(name)) {
         return name.clone();
     }
-    match instance.colours.dominant().first() {
-        Some((colour, _)) => format!("{} {}", colour.word(), instance.label()),
+    match instance.colors.dominant().first() {
+        Some((color, _)) => format!("{} {}", color.as_str(), instance.label()),
         None => instance.label().to_owned(),
     }
 }
 
 fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let target = &parsed.target;
-    let traits = target.traits.iter().map(|s| s.word().to_owned());
-    let colours = target.colours.iter().map(|c| c.word().to_owned());
-    let other_than = target.other_than.iter().map(|c| format!("not {}", c.word()));
+    let traits = target.traits.iter().map(|s| s.as_str().to_owned());
+    let colors = target.colors.iter().map(|c| c.as_str().to_owned());
+    let other_than = target.other_than.iter().map(|c| format!("not {}", c.as_str()));
     let with = target.with.iter().map(|w| {
         let count = w.phrase.count.map_or_else(String::new, |n| format!("{n} "));
         format!("{} {count}{}", if w.absent { "without" } else { "with" }, w.phrase.text())
@@ -259,7 +259,7 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
             target.head.clone()
         },
         attributes: traits
-            .chain(colours)
+            .chain(colors)
             .chain(other_than)
             .chain(with)
             .chain(uses)
@@ -300,7 +300,7 @@ fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
 /// Returns a superlative in words: "tallest", "leftmost, number 2".
 pub(super) fn superlative_words(superlative: &Superlative) -> String {
     match superlative.rank {
-        0 | 1 => superlative.measure.word().to_owned(),
-        rank => format!("{}, number {rank}", superlative.measure.word()),
+        0 | 1 => superlative.measure.as_str().to_owned(),
+        rank => format!("{}, number {rank}", superlative.measure.as_str()),
     }
 }

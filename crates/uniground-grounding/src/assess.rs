@@ -11,7 +11,7 @@ mod places;
 
 use super::SceneView;
 use super::direction::Directions;
-use super::fit::{colours_fit, most_plausible, noun_fits, trait_fits};
+use super::fit::{colors_fit, most_plausible, noun_fits, trait_fits};
 use super::relations::{self, SeenBy};
 use super::room::{Faced, Room};
 use super::solid::Solid;
@@ -19,7 +19,7 @@ use places::ranked;
 use std::cell::OnceCell;
 use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
-use uniground_geometry::statistics::largest;
+use uniground_geometry::statistics::largest_indices;
 use uniground_geometry::{Point2, Point3, Vector3};
 use uniground_language::{ME, Meaning, Phrase, Relation, RelationKind, zones};
 
@@ -165,10 +165,10 @@ impl<'a> Assessor<'a> {
     pub fn own_fits(&self, phrase: &Phrase) -> (Vec<f32>, Vec<f32>) {
         let instances = self.scene.instances;
         let nouns = noun_fits(self.scene, phrase);
-        let of_colour = |(i, noun): (usize, &f32)| {
-            if *noun > 0.0 { noun * colours_fit(self.scene, phrase, i) } else { 0.0 }
+        let of_color = |(i, noun): (usize, &f32)| {
+            if *noun > 0.0 { noun * colors_fit(self.scene, phrase, i) } else { 0.0 }
         };
-        let mut own: Vec<f32> = nouns.iter().enumerate().map(of_colour).collect();
+        let mut own: Vec<f32> = nouns.iter().enumerate().map(of_color).collect();
         for &asked in &phrase.traits {
             let fits = trait_fits(instances, &self.solids, &nouns, asked);
             own.iter_mut().zip(fits).for_each(|(score, fit)| *score *= fit);
@@ -200,7 +200,7 @@ impl<'a> Assessor<'a> {
     #[must_use]
     pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<(usize, f32)> {
         let total = self.assess(phrase).total;
-        let best = largest(&total, most);
+        let best = largest_indices(&total, most);
         let of_best = best.first().map_or(1.0, |&i| total[i].max(f32::EPSILON));
         let shares = best.into_iter().map(|i| (i, total[i] / of_best));
         shares.filter(|&(i, share)| total[i] > 0.0 && share >= MAY_BE_MEANT).collect()
@@ -548,7 +548,7 @@ mod tests {
     use crate::NameIndex;
     use crate::direction::DirectionConvention;
     use uniground_geometry::boxes::Aabb;
-    use uniground_geometry::colour::{ColourHistogram, ColourName};
+    use uniground_geometry::color::{ColorHistogram, ColorName};
     use uniground_geometry::scene::Instance;
     use uniground_language::{Measure, Superlative, Trait};
     use uniground_testing::thing;
@@ -593,7 +593,7 @@ mod tests {
 
     fn relation(kind: RelationKind, anchors: &[&str]) -> Relation {
         let anchors = anchors.iter().map(|head| said(head)).collect();
-        Relation { kind, text: kind.word().into(), anchors, negated: false, rank: 1 }
+        Relation { kind, text: kind.as_str().into(), anchors, negated: false, rank: 1 }
     }
 
     fn lamp_that(relations: Vec<Relation>) -> Phrase {
@@ -618,9 +618,9 @@ mod tests {
 
     fn red(share: f32, instance: Instance) -> Instance {
         let mut shares = [0.0; 12];
-        shares[ColourName::Red as usize] = share;
-        shares[ColourName::Green as usize] = 1.0 - share;
-        Instance { colours: ColourHistogram(shares), ..instance }
+        shares[ColorName::Red as usize] = share;
+        shares[ColorName::Green as usize] = 1.0 - share;
+        Instance { colors: ColorHistogram(shares), ..instance }
     }
 
     #[track_caller]
@@ -687,8 +687,8 @@ mod tests {
         let closest = [relation(RelationKind::Closest, &["door"])];
         let asked = |count, superlative, relations: &[Relation]| {
             let relations = relations.to_vec();
-            let colours = vec![ColourName::Red];
-            totals(&room, &Phrase { colours, count, superlative, ..lamp_that(relations) })
+            let colors = vec![ColorName::Red];
+            totals(&room, &Phrase { colors, count, superlative, ..lamp_that(relations) })
         };
         are(&asked(None, None, &[]), &[1.0, 1.0, 0.5, 0.0]);
         are(&asked(Some(2), None, &[]), &[1.0, 1.0, 0.5, 0.0]);
@@ -717,16 +717,16 @@ mod tests {
     }
 
     #[test]
-    fn own_fits_multiply_noun_colours_and_traits() {
+    fn own_fits_multiply_noun_colors_and_traits() {
         let small = named(3, "lamp", [4.0, 0.0], [0.1, 0.1, 0.2], 0.0);
         let room = [red(1.0, lamp(1, 0.0)), red(0.3, lamp(2, 2.0)), red(0.3, small), desk(4, 9.0)];
-        let (colours, traits) = (vec![ColourName::Red], vec![Trait::Large]);
+        let (colors, traits) = (vec![ColorName::Red], vec![Trait::Large]);
         let of = |phrase: &Phrase| with_assessor(&room, |assessor| assessor.own_fits(phrase));
-        let (nouns, own) = of(&Phrase { colours: colours.clone(), ..said("lamp") });
+        let (nouns, own) = of(&Phrase { colors: colors.clone(), ..said("lamp") });
         are(&nouns, &[1.0, 1.0, 1.0, 0.0]);
         are(&own, &[1.0, 0.5, 0.5, 0.0]);
         // The small one is not large: 0.3.
-        are(&of(&Phrase { colours, traits, ..said("lamp") }).1, &[1.0, 0.5, 0.15, 0.0]);
+        are(&of(&Phrase { colors, traits, ..said("lamp") }).1, &[1.0, 0.5, 0.15, 0.0]);
     }
 
     #[test]
@@ -755,7 +755,7 @@ mod tests {
             let [a, b, c] = shares;
             [red(a, lamp(1, 0.0)), red(b, lamp(2, 2.0)), red(c, lamp(3, 4.0)), desk(4, 9.0)]
         };
-        let asked = Phrase { colours: vec![ColourName::Red], ..said("lamp") };
+        let asked = Phrase { colors: vec![ColorName::Red], ..said("lamp") };
         let likely =
             |shares, most| with_assessor(&room(shares), |assessor| assessor.likely(&asked, most));
         // Fits of 0.5, 0.26667 and 0.23333: 0.53333 and 0.46667 of the best.
@@ -1200,7 +1200,7 @@ mod tests {
         let large = named(2, "lamp", [4.0, 0.0], [0.4, 0.4, 0.8], 0.0);
         let room = [red(0.3, lamp(1, 0.0)), red(0.3, large), desk(3, 9.0)];
         let superlative = Some(Superlative { measure: Measure::Largest, rank: 1 });
-        let phrase = Phrase { colours: vec![ColourName::Red], superlative, ..said("lamp") };
+        let phrase = Phrase { colors: vec![ColorName::Red], superlative, ..said("lamp") };
         with_assessor(&room, |assessor| {
             let found = assessor.assess(&phrase);
             are(&found.own, &[0.5, 0.5, 0.0]);

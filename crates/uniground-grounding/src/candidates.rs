@@ -11,7 +11,7 @@ use super::assess::{Assessment, Assessor};
 use super::choose_level::one_per_place;
 use super::readings::Readings;
 use super::{Appearance, Candidate, CandidateSource};
-use uniground_geometry::statistics::largest;
+use uniground_geometry::statistics::largest_indices;
 use uniground_language::{Meaning, ParsedQuery, Phrase};
 
 /// An instance whose name fits the noun at least this well is a member of the class.
@@ -22,7 +22,7 @@ const RANK: f32 = 5.0;
 /// appearance compared with the whole question, and its place alone.
 const WEIGHTS: [f32; 4] = [1.0, 1.0, 1.0, 0.5];
 /// Factor for a member of the class without the requested color: colors are the least certain.
-const WITHOUT_COLOUR: f32 = 0.4;
+const WITHOUT_COLOR: f32 = 0.4;
 /// Instances with no side of this length are specks, meters.
 const SPECK_M: f32 = 0.04;
 
@@ -62,7 +62,7 @@ pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
 
 /// Returns indices of the instances with a score above 0, best first.
 fn best(scores: &[f32], top_k: usize) -> Vec<usize> {
-    largest(scores, top_k).into_iter().filter(|&i| scores[i] > 0.0).collect()
+    largest_indices(scores, top_k).into_iter().filter(|&i| scores[i] > 0.0).collect()
 }
 
 /// Returns the instances that fit the whole question, then those that stand where it says, whatever
@@ -129,9 +129,9 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
 
 /// Returns the worth of a member of the class, `0..=1`: name and relations, then colors.
 fn member(read: &Assessment, i: usize) -> f32 {
-    let colour = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
+    let color = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
     let related = if read.own[i] > 0.0 { read.total[i] / read.own[i] } else { 0.0 };
-    read.nouns[i] * related * (WITHOUT_COLOUR + (1.0 - WITHOUT_COLOUR) * colour)
+    read.nouns[i] * related * (WITHOUT_COLOR + (1.0 - WITHOUT_COLOR) * color)
 }
 
 #[cfg(test)]

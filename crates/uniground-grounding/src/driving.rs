@@ -17,7 +17,7 @@ use uniground_ingest::ScanFolder;
 use uniground_models::neural::Models;
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{ParsedScan, parse_scan};
-use uniground_render::{RenderScene, simulated_frame};
+use uniground_render::{RenderScene, render_frame};
 use uniground_types::approach::{FloorPoint, Robot, StandingPose};
 use uniground_types::settings::ParseSettings;
 
@@ -76,11 +76,16 @@ fn robot(radius_m: f32) -> Robot {
 }
 
 fn room(folder: &Utf8Path, name: &str) -> DrivingScene {
-    let unpacked = ScanFolder::of(&folder.join(format!("{name}.zip"))).unwrap();
+    let unpacked = ScanFolder::open(&folder.join(format!("{name}.zip"))).unwrap();
     let (settings, progress) = (ParseSettings::default(), Progress::silent());
-    let scan =
-        parse_scan(&unpacked.path, &settings, &Models::default(), &Checkpoints::none(), &progress)
-            .unwrap();
+    let scan = parse_scan(
+        &unpacked.path,
+        &settings,
+        &Models::default(),
+        &Checkpoints::disabled(),
+        &progress,
+    )
+    .unwrap();
     let json = |kind: &str| -> Value {
         serde_json::from_slice(&std::fs::read(folder.join(format!("{name}.{kind}.json"))).unwrap())
             .unwrap()
@@ -143,7 +148,7 @@ fn share_in_picture(
     points: &[Point3<f32>],
 ) -> f32 {
     let [x, y, z] = pose.position;
-    let (camera, picture, depth_m) = simulated_frame(
+    let (camera, picture, depth_m) = render_frame(
         render_scene,
         &Point3::new(x, y, z + EYE_HEIGHT_M),
         &Point3::from(pose.look_at),
@@ -187,7 +192,7 @@ fn room_around(asked: &DrivingScene, pose: &StandingPose) -> [f32; 2] {
 fn drive(folder: &Utf8Path, name: &str) -> [Tally; 2] {
     let asked = room(folder, name);
     let parsed = &asked.scan.scene;
-    let render_scene = RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances);
+    let render_scene = RenderScene::with_building(parsed.cloud.clone(), &parsed.instances);
     let album = Arc::new(SceneAlbum::new(
         parsed.extent,
         render_scene,

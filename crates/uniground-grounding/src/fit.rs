@@ -8,7 +8,7 @@ use super::names::GivenName;
 use super::readings::{Reading, Readings};
 use super::solid::Solid;
 use std::collections::HashSet;
-use uniground_geometry::colour::{ColourName, lab_of_srgb};
+use uniground_geometry::color::{ColorName, srgb_to_lab};
 use uniground_geometry::scene::{Instance, Level, Support};
 use uniground_language::{Meaning, Phrase, Trait};
 use uniground_models::attributes::{self, Noun, noun_fit};
@@ -16,7 +16,7 @@ use uniground_models::attributes::{self, Noun, noun_fit};
 /// Factor for a word that a name does not contain. A name seldom says everything.
 const UNSAID: f32 = 0.8;
 /// Weight of a color that the name gives against the measured one: a scan's light is seldom white.
-const SEEN_COLOUR: f32 = 0.67;
+const SEEN_COLOR: f32 = 0.67;
 /// Factor where a name gives another color.
 const NAMED_OTHERWISE: f32 = 0.25;
 /// Factor for parts and wholes without a name. A room has some of any size, so where only measures
@@ -33,13 +33,13 @@ const CALLED_SO: f32 = 0.95;
 /// Smaller instances are seldom meant by "thing", meters.
 const NOTABLE_M: f32 = 0.1;
 /// Factor for a color that is not there at all. Not 0, because the scan's light may be odd.
-const WRONG_COLOUR: f32 = 0.02;
+const WRONG_COLOR: f32 = 0.02;
 /// The same factor for an approximate color: people say "pinkish" of a brown chair.
-const NEAR_COLOUR: f32 = 0.3;
+const NEAR_COLOR: f32 = 0.3;
 /// Words for wood, and the colors it mostly has.
 const WOOD: [&str; 6] = ["wooden", "wood", "oak", "pine", "walnut", "timber"];
-const WOODEN: [ColourName; 4] =
-    [ColourName::Brown, ColourName::Orange, ColourName::Beige, ColourName::Yellow];
+const WOODEN: [ColorName; 4] =
+    [ColorName::Brown, ColorName::Orange, ColorName::Beige, ColorName::Yellow];
 /// Factor for an instance that is said to be of wood and has none of these colors: it may be
 /// painted.
 const PAINTED: f32 = 0.5;
@@ -169,20 +169,20 @@ fn called_so_first(nouns: &[&Noun], instances: &[Instance], fits: &mut [f32]) {
 
 /// Returns the fit of the instance at an index to a phrase's colors, `0..=1`.
 #[must_use]
-pub fn colours_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
+pub fn colors_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     let instance = &scene.instances[index];
-    let named = scene.names.get(index).map(GivenName::colours).filter(|named| !named.is_empty());
-    let colour_fit = |colour: ColourName| {
-        let measured = attributes::colour_fit(colour, instance);
+    let named = scene.names.get(index).map(GivenName::colors).filter(|named| !named.is_empty());
+    let color_fit = |color: ColorName| {
+        let measured = attributes::color_fit(color, instance);
         let Some(named) = named else { return measured };
-        let seen = if named.contains(&colour) { 1.0 } else { NAMED_OTHERWISE };
-        measured + SEEN_COLOUR * (seen - measured)
+        let seen = if named.contains(&color) { 1.0 } else { NAMED_OTHERWISE };
+        measured + SEEN_COLOR * (seen - measured)
     };
-    let least = if phrase.roughly { NEAR_COLOUR } else { WRONG_COLOUR };
+    let least = if phrase.roughly { NEAR_COLOR } else { WRONG_COLOR };
     // Two colors share the surface: each has to be there, neither has to dominate.
-    let n = phrase.colours.len().max(1) as f32;
-    let wanted = phrase.colours.iter().map(|&c| (colour_fit(c) * n.sqrt()).clamp(least, 1.0));
-    let unwanted = phrase.other_than.iter().map(|&c| (1.0 - colour_fit(c)).max(WRONG_COLOUR));
+    let n = phrase.colors.len().max(1) as f32;
+    let wanted = phrase.colors.iter().map(|&c| (color_fit(c) * n.sqrt()).clamp(least, 1.0));
+    let unwanted = phrase.other_than.iter().map(|&c| (1.0 - color_fit(c)).max(WRONG_COLOR));
     wanted.chain(unwanted).product::<f32>() * wooden_fit(scene, phrase, index)
 }
 
@@ -192,11 +192,11 @@ fn wooden_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     let is_said = phrase.unchecked.iter().any(|word| WOOD.contains(&word.as_str()));
     let is_named =
         || scene.names.get(index).is_some_and(|name| WOOD.iter().any(|word| name.says(word)));
-    if !is_said || !phrase.colours.is_empty() || is_named() {
+    if !is_said || !phrase.colors.is_empty() || is_named() {
         return 1.0;
     }
     let seen: f32 =
-        WOODEN.iter().map(|&colour| attributes::colour_fit(colour, &scene.instances[index])).sum();
+        WOODEN.iter().map(|&color| attributes::color_fit(color, &scene.instances[index])).sum();
     PAINTED + (1.0 - PAINTED) * seen.min(1.0)
 }
 
@@ -210,7 +210,7 @@ pub fn trait_fits(
     asked: Trait,
 ) -> Vec<f32> {
     let squareness = |solid: &Solid| solid.sides().1 / solid.sides().0.max(1e-3);
-    let lightness = |i: usize| lab_of_srgb(instances[i].mean_rgb).x;
+    let lightness = |i: usize| srgb_to_lab(instances[i].mean_rgb).x;
     // For pictures and shelves on a wall "the high one" means the one that hangs high; for
     // instances on the floor it means the tall one.
     let hanging = |i: usize| matches!(instances[i].support, Support::Wall { .. });
@@ -293,7 +293,7 @@ mod tests {
     use crate::NameIndex;
     use proptest::prelude::*;
     use uniground_geometry::boxes::Aabb;
-    use uniground_geometry::colour::ColourHistogram;
+    use uniground_geometry::color::ColorHistogram;
     use uniground_geometry::scene::{InstanceId, NameGuess, Structure};
     use uniground_geometry::{Point3, Vector3};
     use uniground_models::attributes::Lexicon;
@@ -323,10 +323,10 @@ mod tests {
         Instance { names: names.iter().map(guess).collect(), ..instance }
     }
 
-    fn coloured(instance: Instance, shares: &[(ColourName, f32)]) -> Instance {
+    fn colored(instance: Instance, shares: &[(ColorName, f32)]) -> Instance {
         let mut all = [0.0; 12];
         shares.iter().for_each(|&(name, share)| all[name as usize] = share);
-        Instance { colours: ColourHistogram(all), ..instance }
+        Instance { colors: ColorHistogram(all), ..instance }
     }
 
     fn with_scene<T>(instances: &[Instance], of: impl FnOnce(SceneView) -> T) -> T {
@@ -510,21 +510,21 @@ mod tests {
         are(&with_scene(&room, |scene| noun_fits(scene, &said_as("chair"))), &[1.0, 0.0]);
     }
 
-    fn colour_of(instance: &Instance, phrase: &Phrase) -> f32 {
-        with_scene(std::slice::from_ref(instance), |scene| colours_fit(scene, phrase, 0))
+    fn color_of(instance: &Instance, phrase: &Phrase) -> f32 {
+        with_scene(std::slice::from_ref(instance), |scene| colors_fit(scene, phrase, 0))
     }
 
-    fn in_colour(colours: &[ColourName], other_than: &[ColourName]) -> Phrase {
-        let (colours, other_than) = (colours.to_vec(), other_than.to_vec());
-        Phrase { colours, other_than, ..said_as("chair") }
+    fn in_color(colors: &[ColorName], other_than: &[ColorName]) -> Phrase {
+        let (colors, other_than) = (colors.to_vec(), other_than.to_vec());
+        Phrase { colors, other_than, ..said_as("chair") }
     }
 
     #[test]
-    fn a_colour_counts_as_far_as_it_is_there() {
-        use ColourName::{Blue, Green, Red};
+    fn a_color_counts_as_far_as_it_is_there() {
+        use ColorName::{Blue, Green, Red};
         // 60 % are all of it: 0.3 / 0.6.
-        let half_red = coloured(chair(1), &[(Red, 0.3), (Green, 0.7)]);
-        let cases: [(&[ColourName], &[ColourName], f32); 9] = [
+        let half_red = colored(chair(1), &[(Red, 0.3), (Green, 0.7)]);
+        let cases: [(&[ColorName], &[ColorName], f32); 9] = [
             (&[], &[], 1.0),
             (&[Green], &[], 1.0),
             (&[Red], &[], 0.5),
@@ -536,53 +536,52 @@ mod tests {
             (&[], &[Blue], 1.0),
             (&[Green], &[Red], 0.5),
         ];
-        for (colours, other_than, by_hand) in cases {
-            let found = colour_of(&half_red, &in_colour(colours, other_than));
+        for (colors, other_than, by_hand) in cases {
+            let found = color_of(&half_red, &in_color(colors, other_than));
             assert!(
                 (found - by_hand).abs() < 1e-4,
-                "{colours:?} not {other_than:?}: {found}, by hand {by_hand}"
+                "{colors:?} not {other_than:?}: {found}, by hand {by_hand}"
             );
         }
         // "Bluish" leaves more where it is not, and changes nothing where it is.
-        let roughly = |colour| Phrase { roughly: true, ..in_colour(&[colour], &[]) };
-        are(&[colour_of(&half_red, &roughly(Blue))], &[0.3]);
-        are(&[colour_of(&half_red, &roughly(Red))], &[0.5]);
+        let roughly = |color| Phrase { roughly: true, ..in_color(&[color], &[]) };
+        are(&[color_of(&half_red, &roughly(Blue))], &[0.3]);
+        are(&[color_of(&half_red, &roughly(Red))], &[0.5]);
     }
 
     #[test]
-    fn a_colour_that_somebody_has_seen_counts_two_thirds() {
-        use ColourName::{Green, Red};
-        let half_red = |name: &str| coloured(named(1, name), &[(Red, 0.3), (Green, 0.7)]);
-        let red = in_colour(&[Red], &[]);
+    fn a_color_that_somebody_has_seen_counts_two_thirds() {
+        use ColorName::{Green, Red};
+        let half_red = |name: &str| colored(named(1, name), &[(Red, 0.3), (Green, 0.7)]);
+        let red = in_color(&[Red], &[]);
         // 0.5 + 0.67 · (1 - 0.5), and 0.5 + 0.67 · (0.25 - 0.5).
-        are(&[colour_of(&half_red("red chair"), &red)], &[0.835]);
-        are(&[colour_of(&half_red("blue chair"), &red)], &[0.332_5]);
+        are(&[color_of(&half_red("red chair"), &red)], &[0.835]);
+        are(&[color_of(&half_red("blue chair"), &red)], &[0.332_5]);
         // A name without a colour says nothing of it.
-        are(&[colour_of(&half_red("chair"), &red)], &[0.5]);
-        are(&[colour_of(&half_red("red chair"), &in_colour(&[], &[Red]))], &[0.165]);
+        are(&[color_of(&half_red("chair"), &red)], &[0.5]);
+        are(&[color_of(&half_red("red chair"), &in_color(&[], &[Red]))], &[0.165]);
     }
 
     #[test]
-    fn what_is_said_to_be_of_wood_and_has_no_colour_of_wood_keeps_half() {
-        use ColourName::{Brown, Green};
-        let wooden = |word: &str, colours: &[ColourName]| Phrase {
+    fn what_is_said_to_be_of_wood_and_has_no_color_of_wood_keeps_half() {
+        use ColorName::{Brown, Green};
+        let wooden = |word: &str, colors: &[ColorName]| Phrase {
             unchecked: vec![word.into()],
-            ..in_colour(colours, &[])
+            ..in_color(colors, &[])
         };
-        let green = coloured(chair(1), &[(Green, 1.0)]);
-        are(&[colour_of(&green, &wooden("wooden", &[]))], &[0.5]);
-        are(&[colour_of(&green, &wooden("oak", &[]))], &[0.5]);
-        are(&[colour_of(&green, &wooden("leather", &[]))], &[1.0]);
+        let green = colored(chair(1), &[(Green, 1.0)]);
+        are(&[color_of(&green, &wooden("wooden", &[]))], &[0.5]);
+        are(&[color_of(&green, &wooden("oak", &[]))], &[0.5]);
+        are(&[color_of(&green, &wooden("leather", &[]))], &[1.0]);
         // A colour that is said counts instead.
-        are(&[colour_of(&green, &wooden("wooden", &[Green]))], &[1.0]);
-        are(&[colour_of(&coloured(chair(1), &[(Brown, 1.0)]), &wooden("wooden", &[]))], &[1.0]);
+        are(&[color_of(&green, &wooden("wooden", &[Green]))], &[1.0]);
+        are(&[color_of(&colored(chair(1), &[(Brown, 1.0)]), &wooden("wooden", &[]))], &[1.0]);
         // 0.15 brown: brown by 0.25, orange and beige by half of 0.15 each; 0.5 + 0.5 · 0.4.
-        let hardly = coloured(chair(1), &[(Brown, 0.15), (Green, 0.85)]);
-        are(&[colour_of(&hardly, &wooden("wooden", &[]))], &[0.7]);
+        let hardly = colored(chair(1), &[(Brown, 0.15), (Green, 0.85)]);
+        are(&[color_of(&hardly, &wooden("wooden", &[]))], &[0.7]);
         // A name that says it is enough.
         for (name, by_hand) in [("wooden chair", 1.0), ("oak chair", 1.0), ("chair", 0.5)] {
-            let found =
-                colour_of(&coloured(named(1, name), &[(Green, 1.0)]), &wooden("wooden", &[]));
+            let found = color_of(&colored(named(1, name), &[(Green, 1.0)]), &wooden("wooden", &[]));
             assert!((found - by_hand).abs() < 1e-4, "{name}: {found}, by hand {by_hand}");
         }
     }
@@ -703,18 +702,18 @@ mod tests {
 
         /// However many colours are said, a fit is one.
         #[test]
-        fn colour_fits_are_shares(
+        fn color_fits_are_shares(
             shares in prop::array::uniform12(0.0_f32..1.0),
             wanted in prop::collection::vec(0_usize..12, 0..4),
             unwanted in prop::collection::vec(0_usize..12, 0..3),
         ) {
             let sum: f32 = shares.iter().sum::<f32>().max(1e-3);
-            let colours = ColourHistogram(shares.map(|share| share / sum));
+            let colors = ColorHistogram(shares.map(|share| share / sum));
             let of = |which: &[usize]| {
-                which.iter().map(|&i| ColourName::ALL[i]).collect::<Vec<_>>()
+                which.iter().map(|&i| ColorName::ALL[i]).collect::<Vec<_>>()
             };
-            let phrase = in_colour(&of(&wanted), &of(&unwanted));
-            let fit = colour_of(&Instance { colours, ..chair(1) }, &phrase);
+            let phrase = in_color(&of(&wanted), &of(&unwanted));
+            let fit = color_of(&Instance { colors, ..chair(1) }, &phrase);
             prop_assert!(fit > 0.0 && fit <= 1.0, "{fit} {phrase:?}");
         }
     }

@@ -95,10 +95,10 @@ fn last(words: &str) -> Option<&str> {
 fn kinship_fit(given: &str, asked: &str) -> f32 {
     // Of a compound that the lexicon distinguishes from others, the last word alone is not enough:
     // a high chair is no dining chair.
-    if Lexicon::get().knows(asked) && !WordNet::get().names(asked) {
+    if Lexicon::get().is_known(asked) && !WordNet::get().names(asked) {
         return 0.0;
     }
-    match WordNet::get().kinship(given, asked) {
+    match WordNet::get().relation_between(given, asked) {
         Some(Kinship::Same) => SYNONYM,
         Some(Kinship::Narrower(steps)) => {
             (BROADER_WORD - 0.1 * steps as f32) * WordNet::get().commonness(given)

@@ -102,7 +102,7 @@ impl MemoryScene {
     pub fn of(scan: ParsedScan, models: &Models) -> Arc<Self> {
         let ParsedScan { scene, frames, models: used, .. } = scan;
         let seen = models.encoder.clone().zip(scene.embeddings);
-        let render_scene = RenderScene::of_parsed(scene.cloud, &scene.instances);
+        let render_scene = RenderScene::with_building(scene.cloud, &scene.instances);
         let album = SceneAlbum::new(scene.extent, render_scene, seen, used.encoder, frames)
             .with_frame_embeddings(scene.frame_embeddings);
         Arc::new(album.with_segmenter(models.segmenters.first().cloned()))
@@ -138,7 +138,7 @@ impl SceneSource for MemoryScene {
     }
 
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
-        self.album.frames.iter().find(|of| of.index == frame)?.decode_colour().ok()
+        self.album.frames.iter().find(|of| of.index == frame)?.decode_color().ok()
     }
 
     fn render_scene(&self) -> Result<Arc<RenderScene>, QuestionError> {
@@ -146,7 +146,7 @@ impl SceneSource for MemoryScene {
     }
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
-        let shot = |view: &View| Some(Shot::of_view(self.photograph(view.frame)?, view));
+        let shot = |view: &View| Some(Shot::from_view(self.photograph(view.frame)?, view));
         instance.views.iter().filter_map(shot).take(most).collect()
     }
 
@@ -176,7 +176,7 @@ impl SceneSource for MemoryScene {
             segmenter: segmenter.as_deref(),
             settings: &settings,
         };
-        Ok(pointing.find(place, &self.instances, is_not)?)
+        Ok(pointing.find_at(place, &self.instances, is_not)?)
     }
 
     /// Applies to this question only: in an evaluation, an instance found for one question must not

@@ -3,7 +3,7 @@
 //! for.
 
 use super::kinds::kind_fit;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::{Instance, Structure};
 use uniground_language::{self, Meaning, Phrase};
 use uniground_models::attributes::{Lexicon, WordNet};
@@ -185,8 +185,8 @@ impl GivenName {
 
     /// Returns the colors in the name.
     #[must_use]
-    pub fn colours(&self) -> &[ColourName] {
-        &self.phrase.colours
+    pub fn colors(&self) -> &[ColorName] {
+        &self.phrase.colors
     }
 
     /// Returns whether the name has a word: "leather", "striped".
@@ -211,7 +211,7 @@ fn structure_in(words: &[String]) -> Option<Structure> {
 /// Returns the words of a name up to the first that leads to another thing. "and" leads to another
 /// thing, except between colors.
 fn main_words(name: &str) -> impl Iterator<Item = String> {
-    let is_colour = |word: &String| ColourName::ALL.iter().any(|colour| colour.word() == word);
+    let is_color = |word: &String| ColorName::ALL.iter().any(|color| color.as_str() == word);
     let mut words: Vec<String> = Vec::new();
     for word in name
         .split(|c: char| !c.is_alphanumeric())
@@ -219,7 +219,7 @@ fn main_words(name: &str) -> impl Iterator<Item = String> {
         .map(str::to_lowercase)
     {
         match word.as_str() {
-            "and" if words.last().is_some_and(is_colour) => {}
+            "and" if words.last().is_some_and(is_color) => {}
             "and" => break,
             word if ELSEWHERE.contains(&word) => break,
             _ => words.push(word),

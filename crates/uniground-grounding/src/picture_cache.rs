@@ -17,9 +17,9 @@ const PICTURE_BYTES: usize = 64 << 20;
 impl PictureCache {
     /// Returns the number of cache hits and of cache misses.
     #[must_use]
-    pub fn looks(&self) -> (u64, u64) {
+    pub fn hits_and_misses(&self) -> (u64, u64) {
         let ((hits, misses), (more_hits, more_misses)) =
-            (self.globals.looks(), self.collages.looks());
+            (self.globals.hits_and_misses(), self.collages.hits_and_misses());
         (hits + more_hits, misses + more_misses)
     }
 }

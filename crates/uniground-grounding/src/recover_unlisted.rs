@@ -5,7 +5,7 @@ use super::Seen;
 use super::scene_source::SceneSource;
 use super::vlm::{PictureSettings, PromptContext, VisualEvidence};
 use uniground_geometry::scene::{Instance, InstanceId};
-use uniground_parsing::pointed::known_as;
+use uniground_parsing::pointed::find_identical;
 
 /// What lies at the place where a model saw an object.
 pub(super) enum Found {
@@ -31,7 +31,7 @@ pub(super) fn look_up<S: SceneSource>(
     // The model says that no listed instance is meant.
     let listed: Vec<InstanceId> = context.shown().collect();
     let Some(found) = source.cut_out(place, &listed)? else { return Ok(None) };
-    if let Some(known) = known_as(source.instances(), &found) {
+    if let Some(known) = find_identical(source.instances(), &found) {
         let may_be =
             known.structure.is_none() && !known.dismissed && !context.is_candidate(known.id.0);
         return Ok(may_be.then_some(Found::Known(known.id)));

@@ -5,10 +5,10 @@
 use super::names::GivenName;
 use super::readings::Readings;
 use std::collections::BTreeMap;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::{Instance, Level};
 use uniground_language::{ME, Meaning, Phrase, parse};
-use uniground_models::attributes::colour_fit;
+use uniground_models::attributes::color_fit;
 
 /// Number of guesses that count: later ones say what a thing might be mistaken for.
 const GUESSES: usize = 3;
@@ -17,13 +17,13 @@ const LEAST_GUESS: f32 = 0.05;
 /// Factor for parts and wholes: a room has some of any size.
 const NOT_A_THING: f32 = 0.55;
 /// A color that fits less than this does not describe the thing.
-const LEAST_COLOUR: f32 = 0.2;
+const LEAST_COLOR: f32 = 0.2;
 /// The same for a color that fits less than this share of the best: it is only similar to it.
 const OF_THE_BEST: f32 = 0.6;
 /// Fit of a thing that carries the requested one, as far as its name says.
 const CARRIES: f32 = 0.6;
 /// Factor of a fit where the color is another, or unknown.
-const OTHER_COLOUR: f32 = 0.4;
+const OTHER_COLOR: f32 = 0.4;
 /// Factors of a room in which an anchor of the target was not found, or the target itself.
 const WITHOUT_ANCHOR: f32 = 0.3;
 const WITHOUT_TARGET: f32 = 0.02;
@@ -34,7 +34,7 @@ pub struct Entry {
     /// The name in lower case, as given or guessed.
     pub name: String,
     /// A color that describes the things; `None` where no color does.
-    pub colour: Option<ColourName>,
+    pub color: Option<ColorName>,
     /// The highest belief that one of them has this name, `0..=1`.
     pub weight: f32,
 }
@@ -45,11 +45,11 @@ pub struct Entry {
 pub fn entries(instances: &[Instance]) -> Vec<Entry> {
     let mut best: BTreeMap<(String, Option<&'static str>), Entry> = BTreeMap::new();
     for instance in instances.iter().filter(|i| i.structure.is_none() && !i.dismissed && !i.gone) {
-        let colours = colours_of(instance);
+        let colors = colors_of(instance);
         for (name, weight) in names_of(instance) {
-            for &colour in &colours {
-                let key = (name.clone(), colour.map(ColourName::word));
-                let entry = best.entry(key).or_insert(Entry { name: name.clone(), colour, weight });
+            for &color in &colors {
+                let key = (name.clone(), color.map(ColorName::as_str));
+                let entry = best.entry(key).or_insert(Entry { name: name.clone(), color, weight });
                 entry.weight = entry.weight.max(weight);
             }
         }
@@ -67,12 +67,12 @@ fn names_of(instance: &Instance) -> Vec<(String, f32)> {
 }
 
 /// Returns the colors of an instance: at least one entry, which may be `None`.
-fn colours_of(instance: &Instance) -> Vec<Option<ColourName>> {
-    let fits = ColourName::ALL.map(|colour| colour_fit(colour, instance));
-    let least = LEAST_COLOUR.max(OF_THE_BEST * fits.into_iter().fold(0.0, f32::max));
-    let described = ColourName::ALL.into_iter().zip(fits).filter(|(_, fit)| *fit >= least);
-    let colours: Vec<_> = described.map(|(colour, _)| Some(colour)).collect();
-    if colours.is_empty() { vec![None] } else { colours }
+fn colors_of(instance: &Instance) -> Vec<Option<ColorName>> {
+    let fits = ColorName::ALL.map(|color| color_fit(color, instance));
+    let least = LEAST_COLOR.max(OF_THE_BEST * fits.into_iter().fold(0.0, f32::max));
+    let described = ColorName::ALL.into_iter().zip(fits).filter(|(_, fit)| *fit >= least);
+    let colors: Vec<_> = described.map(|(color, _)| Some(color)).collect();
+    if colors.is_empty() { vec![None] } else { colors }
 }
 
 /// What a question looks for in a room: its target, and the anchors of the target.
@@ -136,18 +136,17 @@ impl Sought {
 
     /// Returns the colors of the thing at an index.
     #[must_use]
-    pub fn colours(&self, at: usize) -> &[ColourName] {
-        &self.phrases[at].phrase.colours
+    pub fn colors(&self, at: usize) -> &[ColorName] {
+        &self.phrases[at].phrase.colors
     }
 
     /// Returns the weight of a room's entry for the thing at an index; `fit` is how well its name
     /// fits.
     #[must_use]
-    pub fn weigh_entry(&self, at: usize, fit: f32, colour: Option<ColourName>, weight: f32) -> f32 {
-        let colours = self.colours(at);
-        let has_colour =
-            colours.is_empty() || colour.is_some_and(|colour| colours.contains(&colour));
-        fit * weight * if has_colour { 1.0 } else { OTHER_COLOUR }
+    pub fn weigh_entry(&self, at: usize, fit: f32, color: Option<ColorName>, weight: f32) -> f32 {
+        let colors = self.colors(at);
+        let has_color = colors.is_empty() || color.is_some_and(|color| colors.contains(&color));
+        fit * weight * if has_color { 1.0 } else { OTHER_COLOR }
     }
 
     /// Returns how likely a room has what is sought, given the weights of its best entries for each
@@ -174,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_room_is_known_by_what_its_things_are_called_and_their_colours() {
+    fn a_room_is_known_by_what_its_things_are_called_and_their_colors() {
         let wall = Instance { structure: Some(Structure::Wall), ..named(4, "wall", [200; 3]) };
         let room = [
             named(1, "Mug", [200, 20, 20]),
@@ -184,7 +183,7 @@ mod tests {
         ];
         let known: Vec<_> = entries(&room)
             .into_iter()
-            .map(|e| (e.name, e.colour.map(ColourName::word), e.weight))
+            .map(|e| (e.name, e.color.map(ColorName::as_str), e.weight))
             .collect();
         assert_eq!(
             known,
@@ -214,8 +213,8 @@ mod tests {
                 && fit(0, "printer") == 0.0
                 && fit(1, "printer") > 0.9
         );
-        let mug = |colour| sought.weigh_entry(0, 1.0, Some(colour), 1.0);
-        assert!(mug(ColourName::Red) > mug(ColourName::Blue));
+        let mug = |color| sought.weigh_entry(0, 1.0, Some(color), 1.0);
+        assert!(mug(ColorName::Red) > mug(ColorName::Blue));
         let rooms =
             [[1.0, 1.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]].map(|found| sought.weigh_room(&found));
         assert!(rooms.is_sorted_by(|a, b| a > b), "{rooms:?}");

@@ -2,12 +2,12 @@
 
 use super::answer::candidate;
 use super::{Candidate, SceneView};
-use uniground_geometry::statistics::largest;
+use uniground_geometry::statistics::largest_indices;
 
 /// Returns the `top_k` best instances by `scores` (by index). Instances with a score of 0 are no
 /// candidates.
 pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candidate> {
-    largest(scores, top_k)
+    largest_indices(scores, top_k)
         .into_iter()
         .filter(|&i| scores[i] > 0.0)
         .enumerate()

@@ -30,9 +30,9 @@ pub enum IngestError {
     #[error("{file}: intrinsics do not fit the picture: {reason}")]
     BadIntrinsics { file: Utf8PathBuf, reason: String },
     #[error(
-        "the scan has {colour} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}"
+        "the scan has {color} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}"
     )]
-    FrameCountMismatch { colour: usize, depth: usize, pose: usize, first: Utf8PathBuf },
+    FrameCountMismatch { color: usize, depth: usize, pose: usize, first: Utf8PathBuf },
     #[error("frame {frame}: {file}: {source}")]
     BadPose {
         frame: FrameIndex,

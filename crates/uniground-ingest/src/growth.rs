@@ -47,7 +47,7 @@ pub struct FitReport {
 ///
 /// # Errors
 /// Returns [`IngestError::DoesNotBelong`], or an error for the scan's poses or pictures.
-pub fn fits(
+pub fn check_fit(
     mut scan: Scan,
     to_scene: &SourceToScene,
     known: &PointCloud,
@@ -57,7 +57,7 @@ pub fn fits(
         let reason = "a scene grows by frames, pictures with depth and poses: a cloud alone can not be added".to_owned();
         return Err(IngestError::NoUsableFrames { reason });
     }
-    let world = SourceFrame::of(to_scene);
+    let world = SourceFrame::near_scene(to_scene);
     scan.origin = world.origin;
     let mut warnings = std::mem::take(&mut scan.warnings);
     let declared = SourceConvention {
@@ -70,7 +70,7 @@ pub fn fits(
     let back = world.turn.inverse();
     let sample = known.positions.iter().step_by(known.len().div_ceil(COMPARED_POINTS).max(1));
     let positions: Vec<Point3<f32>> = sample.map(|p| back * p).collect();
-    let sample = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+    let sample = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
     let CheckedConvention { reading, agreement } =
         reprojection::check(&scan, declared, Some(&sample), &frames, &mut warnings).map_err(
             |error| match error {
@@ -97,9 +97,9 @@ pub fn fits(
 /// Merges the frames of a scan into a scene whose cloud is `known`.
 ///
 /// # Errors
-/// Returns the errors of [`fits`], an error for too many frames that cannot be decoded, and
+/// Returns the errors of [`check_fit`], an error for too many frames that cannot be decoded, and
 /// cancellation.
-pub fn add(
+pub fn add_scan(
     scan: Scan,
     made_of: String,
     to_scene: &SourceToScene,
@@ -109,16 +109,16 @@ pub fn add(
     progress: &Progress,
 ) -> Result<Addition, IngestError> {
     let (skipped, all) = (scan.frames_skipped, scan.frames.len());
-    let FitReport { mut frames, mut warnings, .. } = fits(scan, to_scene, known, first)?;
+    let FitReport { mut frames, mut warnings, .. } = check_fit(scan, to_scene, known, first)?;
     let fused =
-        fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.part(0.2, 0.7))?;
-    let looking = progress.part(0.7, 1.0);
+        fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.sub_range(0.2, 0.7))?;
+    let looking = progress.sub_range(0.7, 1.0);
     let looks = count_free_space::<IngestError>(&known.positions, &frames, |i| {
         Ok(looking.report("look_through", i as f32 / all as f32)?)
     })?;
     let enough = ENOUGH_LOOKS.min(frames.len()) as u32;
-    let kept = still_there(known, &looks, &fused, enough);
-    let new = unknown_surfaces(&fused, known, &kept);
+    let kept = remaining_points(known, &looks, &fused, enough);
+    let new = new_surface_points(&fused, known, &kept);
     let frames_skipped = skipped + (all - frames.len()) as u32;
     Ok(Addition { made_of, frames, kept, new, apart_m: SAME_SURFACE_M, frames_skipped, warnings })
 }
@@ -131,7 +131,7 @@ const ON_SURFACE_M: f32 = 0.027;
 /// Returns the points that are still there. When a thing is removed, frames do not look through its
 /// lowest points: the floor is measured barely behind them. Therefore, a known point near removed
 /// points stays only where the fused surface is.
-fn still_there(
+fn remaining_points(
     known: &PointCloud,
     looks: &[FreeSpaceVotes],
     fused: &PointCloud,
@@ -149,7 +149,9 @@ fn still_there(
         NearbyPoints::new(&fused.positions, AROUND_GONE_M),
     );
     let fused_near = NearbyPoints::new(&fused.positions, ON_SURFACE_M);
-    let replaced = |p: &Point3<f32>| gone.any(p) && fused_far.any(p) && !fused_near.any(p);
+    let replaced = |p: &Point3<f32>| {
+        gone.has_point_near(p) && fused_far.has_point_near(p) && !fused_near.has_point_near(p)
+    };
     let goes = |point: usize| {
         looks[point].is_gone(enough) || looks[point].hits > 0 && replaced(&known.positions[point])
     };
@@ -171,14 +173,14 @@ impl<'a> NearbyPoints<'a> {
     fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
         let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
         for (p, i) in points.iter().zip(0..) {
-            by_voxel.entry(VoxelKey::of(p, within_m)).or_default().push(i);
+            by_voxel.entry(VoxelKey::containing(p, within_m)).or_default().push(i);
         }
         Self { points, within_m, by_voxel }
     }
 
     /// Returns whether any indexed point lies within reach of `p`.
-    fn any(&self, p: &Point3<f32>) -> bool {
-        let key = VoxelKey::of(p, self.within_m);
+    fn has_point_near(&self, p: &Point3<f32>) -> bool {
+        let key = VoxelKey::containing(p, self.within_m);
         let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
         around
             .filter_map(|key| self.by_voxel.get(&key))
@@ -188,16 +190,16 @@ impl<'a> NearbyPoints<'a> {
 }
 
 /// Returns the points of `fused` that have no remaining known point nearby.
-fn unknown_surfaces(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> PointCloud {
+fn new_surface_points(fused: &PointCloud, known: &PointCloud, kept: &[u32]) -> PointCloud {
     let kept: Vec<Point3<f32>> =
         kept.iter().map(|&point| known.positions[point as usize]).collect();
     let near = NearbyPoints::new(&kept, SAME_SURFACE_M);
-    let is_known = |p: &Point3<f32>| near.any(p);
+    let is_known = |p: &Point3<f32>| near.has_point_near(p);
     let new: Vec<usize> =
         (0..fused.len()).into_par_iter().filter(|&i| !is_known(&fused.positions[i])).collect();
     PointCloud {
         positions: new.iter().map(|&i| fused.positions[i]).collect(),
-        colours: new.iter().map(|&i| fused.colours[i]).collect(),
+        colors: new.iter().map(|&i| fused.colors[i]).collect(),
     }
 }
 
@@ -210,7 +212,7 @@ struct SourceFrame {
 }
 
 impl SourceFrame {
-    fn of(to_scene: &SourceToScene) -> Self {
+    fn near_scene(to_scene: &SourceToScene) -> Self {
         let rotation = Matrix3::from_fn(|row, column| to_scene.rotation[row][column] as f32);
         let rotation =
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
@@ -225,7 +227,7 @@ mod tests {
 
     fn cloud(positions: impl IntoIterator<Item = [f32; 3]>) -> PointCloud {
         let positions: Vec<Point3<f32>> = positions.into_iter().map(Point3::from).collect();
-        PointCloud { colours: vec![[9; 3]; positions.len()], positions }
+        PointCloud { colors: vec![[9; 3]; positions.len()], positions }
     }
 
     #[test]
@@ -234,10 +236,10 @@ mod tests {
         let fused =
             cloud([[0.5, 0.03, 0.0], [0.5, 0.05, 0.0], [1.5, 0.0, 0.0], [-0.039, 0.0, 0.0]]);
         let all: Vec<u32> = (0..100).collect();
-        let new = unknown_surfaces(&fused, &known, &all);
+        let new = new_surface_points(&fused, &known, &all);
         assert_eq!(new.positions, [Point3::new(0.5, 0.05, 0.0), Point3::new(1.5, 0.0, 0.0)]);
         // Where the known points are removed, what is measured now is new.
-        assert_eq!(unknown_surfaces(&fused, &known, &all[..1]).len(), 3);
+        assert_eq!(new_surface_points(&fused, &known, &all[..1]).len(), 3);
     }
 
     #[test]
@@ -260,7 +262,7 @@ mod tests {
             })
             .collect();
         let fused = cloud((0..50).map(|i| [i as f32 * 0.01, 0.0, 0.0]));
-        let kept: Vec<Point3<f32>> = still_there(&known, &looks, &fused, 2)
+        let kept: Vec<Point3<f32>> = remaining_points(&known, &looks, &fused, 2)
             .iter()
             .map(|&i| known.positions[i as usize])
             .collect();
@@ -270,7 +272,7 @@ mod tests {
             .iter()
             .map(|looks| if looks.hits > 0 { FreeSpaceVotes::default() } else { *looks })
             .collect();
-        assert_eq!(still_there(&known, &hidden, &fused, 2).len(), 58);
+        assert_eq!(remaining_points(&known, &hidden, &fused, 2).len(), 58);
     }
 
     #[test]
@@ -281,7 +283,7 @@ mod tests {
             translation_m: [4_000.0, -5_000_000.0, 1.5],
             metres_per_unit: 0.01,
         };
-        let SourceFrame { origin, turn } = SourceFrame::of(&to_scene);
+        let SourceFrame { origin, turn } = SourceFrame::near_scene(&to_scene);
         let source = [500_000_012.0, 399_950.0, -140.0];
         let near = Point3::from(std::array::from_fn::<f32, 3, _>(|i| {
             ((source[i] - origin[i]) * 0.01) as f32

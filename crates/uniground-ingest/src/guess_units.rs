@@ -12,7 +12,7 @@ const LARGEST_CM: f32 = 2000.0;
 const LARGEST_MM: f32 = 200_000.0;
 
 /// Returns meters per unit. Adds a warning if the guess is not meters.
-pub(super) fn guess(positions: &[Point3<f32>], warnings: &mut Vec<String>) -> f64 {
+pub(super) fn guess_meters_per_unit(positions: &[Point3<f32>], warnings: &mut Vec<String>) -> f64 {
     let extent = |axis: usize| {
         let mut all: Vec<f32> = positions
             .iter()
@@ -48,7 +48,7 @@ mod tests {
                 })
                 .collect();
             let mut warnings = Vec::new();
-            assert_eq!(guess(&room, &mut warnings), expected);
+            assert_eq!(guess_meters_per_unit(&room, &mut warnings), expected);
             assert_eq!(warnings.is_empty(), expected == 1.0);
         }
     }

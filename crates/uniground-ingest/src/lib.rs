@@ -18,7 +18,7 @@ mod guess_units;
 mod levelling;
 mod limited_reader;
 mod load;
-mod neighbours;
+mod neighbors;
 mod parts;
 mod reprojection;
 mod scan;
@@ -27,12 +27,12 @@ mod unpacked;
 mod validate;
 
 pub use error::{IngestError, IngestErrorKind};
-pub use growth::{FitReport, add, fits};
+pub use growth::{FitReport, add_scan, check_fit};
 pub use load::{InspectedScan, inspect, load, read_cloud};
-pub use neighbours::{NeighborAgreement, neighbours};
+pub use neighbors::{NeighborAgreement, compare_neighbors};
 pub use parts::{GROWN, GrownScan, ScanPart, is_reserved, part_folder};
 pub use scan::Scan;
-pub use unpacked::{ArchiveFormat, ScanFolder, head_of, what_it_is};
+pub use unpacked::{ArchiveFormat, ScanFolder, describe_content, read_head};
 
 use camino::Utf8Path;
 

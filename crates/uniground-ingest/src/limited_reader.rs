@@ -13,12 +13,12 @@ use std::rc::Rc;
 pub(super) struct ReadLimit(Rc<Cell<u64>>);
 
 impl ReadLimit {
-    pub fn of(bytes: u64) -> Self {
+    pub fn new(bytes: u64) -> Self {
         Self(Rc::new(Cell::new(bytes)))
     }
 
     /// Resets the limit to `bytes` more bytes.
-    pub fn renew(&self, bytes: u64) {
+    pub fn reset(&self, bytes: u64) {
         self.0.set(bytes);
     }
 
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn what_goes_on_ends_in_an_error() {
-        let allowance = ReadLimit::of(101);
+        let allowance = ReadLimit::new(101);
         let mut all = Vec::new();
         assert!(
             LimitedReader::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_ok()

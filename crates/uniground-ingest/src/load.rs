@@ -35,7 +35,7 @@ pub fn load(
     progress: &Progress,
 ) -> Result<SceneBundle, IngestError> {
     let InspectedScan { mut frames, cloud, mut report } =
-        inspect(scan, settings, &progress.part(0.0, 0.2))?;
+        inspect(scan, settings, &progress.sub_range(0.0, 0.2))?;
     let cloud = if let Some(cloud) = cloud {
         cloud
     } else {
@@ -43,7 +43,7 @@ pub fn load(
             &mut frames,
             &settings.fusion,
             &mut report.warnings,
-            &progress.part(0.2, 1.0),
+            &progress.sub_range(0.2, 1.0),
         )?;
         let undecodable = report.frames - frames.len() as u32;
         report.frames -= undecodable;
@@ -74,7 +74,12 @@ pub fn inspect(
         pose: scan.pose,
         axes: scan.camera_axes,
         depth_scale_m: scan.depth_scale_m,
-        metres_per_unit: metres_per_unit(scan, settings, own_cloud.as_ref(), &mut warnings)?,
+        metres_per_unit: resolve_meters_per_unit(
+            scan,
+            settings,
+            own_cloud.as_ref(),
+            &mut warnings,
+        )?,
     };
     if let Some(own) = &mut own_cloud {
         rescale(&mut own.cloud, declared.metres_per_unit);
@@ -94,17 +99,24 @@ pub fn inspect(
     }
 
     let said = UpHint {
-        up: settings
-            .up
-            .or(scan.up)
-            .or(own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up())),
+        up: settings.up.or(scan.up).or(own_cloud
+            .as_ref()
+            .filter(|_| frames.is_empty())
+            .and_then(|own| own.kind.up_axis())),
         // An axis given in the request takes precedence over the inertial sensor.
         by_gravity: scan.by_gravity && settings.up.is_none(),
         choice: settings.levelling,
     };
     let upright = match &own_cloud {
-        Some(own) if frames.is_empty() => levelling::of_cloud(&own.cloud, said, &mut warnings)?,
-        _ => levelling::of_frames(&frames, said, &mut warnings, &progress.part(0.5, 1.0))?,
+        Some(own) if frames.is_empty() => {
+            levelling::find_up_of_cloud(&own.cloud, said, &mut warnings)?
+        }
+        _ => levelling::find_up_of_frames(
+            &frames,
+            said,
+            &mut warnings,
+            &progress.sub_range(0.5, 1.0),
+        )?,
     };
     let to_scene = ToScene::new(scan, &upright, own_cloud.as_ref(), reading.metres_per_unit)?;
     for frame in &mut frames {
@@ -155,17 +167,17 @@ fn read_own_cloud(
         CoordinateOrigin::At(scan.origin)
     };
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
-    let LoadedCloud { dropped, without_colour, has_colour, thinned, .. } = loaded;
-    if without_colour > 0 {
+    let LoadedCloud { dropped, without_color, has_color, thinned, .. } = loaded;
+    if without_color > 0 {
         warnings.push(format!(
-            "{file}: the colours of {without_colour} points are not numbers: taken as grey"
+            "{file}: the colours of {without_color} points are not numbers: taken as grey"
         ));
     }
     if dropped > 0 {
         warnings
             .push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));
     }
-    if !has_colour {
+    if !has_color {
         warnings.push(format!(
             "{file}: no colour; points are shown grey and colour words can not be answered"
         ));
@@ -182,7 +194,7 @@ fn read_own_cloud(
 
 /// Returns the length of the files' unit: as requested, or guessed for a cloud that would be far
 /// too large.
-fn metres_per_unit(
+fn resolve_meters_per_unit(
     scan: &Scan,
     settings: &ImportSettings,
     own: Option<&LoadedCloud>,
@@ -205,7 +217,7 @@ fn metres_per_unit(
         });
     }
     Ok(match own.filter(|own| scan.frames.is_empty() && !own.kind.is_metric()) {
-        Some(own) => guess_units::guess(&own.cloud.positions, warnings),
+        Some(own) => guess_units::guess_meters_per_unit(&own.cloud.positions, warnings),
         None => 1.0,
     })
 }
@@ -241,9 +253,9 @@ fn frame_ref(
     }
     Ok(FrameRef {
         index: raw.index,
-        colour: scan.root.join(&raw.colour),
+        color: scan.root.join(&raw.color),
         depth: scan.root.join(&raw.depth),
-        colour_intrinsics: raw.colour_intrinsics,
+        color_intrinsics: raw.color_intrinsics,
         depth_intrinsics: raw.depth_intrinsics,
         depth_scale_m: reading.depth_scale_m,
         camera_to_world,

@@ -70,7 +70,7 @@ impl SkippedFrames {
     ///
     /// # Errors
     /// Returns errors of the disk, names that point outside of the upload, and cancellation.
-    pub fn note(&mut self, error: IngestError) -> Result<(), IngestError> {
+    pub fn record(&mut self, error: IngestError) -> Result<(), IngestError> {
         match error {
             IngestError::Io { .. }
             | IngestError::UnsafeEntry { .. }
@@ -90,13 +90,13 @@ impl SkippedFrames {
 pub struct RawFrame {
     /// Index in the scan's own list.
     pub index: FrameIndex,
-    pub colour: Utf8PathBuf,
+    pub color: Utf8PathBuf,
     pub depth: Utf8PathBuf,
     /// The file that the pose was read from, and the entry if it holds several.
     pub pose_file: Utf8PathBuf,
     /// The pose in the files' units. Double precision, because of map coordinates.
     pub pose: Matrix4<f64>,
-    pub colour_intrinsics: Intrinsics,
+    pub color_intrinsics: Intrinsics,
     pub depth_intrinsics: Intrinsics,
     pub optics: Optics,
 }
@@ -142,7 +142,7 @@ impl Scan {
     pub(super) fn add(&mut self, frame: Result<RawFrame, IngestError>) -> Result<(), IngestError> {
         match frame {
             Ok(frame) => self.frames.push(frame),
-            Err(error) => self.damage.note(error)?,
+            Err(error) => self.damage.record(error)?,
         }
         Ok(())
     }

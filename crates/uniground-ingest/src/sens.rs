@@ -5,7 +5,7 @@
 //! Frames are written one at a time.
 
 use super::IngestError;
-use super::unpacked::head_of;
+use super::unpacked::read_head;
 use camino::{Utf8Path, Utf8PathBuf};
 use flate2::read::ZlibDecoder;
 use image::{ImageBuffer, ImageFormat, Luma};
@@ -20,13 +20,13 @@ const MAX_FRAMES: u64 = super::MAX_FRAMES as u64;
 const MAX_PICTURE_BYTES: u64 = 64 << 20;
 const MAX_SIDE: u32 = 8192;
 /// Codecs of color pictures, by their number in the file.
-const COLOUR_PNG: i32 = 1;
-const COLOUR_JPEG: i32 = 2;
+const COLOR_PNG: i32 = 1;
+const COLOR_JPEG: i32 = 2;
 /// The only supported codec of depth pictures.
 const DEPTH_ZLIB: i32 = 1;
 
 /// Returns whether a file with this extension starts like a `.sens` file.
-pub(super) fn recognises(head: &[u8], extension: &str) -> bool {
+pub(super) fn can_read(head: &[u8], extension: &str) -> bool {
     let version = head.first_chunk::<4>().map(|version| u32::from_le_bytes(*version));
     let name_bytes =
         head.get(4..).and_then(<[u8]>::first_chunk::<8>).map(|bytes| u64::from_le_bytes(*bytes));
@@ -36,7 +36,7 @@ pub(super) fn recognises(head: &[u8], extension: &str) -> bool {
 }
 
 /// Returns the only `.sens` file of a folder (or of the only folder in it).
-pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError> {
+pub(super) fn find_single_file(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError> {
     let io = |source| IngestError::reading(folder, source);
     let mut folder = folder.to_owned();
     for _ in 0..4 {
@@ -51,7 +51,7 @@ pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError
         }
         let mut found: Vec<&Utf8PathBuf> = entries
             .iter()
-            .filter(|path| recognises(&head_of(path), path.extension().unwrap_or_default()))
+            .filter(|path| can_read(&read_head(path), path.extension().unwrap_or_default()))
             .collect();
         if found.len() == 1 {
             return Ok(found.pop().cloned());
@@ -67,10 +67,10 @@ pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError
 struct Header {
     name: String,
     /// Row-major 4x4.
-    colour: [f32; 16],
+    color: [f32; 16],
     depth: [f32; 16],
-    colour_codec: i32,
-    colour_size: [u32; 2],
+    color_codec: i32,
+    color_size: [u32; 2],
     depth_size: [u32; 2],
     depth_shift: f32,
     frames: u64,
@@ -91,7 +91,7 @@ pub(super) fn unpack(
     let source = File::open(file).map_err(|source| IngestError::reading(name, source))?;
     let bytes = source.metadata().map_or(0, |m| m.len());
     let mut source = BufReader::with_capacity(1 << 20, source);
-    let header = header(&mut source)
+    let header = read_header(&mut source)
         .map_err(|e| malformed(format!("not a .sens file of version {VERSION}: {e}")))?;
     // A frame holds at least a pose, two times and two sizes.
     if header.frames > MAX_FRAMES || header.frames.saturating_mul(96) > bytes {
@@ -105,34 +105,34 @@ pub(super) fn unpack(
         fs::create_dir_all(target.join(folder))
             .map_err(|source| IngestError::reading(folder, source))?;
     }
-    let ending = if header.colour_codec == COLOUR_PNG { "png" } else { "jpg" };
+    let ending = if header.color_codec == COLOR_PNG { "png" } else { "jpg" };
     let mut frames = Vec::new();
     for i in 0..header.frames {
         let at = |e: io::Error| malformed(format!("frame {i}: {e}"));
-        let pose: [f32; 16] = floats(&mut source).map_err(at)?;
-        let _times = [word(&mut source).map_err(at)?, word(&mut source).map_err(at)?];
-        let (colour_bytes, depth_bytes) =
-            (word(&mut source).map_err(at)?, word(&mut source).map_err(at)?);
-        if colour_bytes.max(depth_bytes) > MAX_PICTURE_BYTES {
+        let pose: [f32; 16] = read_floats(&mut source).map_err(at)?;
+        let _times = [read_u64(&mut source).map_err(at)?, read_u64(&mut source).map_err(at)?];
+        let (color_bytes, depth_bytes) =
+            (read_u64(&mut source).map_err(at)?, read_u64(&mut source).map_err(at)?);
+        if color_bytes.max(depth_bytes) > MAX_PICTURE_BYTES {
             return Err(malformed(format!(
                 "frame {i}: a picture of {} bytes",
-                colour_bytes.max(depth_bytes)
+                color_bytes.max(depth_bytes)
             )));
         }
-        let (colour, depth) = (format!("color/{i}.{ending}"), format!("depth/{i}.png"));
-        let picture = exactly(&mut source, colour_bytes).map_err(at)?;
-        out.write(&colour, &picture)?;
-        let packed = exactly(&mut source, depth_bytes).map_err(at)?;
+        let (color, depth) = (format!("color/{i}.{ending}"), format!("depth/{i}.png"));
+        let picture = read_exact_bytes(&mut source, color_bytes).map_err(at)?;
+        out.write(&color, &picture)?;
+        let packed = read_exact_bytes(&mut source, depth_bytes).map_err(at)?;
         out.write(&depth, &depth_png(&packed, header.depth_size).map_err(at)?)?;
-        out.write(&format!("pose/{i}.txt"), rows(&pose).as_bytes())?;
-        frames.push(json!({"color": colour, "depth": depth, "pose": format!("pose/{i}.txt")}));
+        out.write(&format!("pose/{i}.txt"), format_rows(&pose).as_bytes())?;
+        frames.push(json!({"color": color, "depth": depth, "pose": format!("pose/{i}.txt")}));
     }
     let camera = |m: &[f32; 16], [width, height]: [u32; 2]| json!({"width": width, "height": height, "fx": m[0], "fy": m[5], "cx": m[2], "cy": m[6]});
     let manifest = json!({
         "format": "uniground-scene/1",
         "name": if header.name.trim().is_empty() { "scene" } else { header.name.trim() },
         "source": "scannet-sens",
-        "intrinsics": camera(&header.colour, header.colour_size),
+        "intrinsics": camera(&header.color, header.color_size),
         "depth_intrinsics": camera(&header.depth, header.depth_size),
         "depth_scale_m": 1.0 / header.depth_shift,
         "frames": frames,
@@ -160,41 +160,44 @@ impl SensUnpacker<'_> {
     }
 }
 
-fn header(source: &mut impl Read) -> io::Result<Header> {
+fn read_header(source: &mut impl Read) -> io::Result<Header> {
     let strange = |what: String| io::Error::other(what);
-    let version = number(source)?;
+    let version = read_u32(source)?;
     if version != VERSION {
         return Err(strange(format!("it is of version {version}")));
     }
-    let name_bytes = word(source)?;
+    let name_bytes = read_u64(source)?;
     if name_bytes > MAX_NAME_BYTES {
         return Err(strange(format!("a name of {name_bytes} bytes")));
     }
-    let name = String::from_utf8_lossy(&exactly(source, name_bytes)?).into_owned();
-    let (colour, _colour_extrinsics): ([f32; 16], [f32; 16]) = (floats(source)?, floats(source)?);
-    let (depth, _depth_extrinsics): ([f32; 16], [f32; 16]) = (floats(source)?, floats(source)?);
-    let (colour_codec, depth_codec) =
-        (number(source)?.cast_signed(), number(source)?.cast_signed());
-    if !(colour_codec == COLOUR_PNG || colour_codec == COLOUR_JPEG) || depth_codec != DEPTH_ZLIB {
+    let name = String::from_utf8_lossy(&read_exact_bytes(source, name_bytes)?).into_owned();
+    let (color, _color_extrinsics): ([f32; 16], [f32; 16]) =
+        (read_floats(source)?, read_floats(source)?);
+    let (depth, _depth_extrinsics): ([f32; 16], [f32; 16]) =
+        (read_floats(source)?, read_floats(source)?);
+    let (color_codec, depth_codec) =
+        (read_u32(source)?.cast_signed(), read_u32(source)?.cast_signed());
+    if !(color_codec == COLOR_PNG || color_codec == COLOR_JPEG) || depth_codec != DEPTH_ZLIB {
         return Err(strange(format!(
-            "its pictures are coded as {colour_codec} and {depth_codec}: JPEG or PNG and zlib are read"
+            "its pictures are coded as {color_codec} and {depth_codec}: JPEG or PNG and zlib are read"
         )));
     }
-    let [cw, ch, dw, dh] = [number(source)?, number(source)?, number(source)?, number(source)?];
+    let [cw, ch, dw, dh] =
+        [read_u32(source)?, read_u32(source)?, read_u32(source)?, read_u32(source)?];
     if [cw, ch, dw, dh].iter().any(|side| *side == 0 || *side > MAX_SIDE) {
         return Err(strange(format!("pictures of {cw}x{ch} and {dw}x{dh}")));
     }
-    let [depth_shift]: [f32; 1] = floats(source)?;
+    let [depth_shift]: [f32; 1] = read_floats(source)?;
     if !(depth_shift.is_finite() && depth_shift > 0.0) {
         return Err(strange(format!("a depth shift of {depth_shift}")));
     }
-    let frames = word(source)?;
+    let frames = read_u64(source)?;
     Ok(Header {
         name,
-        colour,
+        color,
         depth,
-        colour_codec,
-        colour_size: [cw, ch],
+        color_codec,
+        color_size: [cw, ch],
         depth_size: [dw, dh],
         depth_shift,
         frames,
@@ -221,32 +224,32 @@ fn depth_png(packed: &[u8], [width, height]: [u32; 2]) -> io::Result<Vec<u8>> {
     Ok(png.into_inner().map_err(io::IntoInnerError::into_error)?.into_inner())
 }
 
-fn rows(matrix: &[f32; 16]) -> String {
+fn format_rows(matrix: &[f32; 16]) -> String {
     matrix.chunks(4).map(|row| format!("{} {} {} {}\n", row[0], row[1], row[2], row[3])).collect()
 }
 
-fn number(source: &mut impl Read) -> io::Result<u32> {
+fn read_u32(source: &mut impl Read) -> io::Result<u32> {
     let mut bytes = [0; 4];
     source.read_exact(&mut bytes)?;
     Ok(u32::from_le_bytes(bytes))
 }
 
-fn word(source: &mut impl Read) -> io::Result<u64> {
+fn read_u64(source: &mut impl Read) -> io::Result<u64> {
     let mut bytes = [0; 8];
     source.read_exact(&mut bytes)?;
     Ok(u64::from_le_bytes(bytes))
 }
 
-fn floats<const N: usize>(source: &mut impl Read) -> io::Result<[f32; N]> {
+fn read_floats<const N: usize>(source: &mut impl Read) -> io::Result<[f32; N]> {
     let mut all = [0.0; N];
     for value in &mut all {
-        *value = f32::from_bits(number(source)?);
+        *value = f32::from_bits(read_u32(source)?);
     }
     Ok(all)
 }
 
 /// Reads exactly `bytes` bytes. Allocates memory only as they arrive.
-fn exactly(source: &mut impl Read, bytes: u64) -> io::Result<Vec<u8>> {
+fn read_exact_bytes(source: &mut impl Read, bytes: u64) -> io::Result<Vec<u8>> {
     let mut all = Vec::new();
     source.take(bytes).read_to_end(&mut all)?;
     if all.len() as u64 == bytes { Ok(all) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
@@ -268,7 +271,7 @@ mod tests {
         for matrix in [camera, eye, camera, eye] {
             matrix.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
         }
-        [COLOUR_PNG, DEPTH_ZLIB].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        [COLOR_PNG, DEPTH_ZLIB].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
         [4_u32; 4].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
         bytes.extend(1000.0_f32.to_le_bytes());
         bytes.extend(frames.to_le_bytes());

@@ -23,24 +23,24 @@ impl ScanFolder {
     ///
     /// # Errors
     /// Returns an [`IngestError`] for an unsupported file, or an archive that cannot be unpacked.
-    pub fn of(scan: &Utf8Path) -> Result<Self, IngestError> {
+    pub fn open(scan: &Utf8Path) -> Result<Self, IngestError> {
         if scan.is_dir() {
-            let Some(sens) = sens::lone(scan)? else {
+            let Some(sens) = sens::find_single_file(scan)? else {
                 return Ok(Self { path: scan.to_owned(), _temporary: None });
             };
-            return Self::of(&sens);
+            return Self::open(&sens);
         }
         let reading = |source| IngestError::reading(scan, source);
         let temporary = tempfile::tempdir().map_err(reading)?;
         let path = Utf8Path::from_path(temporary.path())
             .ok_or_else(|| reading(std::io::ErrorKind::InvalidFilename.into()))?
             .to_owned();
-        match ArchiveFormat::of(scan)
-            .ok_or_else(|| IngestError::malformed(scan, what_it_is(&head_of(scan))))?
+        match ArchiveFormat::detect(scan)
+            .ok_or_else(|| IngestError::malformed(scan, describe_content(&read_head(scan))))?
         {
             // Files that a mesh refers to lie next to it.
             ArchiveFormat::Cloud("obj" | "gltf") => {
-                copy_beside(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path)
+                copy_sibling_files(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path)
                     .map_err(reading)?;
             }
             ArchiveFormat::Cloud(ending) => {
@@ -70,18 +70,18 @@ impl ArchiveFormat {
     /// Detects the format from a file's first bytes. If those are only numbers, the extension of
     /// its name decides. `None`: not a supported format.
     #[must_use]
-    pub fn of_head(head: &[u8], name: &str) -> Option<Self> {
+    pub fn from_head(head: &[u8], name: &str) -> Option<Self> {
         let extension = Utf8Path::new(name).extension().unwrap_or_default();
-        ArchiveKind::of_head(head)
+        ArchiveKind::from_head(head)
             .map(Self::Archive)
-            .or_else(|| sens::recognises(head, extension).then_some(Self::Sens))
-            .or_else(|| CloudKind::of_head(head, extension).map(|kind| Self::Cloud(kind.name())))
+            .or_else(|| sens::can_read(head, extension).then_some(Self::Sens))
+            .or_else(|| CloudKind::from_head(head, extension).map(|kind| Self::Cloud(kind.name())))
     }
 
-    fn of(file: &Utf8Path) -> Option<Self> {
-        ArchiveKind::of_file_name(file.as_str())
+    fn detect(file: &Utf8Path) -> Option<Self> {
+        ArchiveKind::from_file_name(file.as_str())
             .map(Self::Archive)
-            .or_else(|| Self::of_head(&head_of(file), file.as_str()))
+            .or_else(|| Self::from_head(&read_head(file), file.as_str()))
             .or((file.extension() == Some("ply")).then_some(Self::Cloud("ply")))
     }
 
@@ -109,7 +109,7 @@ impl ArchiveFormat {
 
 /// Returns the first bytes of a file.
 #[must_use]
-pub fn head_of(file: &Utf8Path) -> Vec<u8> {
+pub fn read_head(file: &Utf8Path) -> Vec<u8> {
     let mut head = Vec::new();
     // An unreadable file is reported when it is loaded.
     let _ = fs::File::open(file)
@@ -126,7 +126,11 @@ fn put(file: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
 /// Extensions of files that a mesh may refer to: its materials, buffers and pictures.
 const BESIDE_MESHES: [&str; 5] = ["mtl", "bin", "png", "jpg", "jpeg"];
 
-fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
+fn copy_sibling_files(
+    mesh: &Utf8Path,
+    folder: &Utf8Path,
+    target: &Utf8Path,
+) -> std::io::Result<()> {
     fs::copy(mesh, target.join("mesh").with_extension(mesh.extension().unwrap_or("obj")))?;
     let folder = if folder.as_str().is_empty() { Utf8Path::new(".") } else { folder };
     for entry in folder.read_dir_utf8()? {
@@ -144,7 +148,7 @@ fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io
 
 /// Returns a hint for file types that are often uploaded but are not scans.
 #[must_use]
-pub fn what_it_is(head: &[u8]) -> &'static str {
+pub fn describe_content(head: &[u8]) -> &'static str {
     match head {
         [] => "this is empty",
         [0xff, 0xd8, ..] | [0x89, b'P', b'N', b'G', ..] => {

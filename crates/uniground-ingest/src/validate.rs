@@ -124,27 +124,27 @@ fn checked(
             "the last row of a pose must be 0 0 0 1",
         ));
     }
-    let lens_is_odd = [frame.optics.colour_lens, frame.optics.depth_lens]
+    let lens_is_odd = [frame.optics.color_lens, frame.optics.depth_lens]
         .iter()
         .flatten()
         .any(|lens| !lens.is_plausible());
     if lens_is_odd {
         return Err(IngestError::BadIntrinsics {
-            file: frame.colour,
+            file: frame.color,
             reason: "the distortion of its lens is no number".into(),
         });
     }
-    frame.colour_intrinsics = fit(root, &frame.colour, frame.colour_intrinsics)?;
-    whole::check(root, &frame.colour)?;
+    frame.color_intrinsics = fit(root, &frame.color, frame.color_intrinsics)?;
+    whole::check_is_complete(root, &frame.color)?;
     match &mut frame.optics.depth_sensor {
         None => frame.depth_intrinsics = fit(root, &frame.depth, frame.depth_intrinsics)?,
         Some(sensor) => {
             let intrinsics = fit(root, &frame.depth, sensor.intrinsics)?;
             *sensor = DepthSensor { intrinsics, ..*sensor };
-            frame.depth_intrinsics = sensor.registered_intrinsics(&frame.colour_intrinsics);
+            frame.depth_intrinsics = sensor.registered_intrinsics(&frame.color_intrinsics);
         }
     }
-    whole::check(root, &frame.depth)?;
+    whole::check_is_complete(root, &frame.depth)?;
     if let Some(confidence) = &frame.optics.confidence {
         picture_size(root, &confidence.file)?;
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::SourceToScene;
 use uniground_ingest::archive::UnpackLimits;
-use uniground_ingest::{ArchiveFormat, IngestError, head_of, what_it_is};
+use uniground_ingest::{ArchiveFormat, IngestError, describe_content, read_head};
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{ScanError, import_scan};
 use uniground_types::scene::StageReport;
@@ -60,9 +60,9 @@ impl Task {
     pub fn run(&self, progress: &Progress) -> Result<TaskOutcome, IngestError> {
         match self {
             Self::Unpack { archive, file_name, folder, limits } => {
-                let head = head_of(archive);
-                let packed = ArchiveFormat::of_head(&head, file_name)
-                    .ok_or_else(|| unreadable(file_name, what_it_is(&head)))?;
+                let head = read_head(archive);
+                let packed = ArchiveFormat::from_head(&head, file_name)
+                    .ok_or_else(|| unreadable(file_name, describe_content(&head)))?;
                 packed.unpack(archive, folder, limits)?;
                 Ok(with_name(uniground_ingest::open(folder)?.name))
             }
@@ -70,14 +70,14 @@ impl Task {
             Self::CheckFit { folder, cloud, to_scene } => {
                 let (scan, known) =
                     (uniground_ingest::open(folder)?, uniground_ingest::read_cloud(cloud)?);
-                uniground_ingest::fits(scan, to_scene, &known, 0).map(|_| TaskOutcome::Fits)
+                uniground_ingest::check_fit(scan, to_scene, &known, 0).map(|_| TaskOutcome::Fits)
             }
             Self::Import { content, settings, checkpoints, origin } => {
-                let checkpoints = Checkpoints::kept_in(checkpoints, origin);
+                let checkpoints = Checkpoints::in_folder(checkpoints, origin);
                 let imported =
-                    import_scan(content, settings, &checkpoints, &progress.part(0.0, 0.8))
+                    import_scan(content, settings, &checkpoints, &progress.sub_range(0.0, 0.8))
                         .and_then(|scan| {
-                            scan.try_pictures(&progress.part(0.8, 1.0))?;
+                            scan.check_pictures(&progress.sub_range(0.8, 1.0))?;
                             Ok(TaskOutcome::Imported { stages: scan.stages().to_vec() })
                         });
                 imported.map_err(|error| to_ingest_error(error, content))

@@ -26,7 +26,7 @@ pub fn run() -> io::Result<()> {
     limit_memory(memory_bytes);
     prefer_for_oom_killer();
     exit_with_parent()?;
-    let pool = background::pool().map_err(io::Error::other)?;
+    let pool = background::low_priority_pool().map_err(io::Error::other)?;
     let subject = task.subject();
     // A panic has already printed its message and location to stderr.
     let done = catch_unwind(AssertUnwindSafe(|| pool.install(|| task.run(&report_progress()))))

@@ -143,7 +143,7 @@ impl Jobs {
         match outcome.inserted_job().map(|row| row.state) {
             Some(JobState::Queued) => self.notifier(K::NAME).notify_one(),
             Some(state) if state.is_final() => {
-                self.metrics.jobs.record_finished(K::NAME, state.word(), None);
+                self.metrics.jobs.record_finished(K::NAME, state.as_str(), None);
             }
             _ => {}
         }
@@ -250,7 +250,7 @@ impl Jobs {
         if was_queued
             && let Some(kind) = self.lane_states().into_keys().find(|kind| *kind == job.kind)
         {
-            self.metrics.jobs.record_finished(kind, job.state.word(), None);
+            self.metrics.jobs.record_finished(kind, job.state.as_str(), None);
         }
         Ok(job)
     }

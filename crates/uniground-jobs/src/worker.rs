@@ -138,7 +138,7 @@ impl Jobs {
             Err(error) => {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "job payload could not be read");
-                self.metrics.jobs.record_finished(K::NAME, JobState::Failed.word(), None);
+                self.metrics.jobs.record_finished(K::NAME, JobState::Failed.as_str(), None);
                 return self
                     .record_outcome(
                         &lease,
@@ -254,7 +254,7 @@ impl Jobs {
             JobOutcome::RetryLater { .. } => return self.metrics.jobs.record_retry(kind),
             JobOutcome::Requeued => return,
         };
-        self.metrics.jobs.record_finished(kind, state.word(), Some(took));
+        self.metrics.jobs.record_finished(kind, state.as_str(), Some(took));
     }
 
     /// Stores the end of a job. Retries until the store accepts it or the server stops. Otherwise

@@ -153,7 +153,7 @@ const MAX_ATTEMPTS: usize = 8;
 /// dark, is there anything to read by". Takes time linear in the number of words.
 pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
-    let named = words.iter().position(|word| Lexicon::get().knows(word)).unwrap_or(words.len());
+    let named = words.iter().position(|word| Lexicon::get().is_known(word)).unwrap_or(words.len());
     let pauses = (0..named).filter(|&i| words[i] == BREAK);
     let (mut looked_at, mut attempts) = (0, 0);
     for start in std::iter::once(0).chain(pauses.map(|i| i + 1)) {
@@ -209,8 +209,8 @@ fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
     let describes = |word: &&str| {
         matches!(
             words::longest(&[word]),
-            Some((Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _))
-        ) || !Lexicon::get().knows(word)
+            Some((Meaning::Color(_) | Meaning::Trait(_) | Meaning::And, _))
+        ) || !Lexicon::get().is_known(word)
     };
     let described =
         begin..if words[begin..purpose].iter().all(describes) { purpose } else { begin };
@@ -350,13 +350,13 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
         Some((
             Meaning::Determiner
             | Meaning::Number(_)
-            | Meaning::Colour(_)
+            | Meaning::Color(_)
             | Meaning::Trait(_)
             | Meaning::Same
             | Meaning::Ordinal(_),
             _,
         )) => true,
-        _ => next != BREAK && Lexicon::get().knows(next),
+        _ => next != BREAK && Lexicon::get().is_known(next),
     }
 }
 

@@ -217,7 +217,7 @@ fn names_something(clause: &[&str]) -> bool {
                 words::longest(&clause[first..]),
                 None | Some((
                     Word::Determiner
-                        | Word::Colour(_)
+                        | Word::Color(_)
                         | Word::Trait(_)
                         | Word::Number(_)
                         | Word::Ordinal(_)
@@ -235,7 +235,7 @@ fn tells_a_thing(query: &ParsedQuery) -> bool {
         // "the one on the left" says more of a thing named before.
         Meaning::Anything if matches!(target.head.as_str(), "one" | "ones") => false,
         Meaning::Anything => {
-            !target.colours.is_empty() || !target.with.is_empty() || !target.relations.is_empty()
+            !target.colors.is_empty() || !target.with.is_empty() || !target.relations.is_empty()
         }
         Meaning::Nouns(_) | Meaning::Structure(_) => true,
         Meaning::Unknown => {

@@ -221,7 +221,7 @@ fn likened(tokens: &mut Vec<String>) {
 fn bright(tokens: &mut Vec<String>) {
     let is_shade = |i: &usize| {
         is(tokens, *i, &["bright", "vivid", "deep", "rich", "strong"])
-            && matches!(meaning(tokens, i + 1), Some(Meaning::Colour(_)))
+            && matches!(meaning(tokens, i + 1), Some(Meaning::Color(_)))
     };
     if let Some(at) = (0..tokens.len()).find(is_shade) {
         tokens.remove(at);
@@ -310,14 +310,14 @@ fn beside_the_bed(tokens: &mut Vec<String>) {
 
 /// Repeats the noun for two things: "between the blue and the yellow picture" names two pictures.
 fn one_noun_for_two(tokens: &mut Vec<String>) {
-    let is_colour =
-        |i: usize| matches!(meaning(tokens, i), Some(Meaning::Colour(_) | Meaning::Trait(_)));
+    let is_color =
+        |i: usize| matches!(meaning(tokens, i), Some(Meaning::Color(_) | Meaning::Trait(_)));
     let Some(and) = (2..tokens.len()).find(|&i| {
         tokens[i] == "and"
-            && is_colour(i - 1)
+            && is_color(i - 1)
             && is_article(tokens, i - 2)
             && is_article(tokens, i + 1)
-            && is_colour(i + 2)
+            && is_color(i + 2)
     }) else {
         return;
     };

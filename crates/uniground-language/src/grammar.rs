@@ -181,7 +181,7 @@ impl Reader {
                 piece,
                 Piece::Word(
                     Meaning::Relation(_)
-                        | Meaning::Colour(_)
+                        | Meaning::Color(_)
                         | Meaning::With { .. }
                         | Meaning::Superlative(_),
                     _
@@ -284,12 +284,12 @@ impl Reader {
                 self.relation(kind, text);
                 self.pronoun();
             }
-            Meaning::Colour(colour) => {
+            Meaning::Color(color) => {
                 let negated = std::mem::take(&mut self.negated);
                 self.last_negated = negated;
                 let phrase = &mut self.top().phrase;
-                phrase.roughly |= words::is_rough_colour(text);
-                if negated { phrase.other_than.push(colour) } else { phrase.colours.push(colour) }
+                phrase.roughly |= words::is_rough_color(text);
+                if negated { phrase.other_than.push(color) } else { phrase.colors.push(color) }
             }
             Meaning::Trait(seen) => self.top().phrase.traits.push(seen),
             Meaning::Not => self.negated = true,
@@ -357,7 +357,7 @@ impl Reader {
     fn describes(&self) -> bool {
         self.stack.last().is_some_and(|Frame { phrase, unknown, .. }| {
             let described =
-                !(phrase.colours.is_empty() && phrase.traits.is_empty() && unknown.is_empty());
+                !(phrase.colors.is_empty() && phrase.traits.is_empty() && unknown.is_empty());
             described
                 && phrase.head.is_empty()
                 && phrase.uses.is_empty()

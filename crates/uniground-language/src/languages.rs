@@ -35,7 +35,7 @@ pub(super) fn is_foreign(tokens: &[String]) -> bool {
 fn is_known(word: &str) -> bool {
     words::is_known(word)
         || words::is_anything(word)
-        || Lexicon::get().knows(word)
+        || Lexicon::get().is_known(word)
         || WordNet::get().is_english(word)
         || word.chars().all(|c| c.is_ascii_digit())
         || spelling_of_small_words(word).or_else(|| spelling(word)).is_some()

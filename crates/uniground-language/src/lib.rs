@@ -31,7 +31,7 @@ pub use doubt::Doubt;
 pub use grammar::parse;
 pub use parsers::{AutoParser, BuiltinParser, FellBack, QueryParser, Reading, VlmParser};
 pub use relation_kinds::RelationKind;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::Structure;
 use uniground_models::attributes::{Lexicon, Noun};
 
@@ -101,12 +101,12 @@ pub enum Look {
 }
 
 impl Look {
-    /// All three values, to find one by its [`word`](Self::word).
+    /// All three values, to find one by its [`as_str`](Self::as_str).
     pub const ALL: [Self; 3] = [Self::Facing, Self::From, Self::BackTo];
 
     /// Returns its name in data.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Facing => "facing",
             Self::From => "from",
@@ -140,11 +140,11 @@ pub struct Phrase {
     /// The words that gave the use: "wine" of "something to pour wine from".
     pub purpose: Vec<String>,
     /// Colors it must have. If there are two, they share its surface: each has to be there.
-    pub colours: Vec<ColourName>,
+    pub colors: Vec<ColorName>,
     /// Whether the colors are approximate ("pinkish"): a similar color may be meant.
     pub roughly: bool,
     /// Colors it must not have: "not red".
-    pub other_than: Vec<ColourName>,
+    pub other_than: Vec<ColorName>,
     /// Traits: "large", "round".
     pub traits: Vec<Trait>,
     /// Words in front of the noun that cannot be checked: "leather", "patterned".
@@ -191,12 +191,12 @@ impl Phrase {
             // A zone is no thing, but a place for things.
             head if zones::made_of(head).is_some() => Meaning::Unknown,
             head if words::is_anything(head) && !self.uses.is_empty() => {
-                Meaning::Nouns(Lexicon::get().of_uses(&self.uses))
+                Meaning::Nouns(Lexicon::get().nouns_for_uses(&self.uses))
             }
             head if words::is_anything(head) => Meaning::Anything,
             head => match (structure_of(head), Lexicon::get().find_all(head)) {
                 (Some(structure), _) => Meaning::Structure(structure),
-                (None, nouns) if nouns.is_empty() => match Lexicon::get().akin(head) {
+                (None, nouns) if nouns.is_empty() => match Lexicon::get().related_nouns(head) {
                     akin if akin.is_empty() => Meaning::Unknown,
                     akin => Meaning::Nouns(akin),
                 },
@@ -208,19 +208,19 @@ impl Phrase {
     /// Returns the phrase in words: "small red chair".
     #[must_use]
     pub fn text(&self) -> String {
-        let traits = self.traits.iter().map(|s| s.word());
-        let colours = self
+        let traits = self.traits.iter().map(|s| s.as_str());
+        let colors = self
             .other_than
             .iter()
-            .flat_map(|c| ["not", c.word()])
-            .chain(self.colours.iter().map(|c| c.word()));
+            .flat_map(|c| ["not", c.as_str()])
+            .chain(self.colors.iter().map(|c| c.as_str()));
         let head = match (&self.head, self.uses.is_empty()) {
             (head, true) if head.is_empty() => "thing".to_owned(),
             (head, true) => head.clone(),
             (_, false) => format!("something to {}", self.uses.join(" or ")),
         };
         traits
-            .chain(colours)
+            .chain(colors)
             .chain(self.unchecked.iter().map(String::as_str))
             .chain([head.as_str()])
             .collect::<Vec<_>>()
@@ -268,7 +268,7 @@ pub enum Trait {
 }
 
 impl Trait {
-    /// All ten values, to find one by its [`word`](Self::word).
+    /// All ten values, to find one by its [`as_str`](Self::as_str).
     pub const ALL: [Self; 10] = [
         Self::Large,
         Self::Small,
@@ -284,7 +284,7 @@ impl Trait {
 
     /// Returns its name in data and in texts.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Large => "large",
             Self::Small => "small",
@@ -354,7 +354,7 @@ pub enum Measure {
 }
 
 impl Measure {
-    /// All eleven values, to find one by its [`word`](Self::word).
+    /// All eleven values, to find one by its [`as_str`](Self::as_str).
     pub const ALL: [Self; 11] = [
         Self::Largest,
         Self::Smallest,
@@ -371,7 +371,7 @@ impl Measure {
 
     /// Returns its name in data and in texts.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Largest => "largest",
             Self::Smallest => "smallest",

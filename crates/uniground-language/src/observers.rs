@@ -221,7 +221,7 @@ fn clause(
 fn is_room(tokens: &[String], i: usize) -> bool {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let room = i + usize::from(matches!(word(i), "the" | "this"));
-    ROOMS.contains(&word(room)) && !Lexicon::get().knows(word(room + 1))
+    ROOMS.contains(&word(room)) && !Lexicon::get().is_known(word(room + 1))
 }
 
 /// Returns the viewer's position by the preposition at `i`. A viewer in front of a thing looks at

@@ -110,7 +110,7 @@ fn awaits_noun(piece: Option<&Piece>) -> bool {
             Piece::Unknown(_)
                 | Piece::Word(
                     Meaning::Determiner
-                        | Meaning::Colour(_)
+                        | Meaning::Color(_)
                         | Meaning::Trait(_)
                         | Meaning::Number(_)
                         | Meaning::Ordinal(_)
@@ -124,7 +124,7 @@ fn awaits_noun(piece: Option<&Piece>) -> bool {
 /// Returns whether a noun follows, with or without colors and traits before it.
 fn noun_follows(run: &[&str]) -> bool {
     let describes = |word: &&&str| {
-        matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_), 1)))
+        matches!(words::longest(&[word]), Some((Meaning::Color(_) | Meaning::Trait(_), 1)))
     };
     let described = run.iter().take_while(describes).count();
     longest_noun(&run[described..]).is_some()
@@ -138,7 +138,7 @@ pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
         let candidate = run[..n].join(" ");
         let thing = (words::is_anything(&candidate) && n == 1)
             || structural(&candidate)
-            || lexicon.knows(&candidate);
+            || lexicon.is_known(&candidate);
         thing || zones::made_of(&candidate).is_some()
     };
     (1..=lexicon.longest_words().max(zones::LONGEST).min(run.len())).rev().find(|&n| is_noun(n))
@@ -153,7 +153,7 @@ pub(super) fn structural(word: &str) -> bool {
 /// chair".
 pub(super) fn is_bare_noun(rest: &[Piece]) -> bool {
     rest.iter()
-        .find(|p| !matches!(p, Piece::Word(Meaning::Colour(_) | Meaning::Trait(_), _)))
+        .find(|p| !matches!(p, Piece::Word(Meaning::Color(_) | Meaning::Trait(_), _)))
         .is_some_and(|p| matches!(p, Piece::Noun(_)))
 }
 
@@ -163,7 +163,7 @@ pub(super) fn noun_to_come(rest: &[Piece]) -> bool {
         matches!(
             p,
             Piece::Unknown(_)
-                | Piece::Word(Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _)
+                | Piece::Word(Meaning::Color(_) | Meaning::Trait(_) | Meaning::And, _)
         )
     };
     rest.iter().find(|p| !describes(p)).is_some_and(|p| matches!(p, Piece::Noun(_)))

@@ -51,7 +51,7 @@ pub enum RelationKind {
 }
 
 impl RelationKind {
-    /// All 21 values, to find one by its [`word`](Self::word).
+    /// All 21 values, to find one by its [`as_str`](Self::as_str).
     pub const ALL: [Self; 21] = [
         Self::Near,
         Self::Far,
@@ -78,7 +78,7 @@ impl RelationKind {
 
     /// Returns its name in data: `left_of`.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Near => "near",
             Self::Far => "far",

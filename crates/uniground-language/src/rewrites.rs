@@ -158,7 +158,8 @@ fn is_verb_of_place(word: &str) -> bool {
         "stand", "lies", "lie", "hangs", "hang", "rests", "rest", "leans", "lean", "sleeps",
         "lives", "goes", "sat", "stood", "lay",
     ];
-    PLACED.contains(&word) || word.len() > 5 && word.ends_with("ing") && !Lexicon::get().knows(word)
+    PLACED.contains(&word)
+        || word.len() > 5 && word.ends_with("ing") && !Lexicon::get().is_known(word)
 }
 
 /// Rewrites "its the one by the door" to "it's the one by the door".
@@ -194,9 +195,9 @@ fn thing_you_use(tokens: &mut Vec<String>) {
     let describes = |i: usize| match meaning(i) {
         Some(meaning) => matches!(
             meaning,
-            Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler
+            Meaning::Color(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler
         ),
-        None => !Lexicon::get().knows(word(i)),
+        None => !Lexicon::get().is_known(word(i)),
     };
     if people && affordances::is_verb_of_a_use(verb) && (0..thing).all(describes) {
         let described = (0..thing).filter(|&i| meaning(i) != Some(Meaning::Determiner)).map(word);
@@ -216,7 +217,7 @@ fn one_for(tokens: &mut Vec<String>) {
     let at = one + 1 + usize::from(word(one + 1) == BREAK);
     let verb = word(at + 1).to_owned();
     let described =
-        (0..one).all(|i| !Lexicon::get().knows(word(i)) && word(i) != BREAK && word(i) != "no");
+        (0..one).all(|i| !Lexicon::get().is_known(word(i)) && word(i) != BREAK && word(i) != "no");
     if word(at) == "for"
         && verb.ends_with("ing")
         && affordances::is_verb_of_a_use(&verb)
@@ -388,8 +389,8 @@ fn purposes(tokens: &mut Vec<String>) {
         let verb = tokens.get(i + to + 1).map_or("", String::as_str);
         let said = tokens[i + to] == "to" && affordances::is_verb_of_a_use(verb)
             || tokens[i] == "for" && verb.ends_with("ing");
-        let of_a_thing = lexicon.knows(&tokens[i - 1])
-            && !lexicon.knows(verb)
+        let of_a_thing = lexicon.is_known(&tokens[i - 1])
+            && !lexicon.is_known(verb)
             && words::longest(&[verb]).is_none();
         if !(said && of_a_thing) {
             i += 1;
@@ -406,9 +407,9 @@ fn purposes(tokens: &mut Vec<String>) {
         let compound = tokens[i + to + 2..end]
             .iter()
             .map(|word| format!("{word} {}", tokens[i - 1]))
-            .find(|name| lexicon.knows(name) || lexicon.knows(&name.replace(' ', "")));
+            .find(|name| lexicon.is_known(name) || lexicon.is_known(&name.replace(' ', "")));
         if let Some(name) = compound {
-            let name = if lexicon.knows(&name) { name } else { name.replace(' ', "") };
+            let name = if lexicon.is_known(&name) { name } else { name.replace(' ', "") };
             tokens.splice(i - 1..end, name.split(' ').map(str::to_owned));
         } else {
             let purpose = tokens.drain(i..end).collect::<Vec<_>>().join(" ");
@@ -424,7 +425,7 @@ fn verbs(tokens: &mut Vec<String>) {
         word.len() > 3
             && word.ends_with('s')
             && words::longest(&[word]).is_none()
-            && !Lexicon::get().knows(word)
+            && !Lexicon::get().is_known(word)
     };
     let relates = |word: &str| {
         matches!(words::longest(&[word]), Some((Meaning::Relation(_) | Meaning::With { .. }, _)))
@@ -474,14 +475,14 @@ fn shades(tokens: &mut Vec<String>) {
         "tone", "tones", "shade", "shades", "hue", "hues", "tint", "tints", "color", "colors",
         "colour", "colours",
     ];
-    let colour = |tokens: &[String], i: usize| {
+    let color = |tokens: &[String], i: usize| {
         let run: Vec<&str> = tokens[i.min(tokens.len())..]
             .iter()
             .map(String::as_str)
             .take_while(|t| *t != BREAK)
             .collect();
         match words::longest(&run) {
-            Some((Meaning::Colour(_), length)) => Some(length),
+            Some((Meaning::Color(_), length)) => Some(length),
             _ => None,
         }
     };
@@ -495,15 +496,15 @@ fn shades(tokens: &mut Vec<String>) {
         }
         if is_tone(tokens, i + 1)
             && tokens.get(i + 2).is_some_and(|t| t == "of")
-            && colour(tokens, i + 3).is_some()
+            && color(tokens, i + 3).is_some()
         {
             tokens.drain(i..i + 3);
             continue;
         }
         let mut end = i + 1;
-        while let Some(length) = colour(tokens, end) {
+        while let Some(length) = color(tokens, end) {
             end += length;
-            if tokens.get(end).is_some_and(|t| t == "and") && colour(tokens, end + 1).is_some() {
+            if tokens.get(end).is_some_and(|t| t == "and") && color(tokens, end + 1).is_some() {
                 end += 1;
             }
         }

@@ -22,7 +22,7 @@ fn side_of_another(tokens: &mut Vec<String>) {
     let told = |&i: &usize| {
         matches!(word(i), "on" | "at")
             && word(i + 1) == "the"
-            && Lexicon::get().knows(word(i + 2))
+            && Lexicon::get().is_known(word(i + 2))
             && word(i + 3) == "side"
             && word(i + 4) == "of"
     };
@@ -138,7 +138,7 @@ fn far_sides(tokens: &mut Vec<String>) {
         let goes_on =
             tokens.get(i + 1).is_some_and(|next| WHICH.contains(&next.as_str()) || next == "of");
         let a_noun = tokens.get(i + 1).is_some_and(|next| {
-            Lexicon::get().knows(next) || matches!(next.as_str(), "corner" | "wall" | "one")
+            Lexicon::get().is_known(next) || matches!(next.as_str(), "corner" | "wall" | "one")
         });
         if is_side
             && !goes_on

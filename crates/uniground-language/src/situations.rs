@@ -89,7 +89,7 @@ pub(super) fn left_out(mut tokens: Vec<String>) -> Vec<String> {
     };
     let first = (0..starts.len()).take_while(|&k| is_of_themselves(clause(k))).count();
     // "can we keep it" names nothing.
-    let is_noun = |word: &String| Lexicon::get().knows(word) && word != "can";
+    let is_noun = |word: &String| Lexicon::get().is_known(word) && word != "can";
     let names = |rest: &[String]| rest.iter().any(is_noun) || affordances::find(rest).is_some();
     if (1..starts.len()).contains(&first) && asks(clause(first)) && names(&tokens[starts[first]..])
     {
@@ -104,8 +104,8 @@ fn is_of_themselves(clause: &[String]) -> bool {
     let owns = matches!(word(0), "my" | "our");
     let describes = |word: &String| {
         let known = words::longest(&[word]).map(|(meaning, _)| meaning);
-        matches!(known, Some(Meaning::Determiner | Meaning::Colour(_) | Meaning::Trait(_)))
-            || Lexicon::get().knows(word)
+        matches!(known, Some(Meaning::Determiner | Meaning::Color(_) | Meaning::Trait(_)))
+            || Lexicon::get().is_known(word)
     };
     let speaks = clause.is_empty()
         || OF_THEMSELVES.contains(&word(0)) && !(owns && clause.iter().all(describes));

@@ -82,7 +82,8 @@ fn distance(word: &str, known: &str) -> usize {
 
 /// Returns the noun that a short word becomes with one letter doubled: "bal".
 fn doubled(word: &str) -> Option<&'static str> {
-    (1..=word.len()).find_map(|i| Lexicon::get().word(&format!("{}{}", &word[..i], &word[i - 1..])))
+    (1..=word.len())
+        .find_map(|i| Lexicon::get().canonical_word(&format!("{}{}", &word[..i], &word[i - 1..])))
 }
 
 /// Returns the noun that two separated words form: "wheel barow". Two English words must match
@@ -92,13 +93,14 @@ pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
     let of_the_grammar = |word: &str| words::longest(&[word]).is_some();
     if of_the_grammar(first)
         || of_the_grammar(second)
-        || lexicon.knows(&format!("{first} {second}"))
+        || lexicon.is_known(&format!("{first} {second}"))
     {
         return None;
     }
     let whole = format!("{first}{second}");
-    lexicon.word(&whole).or_else(|| {
-        (!WordNet::get().is_english(second) && !lexicon.knows(second)).then(|| spelling(&whole))?
+    lexicon.canonical_word(&whole).or_else(|| {
+        (!WordNet::get().is_english(second) && !lexicon.is_known(second))
+            .then(|| spelling(&whole))?
     })
 }
 
@@ -109,7 +111,7 @@ pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
     if length < MIN_SLIP_CHARS
         || !word.is_ascii()
         || WordNet::get().is_english(word)
-        || Lexicon::get().knows(word)
+        || Lexicon::get().is_known(word)
         || words::is_known(word)
     {
         return None;

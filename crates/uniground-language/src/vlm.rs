@@ -7,7 +7,7 @@ use super::{
 };
 use serde::Deserialize;
 use serde_json::{Value, json};
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_models::chat::{ChatRequest, Part};
 
 /// Version of the prompt. Raise it when the prompt or the schema changes.
@@ -46,23 +46,23 @@ fn schema() -> Value {
     let names =
         |names: Vec<&str>| json!({"type": "array", "items": {"type": "string", "enum": names}});
     let phrases = || json!({"type": "array", "items": {"$ref": "#/$defs/phrase"}});
-    let colours = || ColourName::ALL.iter().map(|c| c.word()).collect::<Vec<_>>();
+    let colors = || ColorName::ALL.iter().map(|c| c.as_str()).collect::<Vec<_>>();
     let relation = json!({"type": "object", "additionalProperties": false, "required": ["kind", "words", "anchors"], "properties": {
-        "kind": {"type": "string", "enum": RelationKind::ALL.map(RelationKind::word)},
+        "kind": {"type": "string", "enum": RelationKind::ALL.map(RelationKind::as_str)},
         "words": {"type": "string"}, "anchors": phrases(), "negated": {"type": "boolean"}, "rank": {"type": "integer", "minimum": 1},
     }});
     let superlative = json!({"type": ["object", "null"], "additionalProperties": false, "required": ["measure"], "properties": {
-        "measure": {"type": "string", "enum": Measure::ALL.map(Measure::word)}, "rank": {"type": "integer", "minimum": 1},
+        "measure": {"type": "string", "enum": Measure::ALL.map(Measure::as_str)}, "rank": {"type": "integer", "minimum": 1},
     }});
     let phrase = json!({"type": "object", "additionalProperties": false, "required": ["noun"], "properties": {
         "noun": {"type": "string"}, "could_be": {"type": "array", "items": {"type": "string"}, "maxItems": MAX_NOUNS},
-        "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colours()),
-        "not_colours": names(colours()), "traits": names(Trait::ALL.iter().map(|t| t.word()).collect()),
+        "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colors()),
+        "not_colours": names(colors()), "traits": names(Trait::ALL.iter().map(|t| t.as_str()).collect()),
         "count": {"type": ["integer", "null"], "minimum": 0}, "with": phrases(), "without": phrases(),
         "relations": {"type": "array", "items": relation}, "superlative": superlative,
     }});
     let viewpoint = json!({"type": ["object", "null"], "additionalProperties": false, "required": ["look", "anchor"], "properties": {
-        "look": {"type": "string", "enum": Look::ALL.map(Look::word)}, "anchor": {"$ref": "#/$defs/phrase"},
+        "look": {"type": "string", "enum": Look::ALL.map(Look::as_str)}, "anchor": {"$ref": "#/$defs/phrase"},
     }});
     json!({"type": "object", "additionalProperties": false, "required": ["target"], "$defs": {"phrase": phrase}, "properties": {
         "target": {"$ref": "#/$defs/phrase"}, "viewpoint": viewpoint, "not_understood": {"type": "array", "items": {"type": "string"}},
@@ -90,8 +90,10 @@ struct PhraseJson {
     noun: String,
     could_be: Vec<String>,
     uses: Vec<String>,
-    colours: Vec<String>,
-    not_colours: Vec<String>,
+    #[serde(rename = "colours")]
+    colors: Vec<String>,
+    #[serde(rename = "not_colours")]
+    not_colors: Vec<String>,
     traits: Vec<String>,
     count: Option<u32>,
     with: Vec<PhraseJson>,
@@ -134,7 +136,7 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
     let viewpoint = match query.viewpoint {
         None => None,
         Some(ViewpointJson { look, anchor }) => {
-            let known = Look::ALL.into_iter().find(|l| l.word() == look);
+            let known = Look::ALL.into_iter().find(|l| l.as_str() == look);
             let look =
                 known.ok_or_else(|| format!("the model's answer has an unknown look {look:?}"))?;
             Some(Viewpoint { look, anchor: phrase(anchor, 0, &mut parts)? })
@@ -158,13 +160,13 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     if depth > MAX_DEPTH || *parts > MAX_PARTS {
         return Err("the model's answer nests too deep or names too much".into());
     }
-    let named = |known: Option<ColourName>, word: &str| {
+    let named = |known: Option<ColorName>, word: &str| {
         known.ok_or_else(|| format!("the model's answer has an unknown colour {word:?}"))
     };
-    let colour =
-        |word: &String| named(ColourName::ALL.into_iter().find(|c| c.word() == word), word);
+    let color =
+        |word: &String| named(ColorName::ALL.into_iter().find(|c| c.as_str() == word), word);
     let seen = |word: &String| {
-        let known = Trait::ALL.into_iter().find(|t| t.word() == word);
+        let known = Trait::ALL.into_iter().find(|t| t.as_str() == word);
         known.ok_or_else(|| format!("the model's answer has an unknown trait {word:?}"))
     };
     let mut with = Vec::new();
@@ -177,19 +179,19 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     for RelationJson { kind, words, anchors, negated, rank } in json.relations {
         let kind = RelationKind::ALL
             .into_iter()
-            .find(|k| k.word() == kind)
+            .find(|k| k.as_str() == kind)
             .ok_or_else(|| format!("the model's answer has an unknown relation {kind:?}"))?;
         let anchors = anchors
             .into_iter()
             .map(|anchor| phrase(anchor, depth + 1, parts))
             .collect::<Result<_, _>>()?;
-        let text = if words.is_empty() { kind.word().replace('_', " ") } else { words };
+        let text = if words.is_empty() { kind.as_str().replace('_', " ") } else { words };
         relations.push(Relation { kind, text, anchors, negated, rank: rank.unwrap_or(1).max(1) });
     }
     let superlative = match json.superlative {
         None => None,
         Some(SuperlativeJson { measure, rank }) => {
-            let known = Measure::ALL.into_iter().find(|m| m.word() == measure);
+            let known = Measure::ALL.into_iter().find(|m| m.as_str() == measure);
             let measure = known
                 .ok_or_else(|| format!("the model's answer has an unknown measure {measure:?}"))?;
             Some(Superlative { measure, rank: rank.unwrap_or(1).max(1) })
@@ -221,8 +223,8 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
         could_be,
         other_things: Vec::new(),
         purpose,
-        colours: json.colours.iter().map(colour).collect::<Result<_, _>>()?,
-        other_than: json.not_colours.iter().map(colour).collect::<Result<_, _>>()?,
+        colors: json.colors.iter().map(color).collect::<Result<_, _>>()?,
+        other_than: json.not_colors.iter().map(color).collect::<Result<_, _>>()?,
         roughly: false,
         traits: json.traits.iter().map(seen).collect::<Result<_, _>>()?,
         unchecked: Vec::new(),

@@ -3,7 +3,7 @@
 use super::{Look, Measure, RelationKind, Trait, cost};
 use std::collections::HashMap;
 use std::sync::LazyLock;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 
 /// The meaning of a word or a run of words.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,7 +28,7 @@ pub(super) enum Meaning {
     Superlative(Measure),
     Ordinal(u32),
     Number(u32),
-    Colour(ColourName),
+    Color(ColorName),
     Trait(Trait),
     Not,
     /// "or", "nor": continues the negation.
@@ -91,27 +91,27 @@ impl Meaning {
         let (kind, which) = name.split_once(' ').unwrap_or((name, ""));
         Some(match kind {
             "relation" => {
-                Self::Relation(RelationKind::ALL.into_iter().find(|k| k.word() == which)?)
+                Self::Relation(RelationKind::ALL.into_iter().find(|k| k.as_str() == which)?)
             }
             "with" => Self::With { absent: false },
             "without" => Self::With { absent: true },
             "same" => Self::Same,
             "as" => Self::As,
-            "view" => Self::View(Look::ALL.into_iter().find(|l| l.word() == which)?),
+            "view" => Self::View(Look::ALL.into_iter().find(|l| l.as_str() == which)?),
             "seated" => Self::Seated,
             "entering" => Self::Entering,
-            "from_side" => Self::FromSide(Measure::ALL.into_iter().find(|m| m.word() == which)?),
+            "from_side" => Self::FromSide(Measure::ALL.into_iter().find(|m| m.as_str() == which)?),
             "superlative" => {
-                Self::Superlative(Measure::ALL.into_iter().find(|m| m.word() == which)?)
+                Self::Superlative(Measure::ALL.into_iter().find(|m| m.as_str() == which)?)
             }
             "ordinal" => Self::Ordinal(which.parse().ok()?),
             "number" => Self::Number(which.parse().ok()?),
-            "colour" => Self::Colour(ColourName::ALL.into_iter().find(|c| c.word() == which)?),
-            "trait" => Self::Trait(Trait::ALL.into_iter().find(|t| t.word() == which)?),
+            "colour" => Self::Color(ColorName::ALL.into_iter().find(|c| c.as_str() == which)?),
+            "trait" => Self::Trait(Trait::ALL.into_iter().find(|t| t.as_str() == which)?),
             "not" => Self::Not,
             "or" => Self::Or,
             "bare" => Self::Bare,
-            "side" => Self::Side(Measure::ALL.into_iter().find(|m| m.word() == which)?),
+            "side" => Self::Side(Measure::ALL.into_iter().find(|m| m.as_str() == which)?),
             "and" => Self::And,
             "of" => Self::Of,
             "of_target" => Self::OfTarget,
@@ -153,7 +153,7 @@ pub(super) fn is_known(word: &str) -> bool {
 }
 
 /// Returns whether words for a color are approximate: "pinkish", "salmon coloured".
-pub(super) fn is_rough_colour(text: &str) -> bool {
+pub(super) fn is_rough_color(text: &str) -> bool {
     ["ish", "orangey", "yellowy", "coloured", "colored"].iter().any(|ending| text.ends_with(ending))
 }
 

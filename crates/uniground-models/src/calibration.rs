@@ -25,7 +25,7 @@ const UNKNOWN_FIT: f32 = 0.3;
 const TEMPERATURE: f32 = 4.0;
 
 /// Returns how well measures fit, as a summand to a scaled cosine.
-fn measured(fit: Option<f32>) -> f32 {
+fn measures_logit(fit: Option<f32>) -> f32 {
     MEASURES_WEIGHT * fit.unwrap_or(UNKNOWN_FIT).max(LEAST_FIT).ln()
 }
 
@@ -33,14 +33,14 @@ fn measured(fit: Option<f32>) -> f32 {
 /// `fit` is the fit of its measures, if the lexicon has them.
 #[must_use]
 pub fn fit(cosine: f32, logit_scale: f32, fit: Option<f32>, norms: Norms) -> f32 {
-    ((logit_scale * cosine + measured(fit) - norms.joint) / TEMPERATURE).exp().min(1.0)
+    ((logit_scale * cosine + measures_logit(fit) - norms.joint) / TEMPERATURE).exp().min(1.0)
 }
 
 /// A noun and its vector.
 type Word = (&'static Noun, Arc<[f32]>);
 
 /// Returns the vectors of all nouns of the lexicon that the text tower knows.
-fn vocabulary(encoder: &DualEncoder) -> Result<Vec<Word>, ModelError> {
+fn embed_vocabulary(encoder: &DualEncoder) -> Result<Vec<Word>, ModelError> {
     let embedded = |noun: &'static Noun| Ok((noun, encoder.embed_name(&noun.name)?.vector));
     let embedded: Vec<_> =
         Lexicon::get().nouns().par_iter().map(embedded).collect::<Result<_, ModelError>>()?;
@@ -58,7 +58,7 @@ pub fn name_all(
     rows: &[f32],
 ) -> Result<Embeddings, ModelError> {
     let embeddings = Embeddings::new(encoder.dim(), rows);
-    let vocabulary = vocabulary(encoder)?;
+    let vocabulary = embed_vocabulary(encoder)?;
     let scale = encoder.logit_scale();
     let cosines: Vec<Vec<f32>> =
         vocabulary.par_iter().map(|(_, word)| embeddings.cosines(word)).collect();
@@ -72,10 +72,11 @@ pub fn name_all(
                 .iter()
                 .zip(&by_appearance)
                 .map(|((noun, _), logit)| {
-                    logit + measured(Some(attributes::noun_fit(noun, instance)))
+                    logit + measures_logit(Some(attributes::noun_fit(noun, instance)))
                 })
                 .collect();
-            let norms = Norms { appearance: log_sum(&by_appearance), joint: log_sum(&jointly) };
+            let norms =
+                Norms { appearance: log_sum_exp(&by_appearance), joint: log_sum_exp(&jointly) };
             if embeddings.is_seen(i) && instance.structure.is_none() {
                 instance.names = best_names(&vocabulary, &jointly, norms.joint);
             }
@@ -101,7 +102,7 @@ fn best_names(vocabulary: &[Word], logits: &[f32], norm: f32) -> Vec<NameGuess> 
 }
 
 /// Logarithm of the sum of exponentials.
-fn log_sum(logits: &[f32]) -> f32 {
+fn log_sum_exp(logits: &[f32]) -> f32 {
     let most = logits.iter().copied().fold(f32::MIN, f32::max);
     most + logits.iter().map(|logit| (logit - most).exp()).sum::<f32>().ln()
 }
@@ -141,15 +142,15 @@ mod tests {
     #[test]
     fn measures_speak_by_twice_their_logarithm_and_a_misfit_not_too_loud() {
         let e = std::f32::consts::E;
-        assert_near(measured(Some(1.0)), 0.0, "a perfect fit takes nothing away");
-        assert_near(measured(Some(1.0 / e)), -2.0, "2 ln (1/e)");
-        assert_near(measured(Some(0.5)), -1.386_294, "2 ln 0.5");
-        assert_near(measured(None), -2.407_946, "2 ln 0.3: nothing is known");
+        assert_near(measures_logit(Some(1.0)), 0.0, "a perfect fit takes nothing away");
+        assert_near(measures_logit(Some(1.0 / e)), -2.0, "2 ln (1/e)");
+        assert_near(measures_logit(Some(0.5)), -1.386_294, "2 ln 0.5");
+        assert_near(measures_logit(None), -2.407_946, "2 ln 0.3: nothing is known");
         // 2 ln 0.02 at the least.
         for fit in [0.02, 0.019, 1e-6, 0.0] {
-            assert_near(measured(Some(fit)), -7.824_046, &format!("{fit}"));
+            assert_near(measures_logit(Some(fit)), -7.824_046, &format!("{fit}"));
         }
-        assert!(measured(Some(0.021)) > -7.73, "2 ln 0.021 = -7.7265");
+        assert!(measures_logit(Some(0.021)) > -7.73, "2 ln 0.021 = -7.7265");
     }
 
     #[test]
@@ -173,16 +174,17 @@ mod tests {
 
     #[test]
     fn log_sum_is_the_logarithm_of_the_sum_of_exponentials() {
-        let of_shares =
-            |shares: &[f32]| log_sum(&shares.iter().map(|share| share.ln()).collect::<Vec<_>>());
+        let of_shares = |shares: &[f32]| {
+            log_sum_exp(&shares.iter().map(|share| share.ln()).collect::<Vec<_>>())
+        };
         assert_near(of_shares(&[1.0, 2.0, 3.0]), 6.0_f32.ln(), "1 + 2 + 3");
         assert_near(of_shares(&[0.5, 0.25]), 0.75_f32.ln(), "1/2 + 1/4");
-        assert_near(log_sum(&[7.5]), 7.5, "one alone");
-        assert_near(log_sum(&[0.0; 8]), 8.0_f32.ln(), "eight ones");
+        assert_near(log_sum_exp(&[7.5]), 7.5, "one alone");
+        assert_near(log_sum_exp(&[0.0; 8]), 8.0_f32.ln(), "eight ones");
         // Far from zero nothing overflows or vanishes.
-        assert_near(log_sum(&[100.0, 100.0]), 100.0 + 2.0_f32.ln(), "large");
-        assert_near(log_sum(&[-100.0, -100.0]), -100.0 + 2.0_f32.ln(), "small");
-        assert_near(log_sum(&[-200.0, 100.0]), 100.0, "far apart");
+        assert_near(log_sum_exp(&[100.0, 100.0]), 100.0 + 2.0_f32.ln(), "large");
+        assert_near(log_sum_exp(&[-100.0, -100.0]), -100.0 + 2.0_f32.ln(), "small");
+        assert_near(log_sum_exp(&[-200.0, 100.0]), 100.0, "far apart");
     }
 
     /// The first nouns of the lexicon; what vector they have does not matter here.
@@ -286,11 +288,11 @@ mod tests {
             logits in prop::collection::vec(-30.0_f32..30.0, 1..20),
             by in -50.0_f32..50.0,
         ) {
-            let sum = log_sum(&logits);
+            let sum = log_sum_exp(&logits);
             let most = logits.iter().copied().fold(f32::MIN, f32::max);
             prop_assert!(most <= sum && sum <= most + (logits.len() as f32).ln() + 1e-4, "{sum}");
             let moved: Vec<f32> = logits.iter().map(|logit| logit + by).collect();
-            prop_assert!((log_sum(&moved) - sum - by).abs() < 1e-3, "{} {sum}", log_sum(&moved));
+            prop_assert!((log_sum_exp(&moved) - sum - by).abs() < 1e-3, "{} {sum}", log_sum_exp(&moved));
         }
     }
 }

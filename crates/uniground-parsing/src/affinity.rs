@@ -123,7 +123,9 @@ pub fn compute(
                 frames += 1.0;
             }
             let affinity = match normalisation {
-                _ if frames == 0.0 => by_geometry(&patches[a as usize], &patches[b as usize]),
+                _ if frames == 0.0 => {
+                    geometric_affinity(&patches[a as usize], &patches[b as usize])
+                }
                 Normalisation::Normalised => consistent / weight,
                 Normalisation::Literal => consistent / frames,
             };
@@ -159,21 +161,21 @@ fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
 
 /// CIELAB distance and angle at which geometry alone gives a probability of one half that two
 /// patches are different things.
-const HALF_COLOUR: f32 = 18.0;
+const HALF_COLOR: f32 = 18.0;
 const HALF_ANGLE_RAD: f32 = 0.6;
 
 /// Affinity of two patches that no camera sees together: high for one color on one flat surface.
-fn by_geometry(a: &Patch, b: &Patch) -> f32 {
-    let colour = (a.lab - b.lab).norm() / HALF_COLOUR;
+fn geometric_affinity(a: &Patch, b: &Patch) -> f32 {
+    let color = (a.lab - b.lab).norm() / HALF_COLOR;
     let bend = a.normal.dot(&b.normal).abs().min(1.0).acos() / HALF_ANGLE_RAD;
-    1.0 / (1.0 + colour.powi(2) + bend.powi(2))
+    1.0 / (1.0 + color.powi(2) + bend.powi(2))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
     use uniground_geometry::scene::FrameIndex;
     use uniground_geometry::{Point3, Vector3};
 
@@ -417,12 +419,12 @@ mod tests {
             let lab = lab + Lab::new(2.0, 2.0, 1.0) * (distance / 3.0);
             let to = geometry(tilted(angle), lab);
             let what = format!("{distance} apart, bent by {angle}");
-            assert!((by_geometry(&from, &to) - expected).abs() < 1e-3, "{what}");
-            assert_eq!(by_geometry(&from, &to), by_geometry(&to, &from), "{what}");
+            assert!((geometric_affinity(&from, &to) - expected).abs() < 1e-3, "{what}");
+            assert_eq!(geometric_affinity(&from, &to), geometric_affinity(&to, &from), "{what}");
             let other_side = Patch { normal: -to.normal, ..to };
             assert_eq!(
-                by_geometry(&from, &to),
-                by_geometry(&from, &other_side),
+                geometric_affinity(&from, &to),
+                geometric_affinity(&from, &other_side),
                 "{what}: the sign of a normal is arbitrary"
             );
         }

@@ -5,7 +5,7 @@ use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
 use super::lifting::MasksOfFrames;
 use super::outline::Outline;
-use super::views::{LabelledPoints, Sighting, all_sightings, visible_pixels};
+use super::views::{LabeledPoints, Sighting, compute_sightings, visible_pixels};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
@@ -21,7 +21,7 @@ pub type FrameBoxes = BTreeMap<FrameIndex, BTreeMap<InstanceId, [u32; 4]>>;
 /// Returns the frames in which each instance is embedded, with its projected box in each. Parts and
 /// wholes get half as many frames as things, because they overlap them.
 #[must_use]
-pub fn choose(
+pub fn choose_frames(
     instances: &[Instance],
     sightings: &[Sighting],
     settings: &AppearanceSettings,
@@ -65,11 +65,11 @@ pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a model that fails, cancellation.
-pub fn look(
+pub fn embed_instances(
     (frames, depths): (&[FrameRef], &DepthCache),
     instances: &[Instance],
     boxes: &FrameBoxes,
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     (correction, encoder): (Option<Correction>, Option<&DualEncoder>),
     settings: &AppearanceSettings,
     progress: &Progress,
@@ -84,10 +84,10 @@ pub fn look(
         |frame| {
             progress.check()?;
             let mut seen = boxes[&frame.index].clone();
-            let picture = frame.decode_colour()?;
+            let picture = frame.decode_color()?;
             let corrected = match correction {
                 Some(correction) => {
-                    correct(frame, depths, &picture, labelled, correction, &seen, progress)?
+                    correct_outlines(frame, depths, &picture, labeled, correction, &seen, progress)?
                 }
                 None => BTreeMap::new(),
             };
@@ -107,30 +107,30 @@ pub fn look(
             Ok(progress.report("appearance", (i + 1) as f32 / wanted.len() as f32)?)
         },
     )?;
-    Ok((if dim > 0 { finish(&sums, dim) } else { Vec::new() }, outlines))
+    Ok((if dim > 0 { normalize_rows(&sums, dim) } else { Vec::new() }, outlines))
 }
 
 /// Returns one vector per instance, row after row, for instances whose points are already known.
 /// Projected boxes are not corrected.
 ///
 /// # Errors
-/// As [`look`].
-pub fn of_known(
+/// As [`embed_instances`].
+pub fn embed_known(
     frames: &[FrameRef],
     instances: &[Instance],
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     encoder: &DualEncoder,
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
     let depths = &DepthCache::new(0);
-    let seen = all_sightings(labelled, (frames, depths), &MasksOfFrames::new(), &quiet)?;
-    let boxes = choose(instances, &seen, settings);
-    Ok(look(
+    let seen = compute_sightings(labeled, (frames, depths), &MasksOfFrames::new(), &quiet)?;
+    let boxes = choose_frames(instances, &seen, settings);
+    Ok(embed_instances(
         (frames, depths),
         instances,
         &boxes,
-        labelled,
+        labeled,
         (None, Some(encoder)),
         settings,
         &quiet,
@@ -139,11 +139,11 @@ pub fn of_known(
 }
 
 /// For instances with projected boxes, returns the masks that agree with the projection.
-fn correct(
+fn correct_outlines(
     frame: &FrameRef,
     depths: &DepthCache,
     picture: &RgbImage,
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     Correction { corrector, known }: Correction,
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
@@ -153,10 +153,10 @@ fn correct(
         .get(&frame.index)
         .into_iter()
         .flatten()
-        .map(|masks| KnownMasks::of(masks, frame))
+        .map(|masks| KnownMasks::from_runs(masks, frame))
         .collect();
     let (mut encoded, mut outlines) = (None, BTreeMap::new());
-    let pixels = visible_pixels(labelled, frame, &depth);
+    let pixels = visible_pixels(labeled, frame, &depth);
     for of_instance in pixels.chunk_by(|a, b| a.instance == b.instance) {
         progress.check()?;
         let instance = of_instance[0].instance;
@@ -174,13 +174,13 @@ fn correct(
         if corrected.is_none() {
             let encoded = match &encoded {
                 Some(encoded) => encoded,
-                None => encoded.insert(corrector.frames.of(frame.index, picture)?),
+                None => encoded.insert(corrector.frames.encode(frame.index, picture)?),
             };
-            corrected = corrector.asked_outline(encoded, &projection, size)?;
+            corrected = corrector.segment_outline(encoded, &projection, size)?;
         }
         outlines.extend(corrected.map(|outline| (instance, outline)));
     }
-    corrector.frames.forget(frame.index);
+    corrector.frames.remove(frame.index);
     Ok(outlines)
 }
 
@@ -196,7 +196,7 @@ fn embed(
     let crops: Vec<RgbImage> =
         boxes.values().flat_map(|tight| crops(picture, *tight, settings)).collect();
     let mut vectors = Vec::with_capacity(crops.len());
-    for batch in crops.chunks(encoder.batch()) {
+    for batch in crops.chunks(encoder.batch_size()) {
         progress.check()?;
         vectors.extend(encoder.embed_pictures(batch)?);
     }
@@ -227,7 +227,7 @@ fn crops(
 }
 
 /// Scales sums to unit length; instances that were never seen stay zero.
-fn finish(sums: &[f64], dim: usize) -> Vec<f32> {
+fn normalize_rows(sums: &[f64], dim: usize) -> Vec<f32> {
     let mut rows = Vec::with_capacity(sums.len());
     for sum in sums.chunks_exact(dim) {
         let norm = sum.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -279,7 +279,7 @@ mod tests {
                 .map(|(f, _)| f.0)
                 .collect::<Vec<_>>()
         };
-        let chosen = choose(&instances, &seen, &settings);
+        let chosen = choose_frames(&instances, &seen, &settings);
         assert_eq!((frames_of(&chosen, 1), frames_of(&chosen, 2)), (vec![0, 3], vec![1]));
         assert_eq!(chosen[&FrameIndex(3)][&InstanceId(1)], [3, 0, 12, 9]);
     }
@@ -323,7 +323,7 @@ mod tests {
             .flat_map(|(_, sum)| sum.iter().map(|v| f64::from(*v)))
             .chain(vec![0.0; encoder.dim()])
             .collect();
-        let rows = finish(&sums, encoder.dim());
+        let rows = normalize_rows(&sums, encoder.dim());
         let norms: Vec<f32> =
             rows.chunks(encoder.dim()).map(|row| row.iter().map(|v| v * v).sum::<f32>()).collect();
         assert!((norms[0] - 1.0).abs() < 1e-5 && (norms[1] - 1.0).abs() < 1e-5 && norms[2] == 0.0);

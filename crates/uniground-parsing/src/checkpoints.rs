@@ -29,14 +29,14 @@ struct CheckpointLocation {
 impl Checkpoints {
     /// Stores no checkpoints.
     #[must_use]
-    pub fn none() -> Self {
+    pub fn disabled() -> Self {
         Self::default()
     }
 
     /// Stores logs in `folder`, which must exist. They are valid for this `origin` only. Once the
     /// folder has been deleted, nothing more is stored.
     #[must_use]
-    pub fn kept_in(folder: &Utf8Path, origin: &str) -> Self {
+    pub fn in_folder(folder: &Utf8Path, origin: &str) -> Self {
         Self {
             location: Some(CheckpointLocation {
                 folder: folder.to_owned(),
@@ -55,7 +55,7 @@ impl Checkpoints {
     /// Returns checkpoints at the same location for stages that depend on more than the original
     /// scan.
     #[must_use]
-    pub fn depending_on(&self, more: &str) -> Self {
+    pub fn with_dependency(&self, more: &str) -> Self {
         let location = self.location.as_ref();
         Self {
             location: location.map(|at| CheckpointLocation {
@@ -67,18 +67,18 @@ impl Checkpoints {
 
     /// Opens the log of a stage that depends on these settings. Removes logs of the same stage with
     /// other settings.
-    pub fn log<T: Serialize + DeserializeOwned>(
+    pub fn open_log<T: Serialize + DeserializeOwned>(
         &self,
         stage: &str,
         depends_on: &impl Serialize,
     ) -> StageLog<T> {
         let Some(CheckpointLocation { folder, origin }) = &self.location else {
-            return StageLog::nowhere();
+            return StageLog::disabled();
         };
         let opened = key(origin, depends_on).and_then(|key| StageLog::open(folder, stage, &key));
         opened.unwrap_or_else(|error| {
             tracing::warn!(%folder, stage, %error, "checkpoint could not be opened; this stage is not saved");
-            StageLog::nowhere()
+            StageLog::disabled()
         })
     }
 
@@ -87,14 +87,14 @@ impl Checkpoints {
     ///
     /// # Errors
     /// Errors of `compute`.
-    pub fn once<T: Serialize + DeserializeOwned, E>(
+    pub fn load_or_compute<T: Serialize + DeserializeOwned, E>(
         &self,
         stage: &str,
         depends_on: &impl Serialize,
         compute: impl FnOnce() -> Result<T, E>,
     ) -> Result<(T, bool), E> {
-        let mut log = self.log(stage, depends_on);
-        if let Some(kept) = log.kept().pop() {
+        let mut log = self.open_log(stage, depends_on);
+        if let Some(kept) = log.take_records().pop() {
             return Ok((kept, true));
         }
         let result = compute()?;
@@ -120,7 +120,7 @@ pub struct StageLog<T> {
 }
 
 impl<T: Serialize + DeserializeOwned> StageLog<T> {
-    fn nowhere() -> Self {
+    fn disabled() -> Self {
         Self { file: None, kept: Vec::new(), ends: Vec::new(), records: PhantomData }
     }
 
@@ -141,12 +141,12 @@ impl<T: Serialize + DeserializeOwned> StageLog<T> {
     }
 
     /// Takes the records of earlier attempts; a second call returns none.
-    pub fn kept(&mut self) -> Vec<T> {
+    pub fn take_records(&mut self) -> Vec<T> {
         std::mem::take(&mut self.kept)
     }
 
     /// Drops all records after the first `count`, because only those match the current work.
-    pub fn forget_after(&mut self, count: usize) {
+    pub fn truncate_after(&mut self, count: usize) {
         let Some(file) = &self.file else { return };
         if count < self.ends.len() {
             let end = count.checked_sub(1).map_or(0, |last| self.ends[last]);
@@ -210,20 +210,25 @@ mod tests {
     fn records_are_kept_for_the_same_settings_only() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap();
-        let checkpoints = Checkpoints::kept_in(path, "scan");
-        let mut log = checkpoints.log::<(u32, String)>("stage", &("settings", 1));
-        assert!(log.kept().is_empty());
+        let checkpoints = Checkpoints::in_folder(path, "scan");
+        let mut log = checkpoints.open_log::<(u32, String)>("stage", &("settings", 1));
+        assert!(log.take_records().is_empty());
         log.append(&(1, "one".into()));
         log.append(&(2, "two".into()));
-        let same = checkpoints.log::<(u32, String)>("stage", &("settings", 1)).kept();
+        let same = checkpoints.open_log::<(u32, String)>("stage", &("settings", 1)).take_records();
         assert_eq!(same, [(1, "one".to_owned()), (2, "two".to_owned())]);
         assert!(
-            Checkpoints::kept_in(path, "other")
-                .log::<(u32, String)>("stage", &("settings", 1))
-                .kept()
+            Checkpoints::in_folder(path, "other")
+                .open_log::<(u32, String)>("stage", &("settings", 1))
+                .take_records()
                 .is_empty()
         );
-        assert!(checkpoints.log::<(u32, String)>("stage", &("settings", 2)).kept().is_empty());
+        assert!(
+            checkpoints
+                .open_log::<(u32, String)>("stage", &("settings", 2))
+                .take_records()
+                .is_empty()
+        );
         assert_eq!(fs::read_dir(path).unwrap().count(), 1, "one log a stage");
     }
 
@@ -231,8 +236,8 @@ mod tests {
     fn what_a_crash_left_half_written_is_cut_off() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap();
-        let checkpoints = Checkpoints::kept_in(path, "scan");
-        let mut log = checkpoints.log::<Vec<u32>>("stage", &0);
+        let checkpoints = Checkpoints::in_folder(path, "scan");
+        let mut log = checkpoints.open_log::<Vec<u32>>("stage", &0);
         log.append(&vec![7; 100]);
         log.append(&vec![8; 100]);
         let file = path.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path();
@@ -241,19 +246,22 @@ mod tests {
             [whole[..whole.len() - 1].to_vec(), [&whole[..whole.len() - 50], &[0; 50]].concat()]
         {
             fs::write(&file, damaged).unwrap();
-            let mut log = checkpoints.log::<Vec<u32>>("stage", &0);
-            assert_eq!(log.kept(), [vec![7; 100]]);
+            let mut log = checkpoints.open_log::<Vec<u32>>("stage", &0);
+            assert_eq!(log.take_records(), [vec![7; 100]]);
             log.append(&vec![9; 3]);
-            assert_eq!(checkpoints.log::<Vec<u32>>("stage", &0).kept(), [vec![7; 100], vec![9; 3]]);
+            assert_eq!(
+                checkpoints.open_log::<Vec<u32>>("stage", &0).take_records(),
+                [vec![7; 100], vec![9; 3]]
+            );
         }
     }
 
     #[test]
     fn a_place_that_can_not_be_written_costs_only_time() {
-        let checkpoints = Checkpoints::kept_in(Utf8Path::new("/proc/no/such/place"), "scan");
-        let first = checkpoints.once("stage", &0, || Ok::<_, ()>(1));
+        let checkpoints = Checkpoints::in_folder(Utf8Path::new("/proc/no/such/place"), "scan");
+        let first = checkpoints.load_or_compute("stage", &0, || Ok::<_, ()>(1));
         assert_eq!(
-            (first, checkpoints.once("stage", &0, || Ok::<_, ()>(2))),
+            (first, checkpoints.load_or_compute("stage", &0, || Ok::<_, ()>(2))),
             (Ok((1, false)), Ok((2, false)))
         );
     }

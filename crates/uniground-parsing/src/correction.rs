@@ -46,11 +46,11 @@ impl Corrector<'_> {
         let least = self.settings.known_agreement.filter(|_| !projection.pixels.is_empty())?;
         let scale =
             (KnownMasks::SIZE as f32 / width as f32, KnownMasks::SIZE as f32 / height as f32);
-        let covered = MaskCoverage::by(projection.pixels, scale, KnownMasks::SIZE);
-        let id = known.commonest(&covered.hit)?;
+        let covered = MaskCoverage::of_projection(projection.pixels, scale, KnownMasks::SIZE);
+        let id = known.most_common_mask(&covered.hit)?;
         let inside = |cell: usize| known.ids[cell] == id;
         (covered.agreement(inside) >= least)
-            .then(|| outlined(inside, KnownMasks::SIZE, scale, (width, height)))
+            .then(|| to_outline(inside, KnownMasks::SIZE, scale, (width, height)))
             .flatten()
     }
 
@@ -59,7 +59,7 @@ impl Corrector<'_> {
     ///
     /// # Errors
     /// [`ModelError`]: a failed call.
-    pub fn asked_outline(
+    pub fn segment_outline(
         &self,
         encoded: &Encoded,
         projection: &Projection,
@@ -71,13 +71,15 @@ impl Corrector<'_> {
         if pixels.is_empty() || self.settings.rounds == 0 {
             return Ok(None);
         }
-        let mut draw = SeededRandom::of(projection);
+        let mut draw = SeededRandom::from_projection(projection);
         let prompts: Vec<Prompt> = (0..self.settings.rounds)
             .map(|_| {
-                Prompt::inside((0..self.settings.points).map(|_| pixels[draw.below(pixels.len())]))
+                Prompt::from_inside_points(
+                    (0..self.settings.points).map(|_| pixels[draw.next_below(pixels.len())]),
+                )
             })
             .collect();
-        let covered = MaskCoverage::by(pixels, scale, size);
+        let covered = MaskCoverage::of_projection(pixels, scale, size);
         let masks = segmenter.decode(encoded, &prompts)?;
         let judged = masks.into_iter().flatten().map(|mask| {
             let agreement = covered.agreement(|cell| mask.logits[cell] > segmenter.threshold());
@@ -89,7 +91,12 @@ impl Corrector<'_> {
             .filter(|(agreement, _)| *agreement >= self.settings.min_agreement)
             .max_by(|(a, x), (b, y)| (a * x.predicted_iou).total_cmp(&(b * y.predicted_iou)));
         Ok(best.and_then(|(_, mask)| {
-            outlined(|cell| mask.logits[cell] > segmenter.threshold(), size, scale, (width, height))
+            to_outline(
+                |cell| mask.logits[cell] > segmenter.threshold(),
+                size,
+                scale,
+                (width, height),
+            )
         }))
     }
 }
@@ -106,21 +113,21 @@ impl KnownMasks {
 
     /// Samples the masks, which lie on the depth image, at the center of each cell.
     #[must_use]
-    pub fn of(masks: &IdRuns, frame: &FrameRef) -> Self {
-        let masks = masks.unpacked();
-        let (depth, colour) = (frame.depth_camera().intrinsics, frame.colour_camera().intrinsics);
+    pub fn from_runs(masks: &IdRuns, frame: &FrameRef) -> Self {
+        let masks = masks.to_image();
+        let (depth, color) = (frame.depth_camera().intrinsics, frame.color_camera().intrinsics);
         let cells = |length: u32,
-                     [colour_c, colour_f, depth_c, depth_f]: [f32; 4],
+                     [color_c, color_f, depth_c, depth_f]: [f32; 4],
                      depth_length: u32|
          -> Vec<Option<u32>> {
             let pixel = |cell: usize| (cell as f32 + 0.5) * length as f32 / Self::SIZE as f32 - 0.5;
-            let at = |cell| ((pixel(cell) - colour_c) / colour_f * depth_f + depth_c + 0.5).floor();
+            let at = |cell| ((pixel(cell) - color_c) / color_f * depth_f + depth_c + 0.5).floor();
             (0..Self::SIZE)
                 .map(|cell| (0.0..depth_length as f32).contains(&at(cell)).then(|| at(cell) as u32))
                 .collect()
         };
-        let columns = cells(colour.width, [colour.cx, colour.fx, depth.cx, depth.fx], masks.width);
-        let rows = cells(colour.height, [colour.cy, colour.fy, depth.cy, depth.fy], masks.height);
+        let columns = cells(color.width, [color.cx, color.fx, depth.cx, depth.fx], masks.width);
+        let rows = cells(color.height, [color.cy, color.fy, depth.cy, depth.fy], masks.height);
         let ids = rows
             .iter()
             .flat_map(|row| {
@@ -131,7 +138,7 @@ impl KnownMasks {
     }
 
     /// The mask that most of these cells lie in.
-    fn commonest(&self, cells: &[usize]) -> Option<u16> {
+    fn most_common_mask(&self, cells: &[usize]) -> Option<u16> {
         let mut ids: Vec<u16> =
             cells.iter().map(|cell| self.ids[*cell]).filter(|id| *id != 0).collect();
         ids.sort_unstable();
@@ -148,7 +155,7 @@ struct MaskCoverage {
 }
 
 impl MaskCoverage {
-    fn by(pixels: &[(f32, f32)], scale: (f32, f32), size: usize) -> Self {
+    fn of_projection(pixels: &[(f32, f32)], scale: (f32, f32), size: usize) -> Self {
         let cell = |v: f32, scale: f32| (((v + 0.5) * scale) as usize).min(size - 1);
         let mut near = vec![false; size * size];
         let mut hit = Vec::new();
@@ -180,20 +187,22 @@ impl MaskCoverage {
 }
 
 /// Returns a mask with its tight box in the picture. `scale` is cells per pixel.
-fn outlined(
+fn to_outline(
     inside: impl Fn(usize) -> bool,
     size: usize,
     scale: (f32, f32),
     picture: (u32, u32),
 ) -> Option<Outline> {
-    let box_px = bounds(&inside, size, scale, picture)?;
+    let box_px = tight_box(&inside, size, scale, picture)?;
     let cell = |at: f32, scale: f32| ((at * scale) as usize).min(size - 1);
-    Some(Outline::of_picture(box_px, |(x, y)| inside(cell(y, scale.1) * size + cell(x, scale.0))))
+    Some(Outline::from_predicate(box_px, |(x, y)| {
+        inside(cell(y, scale.1) * size + cell(x, scale.0))
+    }))
 }
 
 /// Returns the tight box of a mask in the picture. The outermost 0.5 % of its area on each side are
 /// fragments and left out.
-fn bounds(
+fn tight_box(
     inside: impl Fn(usize) -> bool,
     size: usize,
     scale: (f32, f32),
@@ -233,11 +242,11 @@ fn bounds(
 struct SeededRandom(u64);
 
 impl SeededRandom {
-    fn of(projection: &Projection) -> Self {
+    fn from_projection(projection: &Projection) -> Self {
         Self((u64::from(projection.instance.0) << 32) | u64::from(projection.frame.0))
     }
 
-    fn below(&mut self, count: usize) -> usize {
+    fn next_below(&mut self, count: usize) -> usize {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -267,7 +276,7 @@ mod tests {
         let pixels: Vec<(f32, f32)> = (20..40)
             .flat_map(|x| (10..30).map(move |y| (x as f32 * 10.0, y as f32 * 10.0)))
             .collect();
-        let covered = MaskCoverage::by(&pixels, (0.1, 0.1), SIZE);
+        let covered = MaskCoverage::of_projection(&pixels, (0.1, 0.1), SIZE);
         let same = covered.agreement(mask(|u, v| (20..40).contains(&u) && (10..30).contains(&v)));
         let half = covered.agreement(mask(|u, v| (20..30).contains(&u) && (10..30).contains(&v)));
         let all = covered.agreement(mask(|_, _| true));
@@ -279,8 +288,8 @@ mod tests {
     fn the_box_is_tight_and_crumbs_are_left_out() {
         let crumbed =
             mask(|u, v| (16..32).contains(&u) && (8..40).contains(&v) || (u, v) == (63, 63));
-        assert_eq!(bounds(crumbed, SIZE, (0.1, 0.2), (640, 320)), Some([160, 40, 320, 200]));
-        assert_eq!(bounds(mask(|_, _| false), SIZE, (0.1, 0.2), (640, 320)), None);
+        assert_eq!(tight_box(crumbed, SIZE, (0.1, 0.2), (640, 320)), Some([160, 40, 320, 200]));
+        assert_eq!(tight_box(mask(|_, _| false), SIZE, (0.1, 0.2), (640, 320)), None);
     }
 
     /// An existing mask over columns 20 to 60 and rows 10 to 40 of a picture twice as large as its
@@ -295,9 +304,9 @@ mod tests {
         let depth = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 31.5, cy: 23.5 };
         let frame = FrameRef {
             index: FrameIndex(3),
-            colour: "c".into(),
+            color: "c".into(),
             depth: "d".into(),
-            colour_intrinsics: depth.scaled_to(128, 96),
+            color_intrinsics: depth.scaled_to(128, 96),
             depth_intrinsics: depth,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),
@@ -306,7 +315,10 @@ mod tests {
         let ids = (0..64 * 48)
             .map(|i| u16::from((20..40).contains(&(i % 64)) && (10..30).contains(&(i / 64))) * 9)
             .collect();
-        let known = KnownMasks::of(&IdRuns::of(&IdImage { width: 64, height: 48, ids }), &frame);
+        let known = KnownMasks::from_runs(
+            &IdRuns::from_image(&IdImage { width: 64, height: 48, ids }),
+            &frame,
+        );
         let seen = |columns: std::ops::Range<u16>| -> Vec<(f32, f32)> {
             columns.flat_map(|x| (22..58_u16).map(move |y| (f32::from(x), f32::from(y)))).collect()
         };
@@ -336,17 +348,17 @@ mod tests {
         let corrector = Corrector { frames: &frames, settings };
         let picture =
             RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));
-        let encoded = frames.of(FrameIndex(3), &picture).unwrap();
+        let encoded = frames.encode(FrameIndex(3), &picture).unwrap();
         let pixels: Vec<(f32, f32)> =
             (30..50).flat_map(|x| (20..40).map(move |y| (x as f32, y as f32))).collect();
         let projection =
             Projection { instance: InstanceId(4), frame: FrameIndex(3), pixels: &pixels };
-        let found = corrector.asked_outline(&encoded, &projection, (90, 60)).unwrap();
-        assert_eq!(found, corrector.asked_outline(&encoded, &projection, (90, 60)).unwrap());
+        let found = corrector.segment_outline(&encoded, &projection, (90, 60)).unwrap();
+        assert_eq!(found, corrector.segment_outline(&encoded, &projection, (90, 60)).unwrap());
         let picky = Corrector {
             frames: &frames,
             settings: CorrectionSettings { min_agreement: 1.1, ..settings },
         };
-        assert_eq!(picky.asked_outline(&encoded, &projection, (90, 60)).unwrap(), None);
+        assert_eq!(picky.segment_outline(&encoded, &projection, (90, 60)).unwrap(), None);
     }
 }

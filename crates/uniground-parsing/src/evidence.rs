@@ -1,11 +1,13 @@
 //! Evidence pictures for people: for every view a crop, and the full frame with a red box; the
 //! instance is outlined in both (paper: candidate visual evidence). Few of them are ever looked at,
 //! so each is drawn on request. Models get collages, whose outlines are drawn at their own size:
-//! [`uniground_render::Shot::of_view`].
+//! [`uniground_render::Shot::from_view`].
 
 use image::{Rgb, RgbImage};
 use uniground_geometry::scene::{CellMask, View};
-use uniground_render::{Surroundings, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
+use uniground_render::{
+    Surroundings, crop_area, cut_out_area, draw_outline, encode_jpeg, outline_reach, to_area_shares,
+};
 
 /// Selects one of the two pictures of a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,16 +22,16 @@ const RED: Rgb<u8> = Rgb([230, 20, 20]);
 
 /// Draws one evidence picture of a view from its photograph, as JPEG.
 #[must_use]
-pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
-    let mask = seen.mask.as_ref().and_then(CellMask::unpacked);
+pub fn draw_picture(color: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
+    let mask = seen.mask.as_ref().and_then(CellMask::from_view_mask);
     let (area, around) = match picture {
-        Picture::Crop => (crop_area(seen.box_px, colour.dimensions()), Surroundings::Dimmed),
-        Picture::Frame => ([0, 0, colour.width(), colour.height()], Surroundings::Kept),
+        Picture::Crop => (crop_area(seen.box_px, color.dimensions()), Surroundings::Dimmed),
+        Picture::Frame => ([0, 0, color.width(), color.height()], Surroundings::Kept),
     };
-    let mut drawn = cut(colour, area);
+    let mut drawn = cut_out_area(color, area);
     let whole = (0, 0, drawn.width(), drawn.height());
     if let Some(mask) = &mask {
-        draw_outline(&mut drawn, whole, mask, shares(seen.box_px, area), around);
+        draw_outline(&mut drawn, whole, mask, to_area_shares(seen.box_px, area), around);
     }
     if picture == Picture::Frame {
         // Enlarges the box so that the outline fits inside.
@@ -43,7 +45,7 @@ pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
         ];
         draw_box(&mut drawn, boxed);
     }
-    jpeg(&drawn)
+    encode_jpeg(&drawn)
 }
 
 /// Draws a red outline just outside the box, three pixels wide, clipped to the picture.
@@ -76,8 +78,8 @@ mod tests {
 
     #[test]
     fn the_frame_has_a_red_box_around_the_object_and_the_crop_an_outline() {
-        let colour = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
-        let mask = CellMask::of(8, 8, |column, row| column + row < 8).packed();
+        let color = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
+        let mask = CellMask::from_fn(8, 8, |column, row| column + row < 8).to_view_mask();
         let seen = View {
             frame: FrameIndex(0),
             visible_points: 9,
@@ -85,7 +87,7 @@ mod tests {
             mask: Some(mask),
         };
         let decoded =
-            |of| image::load_from_memory(&picture(&colour, &seen, of)).unwrap().into_rgb8();
+            |of| image::load_from_memory(&draw_picture(&color, &seen, of)).unwrap().into_rgb8();
         let (crop, frame) = (decoded(Picture::Crop), decoded(Picture::Frame));
         assert_eq!((crop.dimensions(), frame.dimensions()), ((224, 224), (400, 300)));
         let reddish = |p: &Rgb<u8>| p.0[0] > 150 && p.0[1] < 110;

@@ -16,7 +16,7 @@ use uniground_types::settings::{AppearanceSettings, FrameSamplingSettings};
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, an encoder that fails, cancellation.
-pub fn look(
+pub fn embed_frames(
     frames: &[FrameRef],
     encoder: &DualEncoder,
     settings: &AppearanceSettings,
@@ -29,14 +29,14 @@ pub fn look(
         max_frames: Some(settings.frames),
         ..FrameSamplingSettings::default()
     };
-    let frames = frame_sampling::sample(frames, &spread);
+    let frames = frame_sampling::sample_frames(frames, &spread);
     let (mut of_row, mut rows) = (Vec::new(), Vec::new());
     stream_frames(
         &frames,
         |frame| {
             progress.check()?;
             let mut vectors = Vec::new();
-            for batch in crops(&frame.decode_colour()?).chunks(encoder.batch()) {
+            for batch in overlapping_crops(&frame.decode_color()?).chunks(encoder.batch_size()) {
                 progress.check()?;
                 vectors.extend(encoder.embed_pictures(batch)?);
             }
@@ -53,7 +53,7 @@ pub fn look(
 
 /// Returns the whole picture, and crops of half its width and two thirds of its height that overlap
 /// by half.
-fn crops(picture: &RgbImage) -> Vec<RgbImage> {
+fn overlapping_crops(picture: &RgbImage) -> Vec<RgbImage> {
     let (width, height) = picture.dimensions();
     let (w, h) = ((width / 2).max(1), (height * 2 / 3).max(1));
     let places =
@@ -69,7 +69,7 @@ mod tests {
     #[test]
     fn crops_cover_the_picture() {
         let picture = RgbImage::from_fn(120, 90, |x, y| image::Rgb([x as u8, y as u8, 0]));
-        let crops = crops(&picture);
+        let crops = overlapping_crops(&picture);
         let sizes: Vec<_> = crops.iter().map(RgbImage::dimensions).collect();
         assert_eq!(sizes, [[(120, 90)].as_slice(), &[(60, 60); 6]].concat());
         let corners: Vec<_> = crops[1..]

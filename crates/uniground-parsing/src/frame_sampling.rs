@@ -6,7 +6,7 @@ use uniground_types::settings::FrameSamplingSettings;
 /// Returns the frames to use, in order: first the stride (paper: `max(1, floor(N_f / 1000))`), then
 /// the budget.
 #[must_use]
-pub fn sample(frames: &[FrameRef], settings: &FrameSamplingSettings) -> Vec<FrameRef> {
+pub fn sample_frames(frames: &[FrameRef], settings: &FrameSamplingSettings) -> Vec<FrameRef> {
     let stride = (frames.len() / settings.stride_frames.max(1) as usize).max(1);
     let strided: Vec<FrameRef> = frames.iter().step_by(stride).cloned().collect();
     match settings.max_frames.map(|n| n.max(1) as usize) {
@@ -55,9 +55,9 @@ mod tests {
         xs.enumerate()
             .map(|(i, x)| FrameRef {
                 index: FrameIndex(i as u32),
-                colour: "c".into(),
+                color: "c".into(),
                 depth: "d".into(),
-                colour_intrinsics: intrinsics,
+                color_intrinsics: intrinsics,
                 depth_intrinsics: intrinsics,
                 depth_scale_m: 0.001,
                 camera_to_world: Isometry3::translation(x, 0.0, 0.0),
@@ -71,7 +71,7 @@ mod tests {
         let settings = FrameSamplingSettings { max_frames: None, ..Default::default() };
         for (frames, used) in [(1, 1), (999, 999), (1999, 1999), (2000, 1000), (3500, 1167)] {
             assert_eq!(
-                sample(&path((0..frames).map(|i| i as f32)), &settings).len(),
+                sample_frames(&path((0..frames).map(|i| i as f32)), &settings).len(),
                 used,
                 "{frames} frames"
             );
@@ -82,8 +82,10 @@ mod tests {
     fn a_camera_that_stands_still_does_not_eat_the_budget() {
         // 90 frames at the start, then ten steps of one meter.
         let frames = path((0..90).map(|_| 0.0).chain((1..=10).map(|i| i as f32)));
-        let chosen =
-            sample(&frames, &FrameSamplingSettings { stride_frames: 1000, max_frames: Some(11) });
+        let chosen = sample_frames(
+            &frames,
+            &FrameSamplingSettings { stride_frames: 1000, max_frames: Some(11) },
+        );
         let moving = chosen.iter().filter(|f| f.camera_to_world.translation.x > 0.0).count();
         assert!(chosen.len() <= 11 && moving == 10, "{moving} of {}", chosen.len());
         assert!(chosen.windows(2).all(|w| w[0].index < w[1].index));

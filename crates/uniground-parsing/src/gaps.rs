@@ -35,7 +35,7 @@ struct DepthGap {
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
-pub fn without_depth_edges(
+pub fn remove_pairs_across_gaps(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     voxel_m: f32,
@@ -100,7 +100,7 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Dept
     let around = grid.neighbours();
     let meeting = |(voxel, &own): (usize, &u32)| {
         let others = around
-            .of(voxel as u32)
+            .neighbors_of(voxel as u32)
             .iter()
             .map(|&near| superpoint_of[near as usize])
             .filter(move |other| *other > own);
@@ -117,7 +117,7 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Dept
     }
     let reach_m = (WIDEST_RING + 1) as f32 * voxel_m;
     let gap = |&pair: &(u32, u32)| {
-        let middle = middle_between(&places[pair.0 as usize], &places[pair.1 as usize], reach_m)?;
+        let middle = midpoint_between(&places[pair.0 as usize], &places[pair.1 as usize], reach_m)?;
         Some(DepthGap { pair, middle })
     };
     superpoints
@@ -130,7 +130,11 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Dept
 
 /// Returns the midpoint between the nearest pair of points, one of each set; `None` beyond the
 /// reach.
-fn middle_between(one: &[Point3<f32>], other: &[Point3<f32>], reach_m: f32) -> Option<Point3<f32>> {
+fn midpoint_between(
+    one: &[Point3<f32>],
+    other: &[Point3<f32>],
+    reach_m: f32,
+) -> Option<Point3<f32>> {
     let (few, many) = if one.len() <= other.len() { (one, other) } else { (other, one) };
     // Of a long wall, only the part beside a small thing can be nearest to it.
     let mut around = Aabb::around(few)?;
@@ -149,7 +153,7 @@ mod tests {
     use camino::{Utf8Path, Utf8PathBuf};
     use image::{ImageBuffer, Luma};
     use uniground_geometry::Isometry3;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
     use uniground_geometry::scene::{FrameIndex, Intrinsics, Optics};
 
     const CAMERA: Intrinsics =
@@ -179,7 +183,7 @@ mod tests {
             adjacent: vec![(0, 1)],
             roughness_m: vec![0.0; 2],
         };
-        (PointCloud { colours: vec![[90; 3]; positions.len()], positions }, superpoints)
+        (PointCloud { colors: vec![[90; 3]; positions.len()], positions }, superpoints)
     }
 
     #[test]
@@ -211,9 +215,9 @@ mod tests {
             .unwrap();
         FrameRef {
             index: FrameIndex(index),
-            colour: Utf8PathBuf::new(),
+            color: Utf8PathBuf::new(),
             depth,
-            colour_intrinsics: CAMERA,
+            color_intrinsics: CAMERA,
             depth_intrinsics: CAMERA,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),
@@ -229,7 +233,7 @@ mod tests {
             let (cloud, superpoints) = two_squares(apart_m);
             let frames: Vec<FrameRef> =
                 (0..).zip(depths_m).map(|(i, &depth_m)| frame(folder, i, depth_m)).collect();
-            without_depth_edges(
+            remove_pairs_across_gaps(
                 &cloud,
                 &superpoints,
                 VOXEL_M,

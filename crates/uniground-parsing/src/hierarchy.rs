@@ -55,14 +55,14 @@ pub fn propose(
     progress: &Progress,
 ) -> Result<Vec<Proposal>, Cancelled> {
     progress.report("hierarchy", 0.0)?;
-    let members = members(region_of);
+    let members = superpoints_by_region(region_of);
     let most = (settings.instances.parts_and_wholes * members.len() as f32) as usize;
     if most == 0 {
         return Ok(Vec::new());
     }
-    let mut proposals = parts(levels, region_of, tables);
+    let mut proposals = find_parts(levels, region_of, tables);
     progress.check()?;
-    proposals.extend(wholes(superpoints, region_of, &members, tables));
+    proposals.extend(find_wholes(superpoints, region_of, &members, tables));
     let size = |set: &[u32]| {
         set.iter().map(|&s| superpoints.patches[s as usize].points as f32).sum::<f32>()
     };
@@ -76,7 +76,7 @@ pub fn propose(
         b.agreement.total_cmp(&a.agreement).then_with(|| a.superpoints.cmp(&b.superpoints))
     });
     let same = |a: &[u32], b: &[u32]| {
-        let both = size(&shared(a, b));
+        let both = size(&intersection(a, b));
         both >= SAME * (size(a) + size(b) - both)
     };
     let mut kept: Vec<Proposal> = Vec::new();
@@ -95,7 +95,7 @@ pub fn propose(
 }
 
 /// The superpoints of each region, ascending.
-fn members(region_of: &[u32]) -> Vec<Vec<u32>> {
+fn superpoints_by_region(region_of: &[u32]) -> Vec<Vec<u32>> {
     let mut members = vec![Vec::new(); region_of.iter().max().map_or(0, |&r| r as usize + 1)];
     (0..)
         .zip(region_of)
@@ -104,18 +104,18 @@ fn members(region_of: &[u32]) -> Vec<Vec<u32>> {
 }
 
 /// The intersection of two ascending lists.
-fn shared(a: &[u32], b: &[u32]) -> Vec<u32> {
+fn intersection(a: &[u32], b: &[u32]) -> Vec<u32> {
     a.iter().copied().filter(|s| b.binary_search(s).is_ok()).collect()
 }
 
 /// Returns intermediate regions that lie inside one region of `region_of`. Not all do: things that
 /// stood on a piece of furniture may have been split off it since.
-fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
+fn find_parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
     let mut found: BTreeMap<Vec<u32>, f32> = BTreeMap::new();
     for level in &levels.levels {
         let coarse: Vec<FrameVisibility> =
             tables.par_iter().map(|table| coarsen(table, level)).collect();
-        let members = members(level);
+        let members = superpoints_by_region(level);
         let alone = (0..members.len() as u32).map(|region| vec![region]).collect::<Vec<_>>();
         let agreements = agreements(&coarse, &alone);
         found.extend(members.into_iter().zip(agreements));
@@ -129,7 +129,7 @@ fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec
 }
 
 /// Returns the sets of regions that one mask holds and that fill it, and pairs of neighbors.
-fn wholes(
+fn find_wholes(
     superpoints: &Superpoints,
     region_of: &[u32],
     members: &[Vec<u32>],
@@ -138,7 +138,7 @@ fn wholes(
     let coarse: Vec<FrameVisibility> =
         tables.par_iter().map(|table| coarsen(table, region_of)).collect();
     let mut unions: BTreeSet<Vec<u32>> =
-        coarse.par_iter().map(held_together).flatten_iter().collect();
+        coarse.par_iter().map(regions_held_by_masks).flatten_iter().collect();
     let neighbours =
         superpoints.adjacent.iter().map(|&(a, b)| (region_of[a as usize], region_of[b as usize]));
     unions.extend(neighbours.filter(|(a, b)| a != b).map(|(a, b)| vec![a.min(b), a.max(b)]));
@@ -154,7 +154,7 @@ fn wholes(
 }
 
 /// For each mask, the regions it holds, if they fill it.
-fn held_together(table: &FrameVisibility) -> Vec<Vec<u32>> {
+fn regions_held_by_masks(table: &FrameVisibility) -> Vec<Vec<u32>> {
     // Per mask: its points, the points of the regions it holds, and these regions.
     let mut of_mask: BTreeMap<u16, (u32, u32, Vec<u32>)> = BTreeMap::new();
     for row in &table.rows {

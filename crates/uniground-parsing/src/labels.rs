@@ -37,7 +37,7 @@ pub struct Labels<'a> {
 impl<'a> Labels<'a> {
     /// Labels with things only, one id per point; 0: none.
     #[must_use]
-    pub fn of_things(thing_of_point: &'a [InstanceId]) -> Self {
+    pub fn from_things(thing_of_point: &'a [InstanceId]) -> Self {
         Self::new(Cow::Borrowed(thing_of_point), &[], Vec::new())
     }
 
@@ -74,7 +74,7 @@ impl<'a> Labels<'a> {
     /// Numbers regions as candidate things, with their parts and wholes. Ids count from 1 in
     /// descending order of points; ties are broken by the region's first point.
     #[must_use]
-    pub fn of_regions(
+    pub fn from_regions(
         region_of: &[u32],
         superpoints: &'a Superpoints,
         proposals: Vec<Proposal>,
@@ -108,7 +108,7 @@ impl<'a> Labels<'a> {
 
     /// The instances a point belongs to: its thing, the wholes of that thing, its parts at this
     /// point.
-    pub fn of(&self, point: usize) -> impl Iterator<Item = InstanceId> + '_ {
+    pub fn instances_of_point(&self, point: usize) -> impl Iterator<Item = InstanceId> + '_ {
         let thing = self.thing_of_point[point];
         let wholes = self.wholes_of.get(thing.0 as usize).into_iter().flatten().copied();
         let superpoint = self.superpoint_of_point.get(point);
@@ -122,7 +122,7 @@ impl<'a> Labels<'a> {
     pub fn counts(&self, chosen: impl Fn(u32) -> bool) -> Vec<u32> {
         let mut counts = vec![0; self.len()];
         for point in (0..self.thing_of_point.len()).filter(|&point| chosen(point as u32)) {
-            self.of(point).for_each(|id| counts[id.0 as usize - 1] += 1);
+            self.instances_of_point(point).for_each(|id| counts[id.0 as usize - 1] += 1);
         }
         counts
     }
@@ -142,7 +142,7 @@ impl<'a> Labels<'a> {
     /// Returns the labels with new ids, by old one; 0: dropped. The remaining ones must keep their
     /// order. A compound remains only with all its things.
     #[must_use]
-    pub fn renumbered(self, new_id: &[InstanceId]) -> Self {
+    pub fn renumber(self, new_id: &[InstanceId]) -> Self {
         let renamed = |id: &InstanceId| new_id[id.0 as usize];
         let thing_of_point = self.thing_of_point.iter().map(renamed).collect();
         let kept = self
@@ -169,7 +169,7 @@ mod tests {
             adjacent: Vec::new(),
             roughness_m: Vec::new(),
         };
-        let labels = Labels::of_regions(&[7, 2, 2, 0, 2, 0, 5], &superpoints, Vec::new());
+        let labels = Labels::from_regions(&[7, 2, 2, 0, 2, 0, 5], &superpoints, Vec::new());
         assert_eq!(
             labels.thing_of_point.iter().map(|id| id.0).collect::<Vec<_>>(),
             [3, 1, 1, 2, 1, 2, 4]
@@ -197,14 +197,16 @@ mod tests {
             proposal(Level::Whole, &[0, 9], &[0, 7]),
         ];
         // The last point of superpoint 1 moved to region 2 during refinement.
-        let labels = Labels::of_regions(&[0, 0, 0, 1, 2, 2, 2], &superpoints, proposals);
-        let of = |labels: &Labels, point| labels.of(point).map(|id| id.0).collect::<Vec<_>>();
+        let labels = Labels::from_regions(&[0, 0, 0, 1, 2, 2, 2], &superpoints, proposals);
+        let of = |labels: &Labels, point| {
+            labels.instances_of_point(point).map(|id| id.0).collect::<Vec<_>>()
+        };
         assert_eq!((labels.things, labels.compounds.len()), (3, 2));
         assert_eq!(
             [of(&labels, 0), of(&labels, 3), of(&labels, 4), of(&labels, 6)],
             [vec![1, 4], vec![3, 4], vec![2], vec![2, 5]]
         );
-        let renamed = labels.renumbered(&[0, 1, 2, 0, 0, 3].map(InstanceId));
+        let renamed = labels.renumber(&[0, 1, 2, 0, 0, 3].map(InstanceId));
         assert_eq!(
             [of(&renamed, 0), of(&renamed, 3), of(&renamed, 6)],
             [vec![1], vec![], vec![2, 3]]

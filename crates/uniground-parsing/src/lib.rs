@@ -67,7 +67,7 @@ use uniground_geometry::scene::{
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_models::{attributes, calibration};
 pub use uniground_types::settings::ParsingSettings;
-use views::LabelledPoints;
+use views::LabeledPoints;
 use visibility::Visibility;
 
 /// Why a scene could not be parsed into instances.
@@ -109,7 +109,7 @@ impl<'a> Perception<'a> {
     }
 
     fn superpoints_end(&self) -> f32 {
-        let [superpoints, masks, ..] = self.ends();
+        let [superpoints, masks, ..] = self.stage_ends();
         superpoints / masks
     }
 
@@ -117,7 +117,7 @@ impl<'a> Perception<'a> {
     /// planes, merging, part merging, refinement, views, instances. Appearance comes last and ends
     /// at 1. Where networks take part, they take nearly all of the time. The remaining time is
     /// estimated from these.
-    fn ends(&self) -> [f32; 8] {
+    fn stage_ends(&self) -> [f32; 8] {
         match (self.corrector.is_some(), self.encoder.is_some()) {
             (false, false) => [0.3, 0.67, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
             (false, true) => [0.06, 0.14, 0.15, 0.165, 0.17, 0.18, 0.195, 0.2],
@@ -148,12 +148,12 @@ pub fn parse(
         return Err(ParseError::NoPoints);
     }
     let mut watch = Stopwatch::default();
-    let ends = perception.ends();
+    let ends = perception.stage_ends();
 
-    let perceiving = progress.part(0.0, ends[1]);
+    let perceiving = progress.sub_range(0.0, ends[1]);
     let depths = DepthCache::new(DECODED_DEPTH_BYTES);
     let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
-        lift_frames::perceive(
+        lift_frames::lift_scan(
             bundle,
             perception,
             settings,
@@ -164,7 +164,7 @@ pub fn parse(
         )?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
-    let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
+    let (tables, masks_of, sharpness_of) = Lifted::split(lifted);
     let blind: Vec<String> = tables
         .iter()
         .filter(|t| t.layer == 0 && t.rows.is_empty())
@@ -188,26 +188,31 @@ pub fn parse(
         masks_of: &masks_of,
     };
     let RegionGrouping { planes, region_of, proposals } =
-        group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
-    let labels = Labels::of_regions(&region_of, &superpoints, proposals);
+        group_superpoints(seen, perception, settings, &checkpoints, progress, &mut watch)?;
+    let labels = Labels::from_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
-        let viewing = progress.part(ends[5], ends[6]);
-        let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-        let flats = FlatCandidates::of(
+        let viewing = progress.sub_range(ends[5], ends[6]);
+        let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
+        let flats = FlatCandidates::find(
             &cloud,
             &superpoints,
             &planes,
             &labels,
-            &centers(&frames),
+            &camera_centers(&frames),
             &settings.instances,
         );
-        let sighted =
-            views::all_sighted(labelled, Some(&flats), (&frames, &depths), &masks_of, &viewing)?;
+        let sighted = views::compute_instance_views(
+            labeled,
+            Some(&flats),
+            (&frames, &depths),
+            &masks_of,
+            &viewing,
+        )?;
         outcome.produced = sighted.sightings.len();
         Ok::<_, ParseError>(sighted)
     })?;
     let built = watch.time("instances", |outcome| {
-        let building = progress.part(ends[6], ends[7]);
+        let building = progress.sub_range(ends[6], ends[7]);
         let built = instances::build(
             &cloud,
             &superpoints,
@@ -221,18 +226,18 @@ pub fn parse(
         Ok::<_, ParseError>(built)
     })?;
     let BuiltInstances { mut instances, labels, sightings, dropped, specks } = built;
-    let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
-    views::choose(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
+    let looked_at = appearance::choose_frames(&instances, &sightings, &settings.appearance);
+    views::choose_views(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
-            let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-            let looking = progress.part(ends[7], FRAMES_LOOKED_AT);
-            let (rows, outlines) = appearance::look(
+            let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
+            let looking = progress.sub_range(ends[7], FRAMES_LOOKED_AT);
+            let (rows, outlines) = appearance::embed_instances(
                 (&frames, &depths),
                 &instances,
                 &looked_at,
-                labelled,
+                labeled,
                 (
                     perception
                         .corrector
@@ -243,7 +248,7 @@ pub fn parse(
                 &settings.appearance,
                 &looking,
             )?;
-            views::tighten(&mut instances, &outlines);
+            views::apply_outlines(&mut instances, &outlines);
             outcome.produced = looked_at.values().map(std::collections::BTreeMap::len).sum();
             Ok::<_, ParseError>(rows)
         })?,
@@ -257,11 +262,11 @@ pub fn parse(
     let frame_embeddings = match perception.encoder {
         None => None,
         Some(encoder) => watch.time("frame_appearance", |outcome| {
-            let seen = frame_appearance::look(
+            let seen = frame_appearance::embed_frames(
                 &frames,
                 encoder,
                 &settings.appearance,
-                &progress.part(FRAMES_LOOKED_AT, 1.0),
+                &progress.sub_range(FRAMES_LOOKED_AT, 1.0),
             )?;
             outcome.produced = seen.as_ref().map_or(0, FrameEmbeddings::len);
             Ok::<_, ParseError>(seen)
@@ -278,7 +283,7 @@ pub fn parse(
         specks,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
-        warnings: warnings(frames.len(), &blind),
+        warnings: blind_frame_warnings(frames.len(), &blind),
     };
     let instance_of_point = labels.thing_of_point.into_owned();
     let superpoint_of_point = superpoints.of_point;
@@ -303,7 +308,7 @@ fn split_at_depth_edges(
     progress: &Progress,
 ) -> Result<Vec<(u32, u32)>, ParseError> {
     let voxel_m = superpoints::voxel_m(cloud, &settings.superpoints);
-    gaps::without_depth_edges(
+    gaps::remove_pairs_across_gaps(
         cloud,
         superpoints,
         voxel_m,
@@ -335,7 +340,7 @@ struct RegionGrouping {
 }
 
 /// Finds planes and merges superpoints into regions.
-fn group(
+fn group_superpoints(
     seen: ScanObservations,
     perception: &Perception,
     settings: &ParsingSettings,
@@ -345,14 +350,18 @@ fn group(
 ) -> Result<RegionGrouping, ParseError> {
     let ScanObservations { cloud, frames, depths, superpoints, visibility, tables, masks_of } =
         seen;
-    let ends = perception.ends();
+    let ends = perception.stage_ends();
     let planes = watch.time("planes", |outcome| {
-        let planes =
-            planes::find(cloud, superpoints, &centers(frames), &progress.part(ends[1], ends[2]))?;
+        let planes = planes::find(
+            cloud,
+            superpoints,
+            &camera_centers(frames),
+            &progress.sub_range(ends[1], ends[2]),
+        )?;
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
     })?;
-    let lifted_with = lift_frames::lifted_with(perception.masks, settings);
+    let lifted_with = lift_frames::lifting_dependencies(perception.masks, settings);
     let regions = watch.time("merging", |outcome| {
         let compute = || {
             merging::merge(
@@ -360,18 +369,18 @@ fn group(
                 &planes,
                 tables,
                 &settings.merging,
-                &progress.part(ends[2], ends[3]),
+                &progress.sub_range(ends[2], ends[3]),
             )
         };
         let (regions, reused) =
-            checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
-        *outcome = StageOutcome { produced: count(regions.last()), reused };
+            checkpoints.load_or_compute("merging", &(lifted_with, &settings.merging), compute)?;
+        *outcome = StageOutcome { produced: count_labels(regions.last()), reused };
         Ok::<_, ParseError>(regions)
     })?;
     let region_of = watch.time("part_merging", |outcome| {
         let freed = match settings.part_merging.enabled {
             false => regions.last().to_vec(),
-            true => split_supported::set_free(
+            true => split_supported::split_supported(
                 cloud,
                 superpoints,
                 &planes,
@@ -380,19 +389,19 @@ fn group(
                 progress,
             )?,
         };
-        let joined = part_merging::join(
+        let joined = part_merging::join_parts(
             cloud,
             superpoints,
             &planes,
             freed,
             &settings.part_merging,
-            &progress.part(ends[3], ends[4]),
+            &progress.sub_range(ends[3], ends[4]),
         )?;
-        outcome.produced = count(&joined);
+        outcome.produced = count_labels(&joined);
         Ok::<_, ParseError>(joined)
     })?;
     let proposals = watch.time("hierarchy", |outcome| {
-        let proposing = progress.part(ends[4], ends[4]);
+        let proposing = progress.sub_range(ends[4], ends[4]);
         let proposals = hierarchy::propose(
             superpoints,
             &planes,
@@ -405,11 +414,11 @@ fn group(
         outcome.produced = proposals.len();
         Ok::<_, ParseError>(proposals)
     })?;
-    let region_of = superpoints.spread(&region_of);
+    let region_of = superpoints.regions_of_points(&region_of);
     let region_of = match settings.refine_borders {
         false => region_of,
         true => watch.time("refinement", |outcome| {
-            let refining = progress.part(ends[4], ends[5]);
+            let refining = progress.sub_range(ends[4], ends[5]);
             let refined = refinement::refine(
                 cloud,
                 visibility,
@@ -418,7 +427,7 @@ fn group(
                 masks_of,
                 &refining,
             )?;
-            outcome.produced = count(&refined);
+            outcome.produced = count_labels(&refined);
             Ok::<_, ParseError>(refined)
         })?,
     };
@@ -426,12 +435,12 @@ fn group(
 }
 
 /// Camera positions, meters, world frame.
-fn centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
+fn camera_centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
     frames.iter().map(|frame| frame.camera_to_world.translation.vector.into()).collect()
 }
 
 /// Returns the warnings for the report, given the frames that see no point of the cloud.
-fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
+fn blind_frame_warnings(frames: usize, blind: &[String]) -> Vec<String> {
     let mut warnings = Vec::new();
     if frames == 0 {
         warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
@@ -440,19 +449,19 @@ fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
         warnings.push(format!(
             "{} of {frames} frames see no point of the cloud: {}",
             blind.len(),
-            shortened(blind)
+            shorten_list(blind)
         ));
     }
     warnings
 }
 
-fn shortened(names: &[String]) -> String {
+fn shorten_list(names: &[String]) -> String {
     const SHOWN: usize = 10;
     let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
     if names.len() > SHOWN { format!("{shown}, ...") } else { shown }
 }
 
 /// Number of labels `0..n`.
-fn count(labels: &[u32]) -> usize {
+fn count_labels(labels: &[u32]) -> usize {
     labels.iter().max().map_or(0, |&l| l as usize + 1)
 }

@@ -29,7 +29,7 @@ pub(super) struct LiftedFrames {
 }
 
 /// The inputs that lifted masks depend on.
-pub(super) fn lifted_with<'a>(
+pub(super) fn lifting_dependencies<'a>(
     masks: &'a dyn MaskSource,
     settings: &'a ParsingSettings,
 ) -> LiftedWith<'a> {
@@ -48,7 +48,7 @@ type LiftedWith<'a> = (
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a mask source that fails, or cancellation.
-pub(super) fn perceive(
+pub(super) fn lift_scan(
     bundle: SceneBundle,
     perception: &Perception,
     settings: &ParsingSettings,
@@ -64,11 +64,11 @@ pub(super) fn perceive(
             superpoints::compute(
                 &cloud,
                 &settings.superpoints,
-                &progress.part(0.0, superpoints_end),
+                &progress.sub_range(0.0, superpoints_end),
             )
         };
         let (superpoints, reused) =
-            checkpoints.once("superpoints", &settings.superpoints, compute)?;
+            checkpoints.load_or_compute("superpoints", &settings.superpoints, compute)?;
         *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
         Ok::<_, ParseError>(superpoints)
     })?;
@@ -84,37 +84,44 @@ pub(super) fn perceive(
             superpoint_of_point: &superpoints.of_point,
             masks: perception.masks,
         };
-        lifting.all(
+        lifting.lift_all(
             frames,
             depths,
-            checkpoints.log(stage, &lifted_with(perception.masks, settings)),
+            checkpoints.open_log(stage, &lifting_dependencies(perception.masks, settings)),
             progress,
         )
     };
-    let mut frames = frame_sampling::sample(&frames, &settings.frame_sampling);
+    let mut frames = frame_sampling::sample_frames(&frames, &settings.frame_sampling);
     let all_frames = (frames.len()
         + additions.iter().map(|addition| addition.frames.len()).sum::<usize>())
     .max(1) as f32;
-    let lifting_progress = progress.part(superpoints_end, 1.0);
+    let lifting_progress = progress.sub_range(superpoints_end, 1.0);
     let mut lifted = watch.time("masks_and_lifting", |outcome| {
-        let looking = lifting_progress.part(0.0, frames.len() as f32 / all_frames);
+        let looking = lifting_progress.sub_range(0.0, frames.len() as f32 / all_frames);
         let (lifted, reused) =
             lifting_of(&cloud, &superpoints, "lifting", checkpoints, &frames, &looking)?;
-        *outcome = StageOutcome { produced: masks_in(&lifted), reused };
+        *outcome = StageOutcome { produced: count_masks(&lifted), reused };
         Ok::<_, ParseError>(lifted)
     })?;
     let mut checkpoints = checkpoints.clone();
     for (addition, number) in additions.iter().zip(1..) {
         watch.time("growth", |outcome| {
             let before = frames.len() as f32 / all_frames;
-            let new = frame_sampling::sample(&addition.frames, &settings.frame_sampling);
-            let looking = lifting_progress.part(before, before + new.len() as f32 / all_frames);
-            checkpoints = checkpoints.depending_on(&addition.made_of);
-            cloud = addition.applied_to(&cloud);
+            let new = frame_sampling::sample_frames(&addition.frames, &settings.frame_sampling);
+            let looking =
+                lifting_progress.sub_range(before, before + new.len() as f32 / all_frames);
+            checkpoints = checkpoints.with_dependency(&addition.made_of);
+            cloud = addition.apply_to(&cloud);
             let compute = || {
-                superpoints::grown(&superpoints, addition, &cloud, &settings.superpoints, &looking)
+                superpoints::grow_superpoints(
+                    &superpoints,
+                    addition,
+                    &cloud,
+                    &settings.superpoints,
+                    &looking,
+                )
             };
-            let ((grown, renumbered), _) = checkpoints.once(
+            let ((grown, renumbered), _) = checkpoints.load_or_compute(
                 &format!("superpoints{number}"),
                 &settings.superpoints,
                 compute,
@@ -129,7 +136,7 @@ pub(super) fn perceive(
                 &new,
                 &looking,
             )?;
-            *outcome = StageOutcome { produced: masks_in(&more), reused };
+            *outcome = StageOutcome { produced: count_masks(&more), reused };
             lifted.extend(more);
             frames.extend(new);
             Ok::<_, ParseError>(())
@@ -138,6 +145,6 @@ pub(super) fn perceive(
     Ok(LiftedFrames { cloud, frames, superpoints, lifted, checkpoints })
 }
 
-fn masks_in(lifted: &[Lifted]) -> usize {
+fn count_masks(lifted: &[Lifted]) -> usize {
     lifted.iter().flat_map(|lifted| &lifted.tables).map(|table| table.masks as usize).sum()
 }

@@ -66,7 +66,7 @@ pub type MasksOfFrames = BTreeMap<FrameIndex, Vec<IdRuns>>;
 impl Lifted {
     /// Splits into the tables of all frames, and the masks and sharpness of each frame.
     #[must_use]
-    pub fn apart(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames, SharpnessOfFrames) {
+    pub fn split(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames, SharpnessOfFrames) {
         let sharpness =
             lifted.iter().map(|lifted| (lifted.frame, lifted.sharpness.clone())).collect();
         let (tables, masks): (Vec<_>, MasksOfFrames) =
@@ -93,21 +93,21 @@ impl LiftingInput<'_> {
     ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or cancellation.
-    pub fn all(
+    pub fn lift_all(
         &self,
         frames: &[FrameRef],
         depths: &DepthCache,
         mut log: StageLog<Lifted>,
         progress: &Progress,
     ) -> Result<(Vec<Lifted>, bool), ParseError> {
-        let mut lifted = log.kept();
+        let mut lifted = log.take_records();
         let kept = lifted
             .iter()
             .zip(frames)
             .take_while(|(lifted, frame)| lifted.frame == frame.index)
             .count();
         lifted.truncate(kept);
-        log.forget_after(kept);
+        log.truncate_after(kept);
         stream_frames(
             &frames[kept..],
             |frame| {
@@ -115,8 +115,10 @@ impl LiftingInput<'_> {
                 let frame = frame.decode_with(depths.depth(frame)?)?;
                 let images = self.masks.masks(&frame, progress)?;
                 let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
-                let (masks, sharpness) =
-                    (images.iter().map(IdRuns::of).collect(), Sharpness::of(&frame.colour));
+                let (masks, sharpness) = (
+                    images.iter().map(IdRuns::from_image).collect(),
+                    Sharpness::measure(&frame.color),
+                );
                 Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks, sharpness })
             },
             |i, frame| {
@@ -216,9 +218,9 @@ mod tests {
         let depth_m = (0..16).map(|i| if i < 12 { 2.0 } else { 0.0 }).collect();
         Frame {
             index: FrameIndex(0),
-            colour: image::RgbImage::new(4, 4),
+            color: image::RgbImage::new(4, 4),
             depth: DepthImage { width: 4, height: 4, depth_m }.into(),
-            colour_camera: camera,
+            color_camera: camera,
             depth_camera: camera,
         }
     }
@@ -236,7 +238,7 @@ mod tests {
                 Point3::new(9.0, 0.0, 2.0),
                 Point3::new(0.0, 0.0, -2.0),
             ],
-            colours: vec![[0; 3]; 6],
+            colors: vec![[0; 3]; 6],
         };
         let masks =
             IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
@@ -283,7 +285,7 @@ mod tests {
         let intrinsics = frame.depth_camera.intrinsics;
         let positions: Vec<Point3<f32>> =
             pixels.iter().map(|&(u, v)| intrinsics.unproject(u, v, 2.0)).collect();
-        PointCloud { colours: vec![[0; 3]; positions.len()], positions }
+        PointCloud { colors: vec![[0; 3]; positions.len()], positions }
     }
 
     #[test]
@@ -350,8 +352,8 @@ mod tests {
         Lifted {
             frame: FrameIndex(frame),
             tables,
-            masks: vec![IdRuns::of(&image)],
-            sharpness: Sharpness::of(&photograph),
+            masks: vec![IdRuns::from_image(&image)],
+            sharpness: Sharpness::measure(&photograph),
         }
     }
 
@@ -364,7 +366,7 @@ mod tests {
             10,
         );
         let other = lifted(8, vec![table(8, 0, 2, vec![row(4, 1, &[])])], vec![2, 0, 5], 200);
-        let (tables, masks, sharpness) = Lifted::apart(vec![one.clone(), other.clone()]);
+        let (tables, masks, sharpness) = Lifted::split(vec![one.clone(), other.clone()]);
         assert_eq!(tables, [&one.tables[..], &other.tables[..]].concat());
         assert_eq!(
             masks,
@@ -420,9 +422,9 @@ mod tests {
         let intrinsics = frame().depth_camera.intrinsics;
         let of_number = |&number: &u32| FrameRef {
             index: FrameIndex(number),
-            colour: color.clone(),
+            color: color.clone(),
             depth: depth.clone(),
-            colour_intrinsics: intrinsics,
+            color_intrinsics: intrinsics,
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),
@@ -439,7 +441,7 @@ mod tests {
         let cloud = on_wall(&frame(), &[(0.0, 0.0), (3.0, 0.0), (3.0, 1.0)]);
         let superpoint_of_point = [0, 1, 1];
         let visibility = Visibility::new(&cloud, &superpoint_of_point, 0.02);
-        let checkpoints = Checkpoints::kept_in(folder, "scan");
+        let checkpoints = Checkpoints::in_folder(folder, "scan");
         // Of each call: what is lifted, whether that was all kept, how many frames were looked at,
         // and what was reported.
         let all = |frames: &[FrameRef]| {
@@ -455,7 +457,7 @@ mod tests {
                 || false,
             );
             let (lifted, all_kept) = lifting
-                .all(frames, &DepthCache::new(0), checkpoints.log("masks", &0), &progress)
+                .lift_all(frames, &DepthCache::new(0), checkpoints.open_log("masks", &0), &progress)
                 .unwrap();
             let told = told.lock().unwrap().clone();
             (lifted, all_kept, halves.0.into_inner(), told)
@@ -479,7 +481,7 @@ mod tests {
         assert_eq!((all_kept, asked), (false, 2));
         assert_eq!(told, [(stage, 0.75), (stage, 1.0)]);
         assert_eq!(tables_of(more.clone()), [seen(0), seen(2), seen(4), seen(6)]);
-        assert_eq!(more[3].masks, [IdRuns::of(&halves_of_a_frame())]);
+        assert_eq!(more[3].masks, [IdRuns::from_image(&halves_of_a_frame())]);
         let (again, all_kept, asked, told) = all(&frames);
         assert_eq!((again, all_kept, asked, told), (more, true, 0, vec![]));
         // Another second frame: what is kept counts up to there, and what came after is forgotten.
@@ -508,18 +510,18 @@ mod tests {
         let halves = Halves::default();
         let lifting =
             LiftingInput { visibility: &visibility, superpoint_of_point: &[0], masks: &halves };
-        let nowhere = Checkpoints::none();
+        let nowhere = Checkpoints::disabled();
         let cancelled = Progress::new(|_, _| {}, || true);
         let stopped = lifting
-            .all(&frames, &DepthCache::new(0), nowhere.log("masks", &0), &cancelled)
+            .lift_all(&frames, &DepthCache::new(0), nowhere.open_log("masks", &0), &cancelled)
             .unwrap_err();
         assert!(matches!(stopped, ParseError::Cancelled(_)), "{stopped:?}");
         assert_eq!(halves.0.load(Ordering::Relaxed), 0, "nothing was cut into masks");
         frames[0].depth = folder.join("missing.png");
-        let failed = lifting.all(
+        let failed = lifting.lift_all(
             &frames,
             &DepthCache::new(0),
-            nowhere.log("masks", &0),
+            nowhere.open_log("masks", &0),
             &Progress::silent(),
         );
         assert!(matches!(failed, Err(ParseError::Frame(_))), "{:?}", failed.map(drop));

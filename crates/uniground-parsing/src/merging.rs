@@ -4,7 +4,7 @@
 use super::affinity::{self, Edge};
 use super::lifting::{FrameVisibility, coarsen};
 use super::planes::Planes;
-use super::superpoints::{Patch, Superpoints, relabelled};
+use super::superpoints::{Patch, Superpoints, relabel_pairs};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, VecDeque};
@@ -51,23 +51,26 @@ pub fn merge(
     };
     for (stage, &threshold) in settings.thresholds.iter().enumerate() {
         progress.report("merge", stage as f32 / settings.thresholds.len() as f32)?;
-        let mut edges = graph.edges(settings, progress)?;
+        let mut edges = graph.compute_edges(settings, progress)?;
         if settings.keep_planes_apart {
             edges.retain(|edge| graph.plane_of[edge.a as usize] == graph.plane_of[edge.b as usize]);
         }
         let grown = grow(&graph.patches, &edges, threshold, settings.hop_decay, progress)?;
         region_of.iter_mut().for_each(|r| *r = grown[*r as usize]);
-        graph = graph.coarsened(&grown);
+        graph = graph.coarsen(&grown);
         levels.push(region_of.clone());
     }
     if settings.keep_planes_apart {
         let whole = planes.with_patches(superpoints, &region_of);
-        let patched = relation(&region_of, &whole);
-        graph = graph.coarsened(&patched);
+        let patched = label_mapping(&region_of, &whole);
+        graph = graph.coarsen(&patched);
         region_of = whole;
     }
-    let absorbed =
-        absorb_small(&graph.patches, &graph.edges(settings, progress)?, settings.min_points);
+    let absorbed = absorb_small(
+        &graph.patches,
+        &graph.compute_edges(settings, progress)?,
+        settings.min_points,
+    );
     region_of.iter_mut().for_each(|r| *r = absorbed[*r as usize]);
     levels.push(region_of);
     Ok(Regions { levels })
@@ -75,7 +78,7 @@ pub fn merge(
 
 /// Maps each label `0..n` in `fine` to its label in `coarse`, which must consist of whole `fine`
 /// regions.
-fn relation(fine: &[u32], coarse: &[u32]) -> Vec<u32> {
+fn label_mapping(fine: &[u32], coarse: &[u32]) -> Vec<u32> {
     let mut of = vec![0; fine.iter().max().map_or(0, |&r| r as usize + 1)];
     fine.iter().zip(coarse).for_each(|(&fine, &coarse)| of[fine as usize] = coarse);
     of
@@ -90,18 +93,22 @@ struct SuperpointGraph {
 }
 
 impl SuperpointGraph {
-    fn edges(&self, settings: &MergeSettings, progress: &Progress) -> Result<Vec<Edge>, Cancelled> {
+    fn compute_edges(
+        &self,
+        settings: &MergeSettings,
+        progress: &Progress,
+    ) -> Result<Vec<Edge>, Cancelled> {
         let pairs =
             affinity::pairs_within(&self.adjacent, self.patches.len(), settings.max_hop, progress)?;
         affinity::compute(&pairs, &self.patches, &self.tables, settings.normalisation, progress)
     }
 
     /// Returns the graph whose primitives are the regions of this one.
-    fn coarsened(self, region_of: &[u32]) -> Self {
+    fn coarsen(self, region_of: &[u32]) -> Self {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
         Self {
-            patches: Patch::joined(&self.patches, region_of, count),
-            adjacent: relabelled(&self.adjacent, region_of),
+            patches: Patch::merge_by_label(&self.patches, region_of, count),
+            adjacent: relabel_pairs(&self.adjacent, region_of),
             plane_of: {
                 let mut plane_of = vec![None; count];
                 region_of
@@ -126,7 +133,7 @@ fn grow(
     progress: &Progress,
 ) -> Result<Vec<u32>, Cancelled> {
     const NONE: u32 = u32::MAX;
-    let neighbours = neighbour_lists(patches.len(), edges);
+    let neighbours = neighbor_lists(patches.len(), edges);
     let mut order: Vec<u32> = (0..patches.len() as u32).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(patches[i as usize].points), i));
     let mut region = vec![NONE; patches.len()];
@@ -170,7 +177,7 @@ fn grow(
     Ok(region)
 }
 
-fn neighbour_lists(count: usize, edges: &[Edge]) -> Vec<Vec<(u32, u32, f32)>> {
+fn neighbor_lists(count: usize, edges: &[Edge]) -> Vec<Vec<(u32, u32, f32)>> {
     let mut neighbours = vec![Vec::new(); count];
     for &Edge { a, b, hop, affinity } in edges {
         neighbours[a as usize].push((b, hop, affinity));
@@ -182,7 +189,7 @@ fn neighbour_lists(count: usize, edges: &[Edge]) -> Vec<Vec<(u32, u32, f32)>> {
 /// Merges regions below `min_points` into their most affine adjacent neighbor, smallest first.
 /// Returns labels `0..n`.
 fn absorb_small(patches: &[Patch], edges: &[Edge], min_points: u32) -> Vec<u32> {
-    let neighbours = neighbour_lists(patches.len(), edges);
+    let neighbours = neighbor_lists(patches.len(), edges);
     let mut sets = UnionFind::new(patches.len());
     let mut points: Vec<u32> = patches.iter().map(|p| p.points).collect();
     let mut small: Vec<u32> =
@@ -215,7 +222,7 @@ mod tests {
     use crate::planes::Plane;
     use proptest::prelude::*;
     use std::sync::{Arc, Mutex};
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
     use uniground_geometry::scene::{FrameIndex, Structure};
     use uniground_geometry::{Point3, Vector3};
 
@@ -388,8 +395,8 @@ mod tests {
 
     #[test]
     fn a_relation_tells_the_coarse_label_of_each_fine_one() {
-        assert_eq!(relation(&[0, 1, 1, 3, 2], &[4, 0, 0, 1, 4]), [4, 0, 4, 1]);
-        assert!(relation(&[], &[]).is_empty());
+        assert_eq!(label_mapping(&[0, 1, 1, 3, 2], &[4, 0, 0, 1, 4]), [4, 0, 4, 1]);
+        assert!(label_mapping(&[], &[]).is_empty());
     }
 
     #[test]
@@ -410,7 +417,7 @@ mod tests {
                 row(2, 4, &[(1, 4)]),
             ])],
         };
-        let coarse = graph.coarsened(&[1, 0, 1]);
+        let coarse = graph.coarsen(&[1, 0, 1]);
         assert_eq!(coarse.patches.iter().map(|patch| patch.points).collect::<Vec<_>>(), [20, 50]);
         assert_eq!((coarse.adjacent, coarse.plane_of), (vec![(0, 1)], vec![Some(3), None]));
         assert_eq!(coarse.tables, [table(vec![row(0, 2, &[(1, 2)]), row(1, 5, &[(1, 5)])])]);

@@ -26,14 +26,17 @@ impl Outline {
     /// Builds a mask from points. They are sparser than pixels, so cells are as large as the
     /// spacing of points, and gaps are closed.
     #[must_use]
-    pub fn of_points(pixels: &[(f32, f32)], box_px: [u32; 4]) -> Self {
-        let mask = cells(pixels, box_px, ROUNDS).closed().filled().without_crumbs(CRUMB_SHARE);
+    pub fn from_points(pixels: &[(f32, f32)], box_px: [u32; 4]) -> Self {
+        let mask = cells_of_points(pixels, box_px, ROUNDS)
+            .close_gaps()
+            .fill_holes()
+            .without_small_pieces(CRUMB_SHARE);
         Self { box_px, mask }
     }
 
     /// Builds a mask known by pixel: `inside` tests a position in the picture.
     #[must_use]
-    pub fn of_picture(box_px: [u32; 4], inside: impl Fn((f32, f32)) -> bool) -> Self {
+    pub fn from_predicate(box_px: [u32; 4], inside: impl Fn((f32, f32)) -> bool) -> Self {
         let [left, top, right, bottom] = box_px;
         let (width, height) =
             (right.saturating_sub(left).max(1), bottom.saturating_sub(top).max(1));
@@ -41,10 +44,10 @@ impl Outline {
         let at = |low: u32, length: u32, cell: u32, cells: u32| {
             low as f32 + (cell as f32 + 0.5) * length as f32 / cells as f32
         };
-        let mask = CellMask::of(columns, rows, |column, row| {
+        let mask = CellMask::from_fn(columns, rows, |column, row| {
             inside((at(left, width, column, columns), at(top, height, row, rows)))
         });
-        Self { box_px, mask: mask.closed().filled().without_crumbs(CRUMB_SHARE) }
+        Self { box_px, mask: mask.close_gaps().fill_holes().without_small_pieces(CRUMB_SHARE) }
     }
 
     /// Number of pixels of the picture that show the instance.
@@ -57,7 +60,11 @@ impl Outline {
 
 /// The cells of a box that contain points. Cells are so large that an even surface leaves none
 /// empty.
-fn cells(pixels: &[(f32, f32)], [left, top, right, bottom]: [u32; 4], rounds: usize) -> CellMask {
+fn cells_of_points(
+    pixels: &[(f32, f32)],
+    [left, top, right, bottom]: [u32; 4],
+    rounds: usize,
+) -> CellMask {
     let (width, height) = ((right - left).max(1) as f32, (bottom - top).max(1) as f32);
     let finest = (width.max(height) / CellMask::MAX_CELLS as f32).max(1.0);
     let inside = |&&(x, y): &&(f32, f32)| {
@@ -90,7 +97,7 @@ fn cells(pixels: &[(f32, f32)], [left, top, right, bottom]: [u32; 4], rounds: us
 /// Points on the instance's far side lie behind its visible side and do not count as hidden.
 /// Positions are pixels of one picture.
 #[must_use]
-pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
+pub fn unoccluded_share(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
     if hidden.is_empty() || visible.is_empty() {
         return if hidden.is_empty() { 1.0 } else { 0.0 };
     }
@@ -103,7 +110,7 @@ pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
     let ((left, right), (top, bottom)) = (reach(|p| p.0), reach(|p| p.1));
     let box_px = [left, top, right, bottom];
     let all: Vec<(f32, f32)> = visible.iter().chain(hidden).copied().collect();
-    let whole = cells(&all, box_px, 1);
+    let whole = cells_of_points(&all, box_px, 1);
     let (columns, rows) = whole.size();
     let mut own = CellMask::empty(columns, rows);
     for (x, y) in visible {
@@ -112,8 +119,8 @@ pub fn unoccluded(visible: &[(f32, f32)], hidden: &[(f32, f32)]) -> f32 {
             (y - top as f32) / (bottom - top) as f32,
         ));
     }
-    let own = own.closed();
-    own.count() as f32 / own.joined(&whole).count().max(1) as f32
+    let own = own.close_gaps();
+    own.count() as f32 / own.union(&whole).count().max(1) as f32
 }
 
 #[cfg(test)]
@@ -138,7 +145,7 @@ mod tests {
         /// little beyond them.
         #[test]
         fn the_mask_of_a_surface_is_the_surface(step in 1_usize..12, width in 60_u16..200, height in 60_u16..200) {
-            let outline = Outline::of_points(&grid(40..40 + width, 50..50 + height, step), [40, 50, 40 + u32::from(width), 50 + u32::from(height)]);
+            let outline = Outline::from_points(&grid(40..40 + width, 50..50 + height, step), [40, 50, 40 + u32::from(width), 50 + u32::from(height)]);
             prop_assert!(outline.mask.share() > 0.85, "{:?}", outline.mask);
         }
     }
@@ -146,23 +153,27 @@ mod tests {
     #[test]
     fn what_fills_little_of_its_box_is_drawn_as_finely() {
         let l_shape = [grid(0..20, 0..200, 4), grid(0..200, 180..200, 4)].concat();
-        let outline = Outline::of_points(&l_shape, [0, 0, 200, 200]);
+        let outline = Outline::from_points(&l_shape, [0, 0, 200, 200]);
         assert!((0.15..0.3).contains(&outline.mask.share()), "{}", outline.mask.share());
-        assert!(!outline.mask.covers((0.6, 0.4)) && outline.mask.covers((0.04, 0.4)));
+        assert!(!outline.mask.contains((0.6, 0.4)) && outline.mask.contains((0.04, 0.4)));
     }
 
     #[test]
     fn what_stands_before_a_thing_hides_it_and_its_own_front_does_not() {
         let (front, back) = (grid(0..100, 0..100, 4), grid(2..98, 2..98, 8));
-        assert!(unoccluded(&front, &back) > 0.95);
+        assert!(unoccluded_share(&front, &back) > 0.95);
         let (left, right) = (grid(0..50, 0..100, 4), grid(50..100, 0..100, 8));
-        assert!((0.4..0.6).contains(&unoccluded(&left, &right)), "{}", unoccluded(&left, &right));
-        assert_eq!((unoccluded(&front, &[]), unoccluded(&[], &back)), (1.0, 0.0));
+        assert!(
+            (0.4..0.6).contains(&unoccluded_share(&left, &right)),
+            "{}",
+            unoccluded_share(&left, &right)
+        );
+        assert_eq!((unoccluded_share(&front, &[]), unoccluded_share(&[], &back)), (1.0, 0.0));
     }
 
     #[test]
     fn a_mask_of_a_picture_is_looked_up_by_cell() {
-        let outline = Outline::of_picture([100, 40, 300, 60], |(x, _)| x < 200.0);
+        let outline = Outline::from_predicate([100, 40, 300, 60], |(x, _)| x < 200.0);
         assert_eq!((outline.mask.size(), outline.mask.share()), ((64, 20), 0.5));
         assert_eq!(outline.covered_px(), 2000.0);
     }

@@ -47,7 +47,7 @@ const CONTACT_M: f32 = 0.1;
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn join(
+pub fn join_parts(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     planes: &Planes,
@@ -61,17 +61,17 @@ pub fn join(
     progress.report("join_parts", 0.0)?;
     let joining = PartMerger { cloud, superpoints, planes, settings, progress };
     let is_leg =
-        |part: &RegionFacts, whole: &RegionFacts| is_leg(settings, part) && carries(part, whole);
+        |part: &RegionFacts, whole: &RegionFacts| is_leg(settings, part) && ends_under(part, whole);
     let is_back = |part: &RegionFacts, whole: &RegionFacts| is_back(settings, part, whole);
-    let is_storey = |part: &RegionFacts, whole: &RegionFacts| is_storey(settings, part, whole);
-    let rules: [&PartRule; 4] = [&is_storey, &is_leg, &is_back, &is_foot];
+    let is_stacked = |part: &RegionFacts, whole: &RegionFacts| is_stacked(settings, part, whole);
+    let rules: [&PartRule; 4] = [&is_stacked, &is_leg, &is_back, &is_foot];
     let count = region_of.iter().max().map_or(0, |&region| region as usize + 1);
     let (mut region_of, mut known) = (region_of, vec![None; count]);
-    let parts = joining.parts(&region_of, known)?;
-    (region_of, known) = foliage::gather(superpoints, region_of, &parts);
+    let parts = joining.measure_regions(&region_of, known)?;
+    (region_of, known) = foliage::join_foliage(superpoints, region_of, &parts);
     for rule in rules {
-        let parts = joining.parts(&region_of, known)?;
-        (region_of, known) = joining.join_by(region_of, &parts, rule);
+        let parts = joining.measure_regions(&region_of, known)?;
+        (region_of, known) = joining.join_by_rule(region_of, &parts, rule);
     }
     Ok(region_of)
 }
@@ -91,7 +91,7 @@ impl PartMerger<'_> {
     /// Joins each region with the neighbor it is a part of: `rule(part, whole)` decides. Of several
     /// such neighbors, it joins the one with which it shares most border. Returns the new regions,
     /// and the facts of those that did not change.
-    fn join_by(
+    fn join_by_rule(
         &self,
         region_of: Vec<u32>,
         parts: &[RegionFacts],
@@ -119,11 +119,11 @@ impl PartMerger<'_> {
         for (part, (_, std::cmp::Reverse(whole))) in best {
             sets.union(part, whole);
         }
-        united(sets, region_of, parts)
+        join_sets(sets, region_of, parts)
     }
 
     /// Computes the facts of every region, given those already known.
-    fn parts(
+    fn measure_regions(
         &self,
         region_of: &[u32],
         known: Vec<Option<RegionFacts>>,
@@ -144,14 +144,17 @@ impl PartMerger<'_> {
             (&Vec<Point3<f32>>, &bool),
         )| {
             self.progress.check()?;
-            Ok(known.unwrap_or_else(|| RegionFacts { is_structural, ..RegionFacts::of(positions) }))
+            Ok(known.unwrap_or_else(|| RegionFacts {
+                is_structural,
+                ..RegionFacts::measure(positions)
+            }))
         };
         known.into_par_iter().zip(members.par_iter().zip(&structural)).map(part).collect()
     }
 }
 
 /// Joins sets of regions. Returns the new regions, and the facts of those that did not change.
-fn united(
+fn join_sets(
     sets: UnionFind,
     region_of: Vec<u32>,
     parts: &[RegionFacts],
@@ -171,7 +174,7 @@ fn united(
 /// Whether the part is directly above or below the other with the same outline, neither far from it
 /// nor reaching far into it. The smaller joins the larger. A part that leaves a rim free all around
 /// stands there as a separate thing.
-fn is_storey(settings: &PartMergingSettings, part: &RegionFacts, whole: &RegionFacts) -> bool {
+fn is_stacked(settings: &PartMergingSettings, part: &RegionFacts, whole: &RegionFacts) -> bool {
     /// Minimum intersection over union of both outlines along each axis of the larger one.
     const SAME_OUTLINE: f32 = 0.75;
     /// Maximum gap or overlap in height, as a share of both together.
@@ -189,7 +192,7 @@ fn is_storey(settings: &PartMergingSettings, part: &RegionFacts, whole: &RegionF
     }
     let (upper, lower) =
         if part.aabb.center.z > whole.aabb.center.z { (part, whole) } else { (whole, part) };
-    let [upper, lower] = [upper, lower].map(|part| part.outline(whole.footprint.yaw_rad));
+    let [upper, lower] = [upper, lower].map(|part| part.footprint_ranges(whole.footprint.yaw_rad));
     let along = || upper.iter().zip(&lower);
     let is_same = along()
         .all(|(a, b)| a.1.min(b.1) - a.0.max(b.0) >= SAME_OUTLINE * (a.1.max(b.1) - a.0.min(b.0)));
@@ -226,7 +229,7 @@ fn is_back(settings: &PartMergingSettings, part: &RegionFacts, seat: &RegionFact
 }
 
 /// Whether the other begins where this part ends.
-fn carries(part: &RegionFacts, other: &RegionFacts) -> bool {
+fn ends_under(part: &RegionFacts, other: &RegionFacts) -> bool {
     other.aabb.center.z > part.aabb.center.z
         && (other.aabb.min().z - part.aabb.max().z).abs() <= 1.5 * CONTACT_M
 }
@@ -242,10 +245,10 @@ fn is_foot(part: &RegionFacts, other: &RegionFacts) -> bool {
 }
 
 impl RegionFacts {
-    fn of(positions: &[Point3<f32>]) -> Self {
+    fn measure(positions: &[Point3<f32>]) -> Self {
         /// Share of the points ignored at either end, so that outliers do not make a leg thick.
         const TRIM: f32 = 0.02;
-        let axes = SymmetricEigen::new(Moments::of(positions).covariance).eigenvectors;
+        let axes = SymmetricEigen::new(Moments::from_points(positions).covariance).eigenvectors;
         let range = |of: &dyn Fn(&Point3<f32>) -> f32| {
             let mut values: Vec<f32> = positions.iter().map(of).collect();
             (
@@ -277,7 +280,7 @@ impl RegionFacts {
     }
 
     /// Range of the footprint along the two axes of a world rotated by `yaw_rad` about Z, meters.
-    fn outline(&self, yaw_rad: f32) -> [(f32, f32); 2] {
+    fn footprint_ranges(&self, yaw_rad: f32) -> [(f32, f32); 2] {
         let OrientedBox { center, size, yaw_rad: own_rad } = self.footprint;
         let (sin, cos) = yaw_rad.sin_cos();
         let (turned_sin, turned_cos) = (own_rad - yaw_rad).sin_cos();
@@ -301,7 +304,7 @@ impl RegionFacts {
 mod tests {
     use super::*;
     use crate::superpoints::Patch;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
 
     /// A block from corner to corner, meters, sampled every two centimeters.
     type Block = ([f32; 3], [f32; 3]);
@@ -330,7 +333,7 @@ mod tests {
             roughness_m: vec![0.0; blocks.len()],
         };
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; blocks.len()] };
-        join(
+        join_parts(
             &cloud,
             &superpoints,
             &planes,
@@ -396,12 +399,12 @@ mod tests {
                 .flat_map(|i| (0..16).flat_map(move |j| (0..20).map(move |k| (i, j, k))))
                 .map(|(i, j, k)| at(i, j, k))
                 .collect();
-            RegionFacts::of(&points)
+            RegionFacts::measure(&points)
         };
         let settings = PartMergingSettings::default();
-        assert!(is_storey(&settings, &block(0.0, 0.6), &block(0.4, 0.6)));
-        assert!(!is_storey(&settings, &block(0.0, 0.6), &block(0.4, 1.4)), "askew");
-        assert!(!is_storey(
+        assert!(is_stacked(&settings, &block(0.0, 0.6), &block(0.4, 0.6)));
+        assert!(!is_stacked(&settings, &block(0.0, 0.6), &block(0.4, 1.4)), "askew");
+        assert!(!is_stacked(
             &settings,
             &block(0.0, 0.6),
             &RegionFacts { is_structural: true, ..block(0.4, 0.6) }

@@ -70,7 +70,7 @@ const VIEWS: usize = 3;
 
 /// Returns the known instance that a thing is identical with, if any.
 #[must_use]
-pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Instance> {
+pub fn find_identical<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Instance> {
     let overlap = |i: &Instance| i.aabb.iou(&found.aabb);
     let best = known.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
     best.filter(|i| overlap(i) >= SAME_THING)
@@ -82,7 +82,7 @@ impl PointedObjectFinder<'_> {
     /// not returned. `None` where nothing else can be segmented there.
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
-    pub fn find(
+    pub fn find_at(
         &self,
         place: PhotographPoint,
         known: &[Instance],
@@ -93,21 +93,24 @@ impl PointedObjectFinder<'_> {
         };
         let visibility =
             Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
-        let first = self.look(first, &visibility)?;
+        let first = self.look_up_frame(first, &visibility)?;
         let is_other =
             |i: &Instance| i.structure.is_some() || i.dismissed || is_not.contains(&i.id);
         let mut options = Vec::new();
         for (mask, quality) in self.masks_at(&first, place.at)? {
-            let seed = first.under(&mask);
+            let seed = first.points_under(&mask);
             if seed.len() < LEAST_POINTS {
                 continue;
             }
-            let quick = instances::of_points(self.cloud, &seed, known, &self.settings.instances);
-            if !known_as(known, &quick).is_some_and(is_other) {
+            let quick =
+                instances::build_from_points(self.cloud, &seed, known, &self.settings.instances);
+            if !find_identical(known, &quick).is_some_and(is_other) {
                 options.push(MaskHypothesis { mask, quality, seed });
             }
         }
-        if let Some(shown) = self.shown(&first, &options, known.iter().filter(|i| !is_other(i))) {
+        if let Some(shown) =
+            self.best_shown_instance(&first, &options, known.iter().filter(|i| !is_other(i)))
+        {
             return Ok(Some(shown.clone()));
         }
         let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len())
@@ -115,36 +118,36 @@ impl PointedObjectFinder<'_> {
             return Ok(None);
         };
         // As many as stage 1 used, because a user waits for the result.
-        let frames = frame_sampling::sample(self.frames, &self.settings.frame_sampling);
-        let further = self.further(&frames, least, place.frame, &visibility)?;
+        let frames = frame_sampling::sample_frames(self.frames, &self.settings.frame_sampling);
+        let further = self.find_more_frames(&frames, least, place.frame, &visibility)?;
         let mut best: Option<(f32, MaskVotes, &MaskHypothesis)> = None;
         for option in &options {
             let mut votes =
                 MaskVotes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
-            votes.count(&first, &option.mask);
-            let worth = option.quality * self.agreement(&option.seed, &further, &mut votes)?;
+            votes.add(&first, &option.mask);
+            let worth = option.quality * self.mean_agreement(&option.seed, &further, &mut votes)?;
             if best.as_ref().is_none_or(|(so_far, ..)| worth > *so_far) {
                 best = Some((worth, votes, option));
             }
         }
         let Some((_, votes, option)) = best else { return Ok(None) };
-        let reach = self.reach(&option.seed);
-        let mut carried = votes.carried();
+        let reach = self.search_box(&option.seed);
+        let mut carried = votes.majority_points();
         carried.retain(|point| reach.contains(&self.cloud.positions[*point as usize]));
-        let points = self.hanging_together(&carried, &option.seed);
+        let points = self.largest_piece(&carried, &option.seed);
         if points.len() < LEAST_POINTS {
             return Ok(None);
         }
-        let views = self.views_of(&frames, &points)?;
+        let views = self.build_views(&frames, &points)?;
         Ok(Some(Instance {
             views,
-            ..instances::of_points(self.cloud, &points, known, &self.settings.instances)
+            ..instances::build_from_points(self.cloud, &points, known, &self.settings.instances)
         }))
     }
 
     /// Returns the known instance that a mask shows best, if any. Compares the points that the
     /// frame sees in the instance's box with those under the mask.
-    fn shown<'i>(
+    fn best_shown_instance<'i>(
         &self,
         looked: &FrameLookup,
         options: &[MaskHypothesis],
@@ -153,7 +156,7 @@ impl PointedObjectFinder<'_> {
         let under: Vec<Vec<bool>> = options
             .iter()
             .map(|option| {
-                looked.seen.iter().map(|point| option.mask.holds(looked, point)).collect()
+                looked.seen.iter().map(|point| option.mask.covers(looked, point)).collect()
             })
             .collect();
         let share = |instance: &Instance| {
@@ -177,11 +180,15 @@ impl PointedObjectFinder<'_> {
             .map(|(_, instance)| instance)
     }
 
-    fn look(&self, frame: &FrameRef, visibility: &Visibility) -> Result<FrameLookup, ParseError> {
+    fn look_up_frame(
+        &self,
+        frame: &FrameRef,
+        visibility: &Visibility,
+    ) -> Result<FrameLookup, ParseError> {
         let frame = frame.decode()?;
         let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
         let cut = match self.segmenter {
-            Some(segmenter) => FrameSegmentation::Encoded(segmenter.encode(&frame.colour)?),
+            Some(segmenter) => FrameSegmentation::Encoded(segmenter.encode(&frame.color)?),
             None => FrameSegmentation::Images(
                 RgbdMasks { settings: self.settings.rgbd_masks }.levels(&frame, &UNEVEN),
             ),
@@ -199,8 +206,10 @@ impl PointedObjectFinder<'_> {
         match (&looked.cut, self.segmenter) {
             (FrameSegmentation::Encoded(encoded), Some(segmenter)) => {
                 let (scale, threshold) = (segmenter.low_scale(encoded), segmenter.threshold());
-                let masks =
-                    segmenter.decode(encoded, &[Prompt::inside([at])])?.into_iter().flatten();
+                let masks = segmenter
+                    .decode(encoded, &[Prompt::from_inside_points([at])])?
+                    .into_iter()
+                    .flatten();
                 Ok(masks
                     .map(|mask| (mask.predicted_iou.clamp(0.0, 1.0), mask))
                     .map(|(q, mask)| (Mask::Decoded { mask, scale, threshold }, q))
@@ -218,17 +227,17 @@ impl PointedObjectFinder<'_> {
 
     /// Returns the frames that see most of these points, best first, without the frame they were
     /// found in.
-    fn further(
+    fn find_more_frames(
         &self,
         frames: &[FrameRef],
         seed: &[u32],
         but: FrameIndex,
         visibility: &Visibility,
     ) -> Result<Vec<FrameLookup>, ParseError> {
-        let of_seed = CloudSubset::of(self.cloud, seed);
+        let of_seed = CloudSubset::select(self.cloud, seed);
         let others: Vec<FrameRef> = frames
             .iter()
-            .filter(|frame| frame.index != but && of_seed.may_be_in(frame))
+            .filter(|frame| frame.index != but && of_seed.can_be_visible_in(frame))
             .cloned()
             .collect();
         let mut seeing = Vec::new();
@@ -246,14 +255,17 @@ impl PointedObjectFinder<'_> {
         let enough = (seed.len() / 4).max(LEAST_POINTS / 2);
         let best = seeing.into_iter().filter(|(visible, _)| *visible >= enough).take(MORE_FRAMES);
         best.map(|(_, index)| {
-            self.look(&others[others.partition_point(|frame| frame.index < index)], visibility)
+            self.look_up_frame(
+                &others[others.partition_point(|frame| frame.index < index)],
+                visibility,
+            )
         })
         .collect()
     }
 
     /// The box in which the rest of an object may be, given the points that one frame sees:
     /// extended on each side by half its largest extent.
-    fn reach(&self, seed: &[u32]) -> Aabb {
+    fn search_box(&self, seed: &[u32]) -> Aabb {
         let around = Aabb::around(seed.iter().map(|&point| &self.cloud.positions[point as usize]));
         let around = around.unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         Aabb { size: around.size.add_scalar(around.size.max()), ..around }
@@ -261,7 +273,7 @@ impl PointedObjectFinder<'_> {
 
     /// Mean IoU, over further frames, of what each sees of the seed with its best mask at the
     /// seed's middle. Frames that agree vote.
-    fn agreement(
+    fn mean_agreement(
         &self,
         seed: &[u32],
         further: &[FrameLookup],
@@ -271,7 +283,7 @@ impl PointedObjectFinder<'_> {
         // Points that the first frame sees outside of its mask belong to something else, and so do
         // points far from the seed.
         let first_seen = votes.seen.clone();
-        let reach = self.reach(seed);
+        let reach = self.search_box(seed);
         let is_other = |point: &FramePoint| {
             let seen_apart =
                 first_seen[point.point as usize] > 0 && !of_seed.contains(&point.point);
@@ -282,15 +294,15 @@ impl PointedObjectFinder<'_> {
             let own: Vec<&FramePoint> =
                 looked.seen.iter().filter(|point| of_seed.contains(&point.point)).collect();
             let pixels: Vec<(f32, f32)> =
-                own.iter().filter_map(|point| colour_pixel(&looked.frame, point)).collect();
+                own.iter().filter_map(|point| color_pixel(&looked.frame, point)).collect();
             let Some(middle) = medoid(&pixels) else { continue };
             let mut best: Option<(f32, Mask)> = None;
             for (mask, _) in self.masks_at(looked, middle)? {
-                let held = own.iter().filter(|point| mask.holds(looked, point)).count();
+                let held = own.iter().filter(|point| mask.covers(looked, point)).count();
                 let wrong = looked
                     .seen
                     .iter()
-                    .filter(|point| is_other(point) && mask.holds(looked, point))
+                    .filter(|point| is_other(point) && mask.covers(looked, point))
                     .count();
                 let iou = held as f32 / (own.len() + wrong).max(1) as f32;
                 if best.as_ref().is_none_or(|(so_far, _)| iou > *so_far) {
@@ -301,17 +313,17 @@ impl PointedObjectFinder<'_> {
             sum += iou;
             count += 1;
             if iou >= AGREES {
-                votes.count(looked, &mask);
+                votes.add(looked, &mask);
             }
         }
         Ok(if count == 0 { ALONE } else { sum / count as f32 })
     }
 
     /// Returns the largest connected piece of these points that contains part of the seed.
-    fn hanging_together(&self, points: &[u32], seed: &[u32]) -> Vec<u32> {
+    fn largest_piece(&self, points: &[u32], seed: &[u32]) -> Vec<u32> {
         let spacing = typical_spacing_m(&self.cloud.positions);
         let edge_m = (GAP_SPACINGS * spacing).max(LEAST_GAP_M);
-        let key = |point: u32| VoxelKey::of(&self.cloud.positions[point as usize], edge_m);
+        let key = |point: u32| VoxelKey::containing(&self.cloud.positions[point as usize], edge_m);
         let mut voxels: VoxelMap<Vec<u32>> = VoxelMap::default();
         points.iter().for_each(|&point| voxels.entry(key(point)).or_default().push(point));
         let mut starts: Vec<VoxelKey> = seed.iter().map(|&point| key(point)).collect();
@@ -337,21 +349,21 @@ impl PointedObjectFinder<'_> {
     }
 
     /// Returns the frames that show most of these points, as views.
-    fn views_of(&self, frames: &[FrameRef], points: &[u32]) -> Result<Vec<View>, ParseError> {
-        let of_thing = CloudSubset::of(self.cloud, points);
+    fn build_views(&self, frames: &[FrameRef], points: &[u32]) -> Result<Vec<View>, ParseError> {
+        let of_thing = CloudSubset::select(self.cloud, points);
         let frames: Vec<FrameRef> =
-            frames.iter().filter(|frame| of_thing.may_be_in(frame)).cloned().collect();
+            frames.iter().filter(|frame| of_thing.can_be_visible_in(frame)).cloned().collect();
         let mut views = Vec::new();
         stream_frames(
             &frames,
             |frame| {
-                let camera = frame.colour_camera();
+                let camera = frame.color_camera();
                 let seen = of_thing.visible_in(frame, self.settings.depth_tolerance)?;
                 let pixels: Vec<(f32, f32)> = seen
                     .iter()
                     .filter_map(|p| camera.project(&p.position).map(|pixel| (pixel.u, pixel.v)))
                     .collect();
-                Ok::<_, ParseError>(view(frame, &pixels))
+                Ok::<_, ParseError>(to_view(frame, &pixels))
             },
             |_, view| {
                 views.extend(view);
@@ -380,8 +392,8 @@ enum FrameSegmentation {
 
 impl FrameLookup {
     /// The points of the cloud under a mask.
-    fn under(&self, mask: &Mask) -> Vec<u32> {
-        self.seen.iter().filter(|point| mask.holds(self, point)).map(|point| point.point).collect()
+    fn points_under(&self, mask: &Mask) -> Vec<u32> {
+        self.seen.iter().filter(|point| mask.covers(self, point)).map(|point| point.point).collect()
     }
 }
 
@@ -403,14 +415,15 @@ enum Mask {
 
 impl Mask {
     /// Whether it covers a point that its frame shows.
-    fn holds(&self, looked: &FrameLookup, point: &FramePoint) -> bool {
+    fn covers(&self, looked: &FrameLookup, point: &FramePoint) -> bool {
         match (self, &looked.cut) {
             (Self::Cut { level, id }, FrameSegmentation::Images(images)) => {
                 images[*level].at(point.cell) == *id
             }
             (Self::Cut { .. }, FrameSegmentation::Encoded(_)) => false,
-            (Self::Decoded { mask, scale, threshold }, _) => colour_pixel(&looked.frame, point)
-                .is_some_and(|at| mask.at(at, *scale) > *threshold),
+            (Self::Decoded { mask, scale, threshold }, _) => {
+                color_pixel(&looked.frame, point).is_some_and(|at| mask.at(at, *scale) > *threshold)
+            }
         }
     }
 }
@@ -422,15 +435,15 @@ struct MaskVotes {
 }
 
 impl MaskVotes {
-    fn count(&mut self, looked: &FrameLookup, mask: &Mask) {
+    fn add(&mut self, looked: &FrameLookup, mask: &Mask) {
         for point in &looked.seen {
             self.seen[point.point as usize] += 1;
-            self.inside[point.point as usize] += u8::from(mask.holds(looked, point));
+            self.inside[point.point as usize] += u8::from(mask.covers(looked, point));
         }
     }
 
     /// Returns the points that most of the frames that see them have in their masks.
-    fn carried(&self) -> Vec<u32> {
+    fn majority_points(&self) -> Vec<u32> {
         let carried = |point: &u32| {
             let (seen, inside) = (self.seen[*point as usize], self.inside[*point as usize]);
             inside > 0 && f32::from(inside) >= VOTES * f32::from(seen)
@@ -447,7 +460,7 @@ struct CloudSubset {
 }
 
 impl CloudSubset {
-    fn of(cloud: &PointCloud, points: &[u32]) -> Self {
+    fn select(cloud: &PointCloud, points: &[u32]) -> Self {
         let positions: Vec<Point3<f32>> =
             points.iter().map(|&point| cloud.positions[point as usize]).collect();
         let middle = Point3::from(
@@ -456,14 +469,14 @@ impl CloudSubset {
         );
         let radius_m = positions.iter().map(|p| (p - middle).norm()).fold(0.0, f32::max);
         Self {
-            points: PointCloud { colours: vec![[0; 3]; positions.len()], positions },
+            points: PointCloud { colors: vec![[0; 3]; positions.len()], positions },
             middle,
             radius_m,
         }
     }
 
-    fn may_be_in(&self, frame: &FrameRef) -> bool {
-        frame.depth_camera().may_show(&self.middle, self.radius_m)
+    fn can_be_visible_in(&self, frame: &FrameRef) -> bool {
+        frame.depth_camera().can_show(&self.middle, self.radius_m)
     }
 
     fn visible_in(
@@ -478,15 +491,15 @@ impl CloudSubset {
 }
 
 /// Position of a point of the cloud in a frame's color picture; `None` outside.
-fn colour_pixel(frame: &Frame, point: &FramePoint) -> Option<(f32, f32)> {
-    frame.colour_camera.project(&point.position).map(|pixel| (pixel.u, pixel.v))
+fn color_pixel(frame: &Frame, point: &FramePoint) -> Option<(f32, f32)> {
+    frame.color_camera.project(&point.position).map(|pixel| (pixel.u, pixel.v))
 }
 
 /// The mask at a position of the color picture, or the nearest one to it.
 fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16> {
-    let (depth, colour) = (&frame.depth_camera.intrinsics, &frame.colour_camera.intrinsics);
-    let column = ((x - colour.cx) / colour.fx * depth.fx + depth.cx).round() as i32;
-    let row = ((y - colour.cy) / colour.fy * depth.fy + depth.cy).round() as i32;
+    let (depth, color) = (&frame.depth_camera.intrinsics, &frame.color_camera.intrinsics);
+    let column = ((x - color.cx) / color.fx * depth.fx + depth.cx).round() as i32;
+    let row = ((y - color.cy) / color.fy * depth.fy + depth.cy).round() as i32;
     let around =
         |reach: i32| (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)));
     let mut near: Vec<(i32, i32)> = around(AROUND_PX).collect();
@@ -507,7 +520,7 @@ fn medoid(pixels: &[(f32, f32)]) -> Option<(f32, f32)> {
 }
 
 /// A frame's view of an object that covers these pixels of its color picture.
-fn view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
+fn to_view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
     let span = |of: fn(&(f32, f32)) -> f32, length: u32| {
         let low = pixels.iter().map(of).fold(f32::INFINITY, f32::min);
         let high = pixels.iter().map(of).fold(f32::NEG_INFINITY, f32::max);
@@ -517,9 +530,9 @@ fn view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
     if pixels.len() < LEAST_POINTS / 2 {
         return None;
     }
-    let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
+    let (width, height) = (frame.color_intrinsics.width, frame.color_intrinsics.height);
     let ((left, right), (top, bottom)) = (span(|p| p.0, width), span(|p| p.1, height));
     let box_px = [left, top, right, bottom];
-    let mask = Outline::of_points(pixels, box_px).mask.packed();
+    let mask = Outline::from_points(pixels, box_px).mask.to_view_mask();
     Some(View { frame: frame.index, visible_points: pixels.len() as u32, box_px, mask: Some(mask) })
 }

@@ -27,7 +27,7 @@ struct PointVotes {
 }
 
 impl PointVotes {
-    fn cast(&mut self, own: u32, region: u32) {
+    fn add_vote(&mut self, own: u32, region: u32) {
         if region == own {
             self.own = self.own.saturating_add(1);
         } else if self.lead == 0 || self.other == region {
@@ -59,29 +59,29 @@ pub fn refine(
             progress.check()?;
             let seen = visibility.in_frame(&frame.depth_camera(), &*depths.depth(frame)?);
             let by_image = masks[&frame.index].iter().flat_map(|masks| {
-                let ids = masks.unpacked();
+                let ids = masks.to_image();
                 let hits: Vec<(u32, u16)> =
                     seen.iter().map(|seen| (seen.point, ids.at(seen.cell))).collect();
-                told(&hits, &region_of)
+                assign_points(&hits, &region_of)
             });
             Ok::<_, ParseError>(by_image.collect::<Vec<_>>())
         },
-        |i, told| {
-            for (point, region) in told {
-                votes[point as usize].cast(region_of[point as usize], region);
+        |i, assigned| {
+            for (point, region) in assigned {
+                votes[point as usize].add_vote(region_of[point as usize], region);
             }
             Ok(progress.report("refine", (i + 1) as f32 / frames.len() as f32)?)
         },
     )?;
     let mut near: VoxelMap<Vec<u32>> = VoxelMap::default();
     for (p, &region) in cloud.positions.iter().zip(&region_of) {
-        let here = near.entry(VoxelKey::of(p, REACH_M)).or_default();
+        let here = near.entry(VoxelKey::containing(p, REACH_M)).or_default();
         if !here.contains(&region) {
             here.push(region);
         }
     }
     let is_near = |p, region: u32| {
-        let key = VoxelKey::of(p, REACH_M);
+        let key = VoxelKey::containing(p, REACH_M);
         let holds = |key: VoxelKey| near.get(&key).is_some_and(|regions| regions.contains(&region));
         holds(key) || NEIGHBOURS_26.iter().any(|&d| holds(key.offset(d)))
     };
@@ -100,7 +100,7 @@ pub fn refine(
 
 /// The region that the masks of one frame assign to each visible point, for points of regions that
 /// this frame separates from others.
-fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
+fn assign_points(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
     let region = |&(point, _): &(u32, u16)| region_of[point as usize];
     // Neighbors mostly agree, so equal ones in a row are looked up once.
     let runs = || hits.chunk_by(|a, b| a.1 == b.1 && region(a) == region(b));
@@ -129,13 +129,13 @@ fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
             .filter(|(all, most, _)| mask != 0 && 2 * most > *all)
             .map(|&(_, _, region)| region)
     };
-    let told = |run: &[(u32, u16)]| {
+    let best_region = |run: &[(u32, u16)]| {
         let own = region(&run[0]);
         let told_apart = owner(regions[&own].1) == Some(own);
         told_apart.then(|| owner(run[0].1)).flatten()
     };
     runs()
-        .filter_map(|run| Some((run, told(run)?)))
+        .filter_map(|run| Some((run, best_region(run)?)))
         .flat_map(|(run, to)| run.iter().map(move |&(point, _)| (point, to)))
         .collect()
 }
@@ -150,16 +150,20 @@ mod tests {
         // the picture ends.
         let region_of = [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1];
         let hits: Vec<(u32, u16)> = (0..11).map(|i| (i, if i < 4 { 1 } else { 2 })).collect();
-        let told = told(&hits, &region_of);
+        let assigned = assign_points(&hits, &region_of);
         assert_eq!(
-            told.iter()
+            assigned
+                .iter()
                 .filter(|(_, region)| *region == 0)
                 .map(|(point, _)| *point)
                 .collect::<Vec<_>>(),
             [0, 1, 2, 3]
         );
         let mut votes = PointVotes::default();
-        told.iter().filter(|(point, _)| *point == 4).for_each(|&(_, region)| votes.cast(0, region));
+        assigned
+            .iter()
+            .filter(|(point, _)| *point == 4)
+            .for_each(|&(_, region)| votes.add_vote(0, region));
         assert_eq!((votes.own, votes.other, votes.lead), (0, 1, 1));
     }
 
@@ -168,13 +172,17 @@ mod tests {
         // A mug (points 0, 1) on a table (2 to 9), all in one mask.
         let region_of = [0, 0, 1, 1, 1, 1, 1, 1, 1, 1];
         let hits: Vec<(u32, u16)> = (0..10).map(|i| (i, 1)).collect();
-        assert!(told(&hits, &region_of).iter().all(|(point, region)| *point >= 2 && *region == 1));
+        assert!(
+            assign_points(&hits, &region_of)
+                .iter()
+                .all(|(point, region)| *point >= 2 && *region == 1)
+        );
     }
 
     #[test]
     fn votes_find_the_leader_among_the_others() {
         let mut votes = PointVotes::default();
-        [7, 3, 7, 0, 7, 5, 7].into_iter().for_each(|region| votes.cast(0, region));
+        [7, 3, 7, 0, 7, 5, 7].into_iter().for_each(|region| votes.add_vote(0, region));
         assert_eq!((votes.own, votes.other), (1, 7));
         assert!(votes.lead > votes.own);
     }

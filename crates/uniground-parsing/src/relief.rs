@@ -32,7 +32,7 @@ impl FlatRelief {
     /// Removes noise and drift along the normal from these points. Each becomes a pair: where the
     /// thing begins and where it ends.
     #[must_use]
-    pub fn flattened(&self, positions: &[Point3<f32>]) -> Vec<Point3<f32>> {
+    pub fn flatten(&self, positions: &[Point3<f32>]) -> Vec<Point3<f32>> {
         let at = |p: &Point3<f32>, height: f32| {
             p + self.normal * (height - (p - self.base).dot(&self.normal))
         };
@@ -81,7 +81,7 @@ struct FlatCandidate {
 
 impl FlatCandidate {
     /// Height above the plane and position along it, meters.
-    fn place(&self, p: &Point3<f32>) -> (f32, [f32; 2]) {
+    fn plane_coordinates(&self, p: &Point3<f32>) -> (f32, [f32; 2]) {
         let [height, a, b] = self.axes.map(|axis| (p - self.base).dot(&axis));
         (height, [a, b])
     }
@@ -109,7 +109,7 @@ impl<'a> FlatCandidates<'a> {
     /// Finds nothing where the settings treat nothing as thin. `cameras` are camera centers,
     /// meters.
     #[must_use]
-    pub fn of(
+    pub fn find(
         cloud: &PointCloud,
         superpoints: &'a Superpoints,
         planes: &'a Planes,
@@ -124,7 +124,9 @@ impl<'a> FlatCandidates<'a> {
         let (mut members, mut on_plane) =
             (vec![Vec::new(); labels.len()], vec![Vec::new(); planes.planes.len()]);
         for point in (0..cloud.len() as u32).filter(|&point| is_sampled(point)) {
-            labels.of(point as usize).for_each(|id| members[id.0 as usize - 1].push(point));
+            labels
+                .instances_of_point(point as usize)
+                .for_each(|id| members[id.0 as usize - 1].push(point));
             if let Some(plane) = planes.of_superpoint[superpoints.of_point[point as usize] as usize]
             {
                 on_plane[plane as usize].push(point);
@@ -175,14 +177,17 @@ impl<'a> FlatCandidates<'a> {
                 high: [0.0; 2],
             };
             for i in 0..2 {
-                let mut along: Vec<f32> = points.iter().map(|p| flat.place(at(p)).1[i]).collect();
+                let mut along: Vec<f32> =
+                    points.iter().map(|p| flat.plane_coordinates(at(p)).1[i]).collect();
                 (flat.low[i], flat.high[i]) =
                     (quantile(&mut along, 0.02)?, quantile(&mut along, 0.98)?);
             }
-            let around =
-                on_plane[plane].iter().filter(|p| labels.of(**p as usize).all(|other| other != id));
-            let around =
-                around.map(|p| flat.place(at(p))).filter(|(_, along)| flat.is_around(*along));
+            let around = on_plane[plane]
+                .iter()
+                .filter(|p| labels.instances_of_point(**p as usize).all(|other| other != id));
+            let around = around
+                .map(|p| flat.plane_coordinates(at(p)))
+                .filter(|(_, along)| flat.is_around(*along));
             let mut around: Vec<f32> = around.map(|(height, _)| height).collect();
             if around.len() < MIN_POINTS {
                 return None;
@@ -201,7 +206,7 @@ impl<'a> FlatCandidates<'a> {
 
     /// Measures one frame, given its depth, the depth camera, and the points it shows.
     #[must_use]
-    pub fn heights(
+    pub fn measure_heights(
         &self,
         camera: &Camera,
         depth: &DepthImage,
@@ -219,13 +224,16 @@ impl<'a> FlatCandidates<'a> {
             let (u, v) = seen.cell;
             let measured =
                 || to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.at(seen.cell));
-            let is_of =
-                |flat: &FlatCandidate| self.labels.of(seen.point as usize).any(|id| id == flat.id);
-            for flat in
-                self.labels.of(seen.point as usize).filter_map(|id| self.of_id[id.0 as usize])
+            let is_of = |flat: &FlatCandidate| {
+                self.labels.instances_of_point(seen.point as usize).any(|id| id == flat.id)
+            };
+            for flat in self
+                .labels
+                .instances_of_point(seen.point as usize)
+                .filter_map(|id| self.of_id[id.0 as usize])
             {
-                let (_, along) = self.things[flat as usize].place(&seen.position);
-                let (height, _) = self.things[flat as usize].place(&measured());
+                let (_, along) = self.things[flat as usize].plane_coordinates(&seen.position);
+                let (height, _) = self.things[flat as usize].plane_coordinates(&measured());
                 own[flat as usize].push((along.map(|at| (at / CELL_M).floor() as i32), height));
             }
             let plane =
@@ -236,8 +244,8 @@ impl<'a> FlatCandidates<'a> {
             for (i, flat) in
                 self.things.iter().enumerate().filter(|(_, flat)| Some(flat.plane) == plane)
             {
-                if flat.is_around(flat.place(&seen.position).1) && !is_of(flat) {
-                    around[i].push(flat.place(&measured()).0);
+                if flat.is_around(flat.plane_coordinates(&seen.position).1) && !is_of(flat) {
+                    around[i].push(flat.plane_coordinates(&measured()).0);
                 }
             }
         }
@@ -248,7 +256,7 @@ impl<'a> FlatCandidates<'a> {
             }
             let base_m = median(&mut around).unwrap_or(0.0);
             for (cell, height) in own {
-                add(&mut cells, (i, cell), (height - base_m, 1));
+                add_height(&mut cells, (i, cell), (height - base_m, 1));
             }
         }
         FlatHeights(cells)
@@ -256,7 +264,7 @@ impl<'a> FlatCandidates<'a> {
 
     /// Returns the reliefs of flat things, given the heights from all frames.
     #[must_use]
-    pub fn reliefs(&self, heights: FlatHeights) -> BTreeMap<InstanceId, FlatRelief> {
+    pub fn compute_reliefs(&self, heights: FlatHeights) -> BTreeMap<InstanceId, FlatRelief> {
         let mut of_flat: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
         for ((flat, _), (sum, count)) in
             heights.0.into_iter().filter(|(_, (_, count))| *count >= MIN_HEIGHTS)
@@ -286,12 +294,12 @@ pub struct FlatHeights(HeightCells);
 
 impl FlatHeights {
     /// Adds the heights of another frame.
-    pub fn gather(&mut self, other: Self) {
-        other.0.into_iter().for_each(|(cell, heights)| add(&mut self.0, cell, heights));
+    pub fn merge(&mut self, other: Self) {
+        other.0.into_iter().for_each(|(cell, heights)| add_height(&mut self.0, cell, heights));
     }
 }
 
-fn add(cells: &mut HeightCells, cell: (u32, [i32; 2]), (sum, count): (f32, u32)) {
+fn add_height(cells: &mut HeightCells, cell: (u32, [i32; 2]), (sum, count): (f32, u32)) {
     let heights = cells.entry(cell).or_default();
     *heights = (heights.0 + sum, heights.1 + count);
 }
@@ -339,7 +347,7 @@ mod tests {
             }
             depths.push(depth);
         }
-        cloud.colours = vec![[0; 3]; cloud.positions.len()];
+        cloud.colors = vec![[0; 3]; cloud.positions.len()];
         let superpoints = Superpoints {
             of_point: region_of.clone(),
             patches: Vec::new(),
@@ -353,9 +361,9 @@ mod tests {
             area_m2: 7.0,
         };
         let planes = Planes { planes: vec![plane], of_superpoint: vec![Some(0), None] };
-        let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
+        let labels = Labels::from_regions(&region_of, &superpoints, Vec::new());
         let visibility = Visibility::new(&cloud, &region_of, 0.1);
-        let flats = FlatCandidates::of(
+        let flats = FlatCandidates::find(
             &cloud,
             &superpoints,
             &planes,
@@ -365,7 +373,11 @@ mod tests {
         );
         let mut heights = FlatHeights::default();
         depths.iter().for_each(|depth| {
-            heights.gather(flats.heights(&camera, depth, &visibility.around_frame(&camera, depth)));
+            heights.merge(flats.measure_heights(
+                &camera,
+                depth,
+                &visibility.around_frame(&camera, depth),
+            ));
         });
         let thing = cloud
             .positions
@@ -374,7 +386,7 @@ mod tests {
             .filter(|(_, region)| **region == 1)
             .map(|(p, _)| p);
         // The wall has more points and so has the first id.
-        (flats.reliefs(heights).get(&InstanceId(2)).copied(), Aabb::around(thing).unwrap())
+        (flats.compute_reliefs(heights).get(&InstanceId(2)).copied(), Aabb::around(thing).unwrap())
     }
 
     #[test]
@@ -384,7 +396,7 @@ mod tests {
         assert!(in_cloud.size.z > 0.09, "{in_cloud:?}");
         assert!(relief.span_m.0 == 0.0 && (relief.span_m.1 - 0.03).abs() < 0.008, "{relief:?}");
         assert!((relief.base.z - WALL_Z).abs() < 0.005 && relief.normal.z == -1.0, "{relief:?}");
-        let flattened = Aabb::around(&relief.flattened(&[in_cloud.min(), in_cloud.max()])).unwrap();
+        let flattened = Aabb::around(&relief.flatten(&[in_cloud.min(), in_cloud.max()])).unwrap();
         assert!((flattened.size.z - relief.span_m.1).abs() < 1e-4, "{flattened:?}");
         assert!(
             (flattened.size.xy() - in_cloud.size.xy()).norm() < 1e-4,

@@ -6,9 +6,11 @@ use rayon::prelude::*;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
-    FrameError, FrameRef, Instance, InstanceId, ParsedScene, PointCloud, id_colour,
+    FrameError, FrameRef, Instance, InstanceId, ParsedScene, PointCloud, id_color,
 };
-use uniground_render::{Orbit, ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene_picture};
+use uniground_render::{
+    Orbit, ROOM_VIEW, RenderScene, draw_frame_overlay, draw_scene, encode_jpeg,
+};
 
 /// One picture of a report.
 pub struct ReportPicture {
@@ -36,12 +38,12 @@ pub fn render(
     frames: &[FrameRef],
     progress: &Progress,
 ) -> Result<Vec<ReportPicture>, ParseError> {
-    let by_superpoint = RenderScene::of_parsed(
-        recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])),
+    let by_superpoint = RenderScene::with_building(
+        with_colors(scene, |i| id_color(scene.superpoint_of_point[i])),
         &scene.instances,
     );
-    let by_instance = RenderScene::of_parsed(
-        recoloured(scene, |i| instance_colour(&scene.instances, scene.instance_of_point[i])),
+    let by_instance = RenderScene::with_building(
+        with_colors(scene, |i| instance_color(&scene.instances, scene.instance_of_point[i])),
         &scene.instances,
     );
     let count = FRAMES.min(frames.len());
@@ -70,14 +72,12 @@ pub fn render(
         .map(|(name, title, subject)| {
             progress.check()?;
             let picture = match subject {
-                PictureSubject::Cloud(cloud) => {
-                    scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[])
-                }
+                PictureSubject::Cloud(cloud) => draw_scene(cloud, &scene.extent, &ROOM_VIEW, &[]),
                 PictureSubject::Frame(frame) => {
-                    frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &by_instance)
+                    draw_frame_overlay(&frame.decode_color()?, &frame.color_camera(), &by_instance)
                 }
             };
-            Ok(ReportPicture { name, title, jpeg: jpeg(&picture) })
+            Ok(ReportPicture { name, title, jpeg: encode_jpeg(&picture) })
         })
         .collect()
 }
@@ -86,7 +86,7 @@ pub fn render(
 #[must_use]
 pub fn thumbnail(render_scene: &RenderScene, extent: &Aabb) -> Vec<u8> {
     let small = Orbit { width: 320, height: 240, ..ROOM_VIEW };
-    jpeg(&scene_picture(render_scene, extent, &small, &[]))
+    encode_jpeg(&draw_scene(render_scene, extent, &small, &[]))
 }
 
 /// Draws the instances in a photograph in their colors, half transparent; parts of the building are
@@ -100,12 +100,12 @@ pub fn photograph_with_instances(
     instances: &[Instance],
     shown_as: impl Fn(usize) -> InstanceId + Sync + Send,
 ) -> Result<Vec<u8>, FrameError> {
-    let colours = (0..cloud.len())
+    let colors = (0..cloud.len())
         .into_par_iter()
-        .map(|point| instance_colour(instances, shown_as(point)))
+        .map(|point| instance_color(instances, shown_as(point)))
         .collect();
-    let coloured = RenderScene::of(PointCloud { positions: cloud.positions.clone(), colours });
-    Ok(jpeg(&frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &coloured)))
+    let colored = RenderScene::new(PointCloud { positions: cloud.positions.clone(), colors });
+    Ok(encode_jpeg(&draw_frame_overlay(&frame.decode_color()?, &frame.color_camera(), &colored)))
 }
 
 enum PictureSubject<'a> {
@@ -113,16 +113,16 @@ enum PictureSubject<'a> {
     Frame(&'a FrameRef),
 }
 
-fn recoloured(scene: &ParsedScene, colour: impl Fn(usize) -> [u8; 3] + Sync + Send) -> PointCloud {
+fn with_colors(scene: &ParsedScene, color: impl Fn(usize) -> [u8; 3] + Sync + Send) -> PointCloud {
     let positions = scene.cloud.positions.clone();
-    PointCloud { colours: (0..positions.len()).into_par_iter().map(colour).collect(), positions }
+    PointCloud { colors: (0..positions.len()).into_par_iter().map(color).collect(), positions }
 }
 
-fn instance_colour(instances: &[Instance], id: InstanceId) -> [u8; 3] {
+fn instance_color(instances: &[Instance], id: InstanceId) -> [u8; 3] {
     let instance = (id.0 as usize).checked_sub(1).and_then(|i| instances.get(i));
     match instance {
         None => DROPPED_GREY,
         Some(instance) if instance.structure.is_some() => STRUCTURE_GREY,
-        Some(_) => id_colour(id.0),
+        Some(_) => id_color(id.0),
     }
 }

@@ -42,13 +42,16 @@ pub enum ScanError {
 
 /// Returns the available models that the settings enable.
 #[must_use]
-pub fn chosen(choice: ModelChoice, models: &Models) -> Models {
-    models.only(choice.masks == PartChoice::Configured, choice.encoder == PartChoice::Configured)
+pub fn select_models(choice: ModelChoice, models: &Models) -> Models {
+    models.select_roles(
+        choice.masks == PartChoice::Configured,
+        choice.encoder == PartChoice::Configured,
+    )
 }
 
 /// Name and version of the models in use, or of the built-in methods in their place.
 #[must_use]
-pub fn names_of(models: &Models) -> ParseModels {
+pub fn model_names(models: &Models) -> ParseModels {
     ParseModels {
         masks: models.label(Role::Masks).unwrap_or_else(|| RgbdMasks::default().name().to_owned()),
         encoder: models.label(Role::Encoder).unwrap_or_else(|| attributes::NAME.to_owned()),
@@ -82,15 +85,16 @@ pub fn parse_scan(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScan, ScanError> {
-    let imported = share_of_import(&chosen(settings.models, models));
-    let scan = import_scan(content, &settings.import, checkpoints, &progress.part(0.0, imported))?;
-    cut_scan(scan, settings, models, checkpoints, &progress.part(imported, 1.0))
+    let imported = import_share(&select_models(settings.models, models));
+    let scan =
+        import_scan(content, &settings.import, checkpoints, &progress.sub_range(0.0, imported))?;
+    parse_imported_scan(scan, settings, models, checkpoints, &progress.sub_range(imported, 1.0))
 }
 
 /// The share of a parse's time that the import takes with these models. Networks, if used, take
 /// nearly all of the time.
 #[must_use]
-pub fn share_of_import(models: &Models) -> f32 {
+pub fn import_share(models: &Models) -> f32 {
     if models.loaded.is_empty() { 0.25 } else { 0.01 }
 }
 
@@ -109,10 +113,10 @@ const BYTES_PER_PIXEL: u64 = 64;
 impl ImportedScan {
     /// Estimates the memory that parsing takes in the current thread pool, bytes, without networks.
     #[must_use]
-    pub fn memory_wanted(&self) -> u64 {
-        let (_, frames) = self.bundle.in_all();
+    pub fn estimate_memory(&self) -> u64 {
+        let (_, frames) = self.bundle.combine_additions();
         let pixels = |frame: &FrameRef| {
-            u64::from(frame.colour_intrinsics.width) * u64::from(frame.colour_intrinsics.height)
+            u64::from(frame.color_intrinsics.width) * u64::from(frame.color_intrinsics.height)
         };
         let largest = frames.iter().map(pixels).max().unwrap_or(0);
         self.bundle.points() as u64 * BYTES_PER_POINT
@@ -137,7 +141,7 @@ impl ImportedScan {
     ///
     /// # Errors
     /// [`ScanError::Ingest`] when the work was cancelled.
-    pub fn try_pictures(&self, progress: &Progress) -> Result<(), ScanError> {
+    pub fn check_pictures(&self, progress: &Progress) -> Result<(), ScanError> {
         let SceneBundle { frames, report, .. } = &self.bundle;
         // A scan without its own cloud was fused from all its frames, as were additions: those are
         // already decoded.
@@ -147,7 +151,7 @@ impl ImportedScan {
             frames,
             |frame| {
                 progress.check()?;
-                drop((frame.decode_colour(), frame.decode_depth()));
+                drop((frame.decode_color(), frame.decode_depth()));
                 Ok::<_, Cancelled>(())
             },
             |at, ()| progress.report("check_pictures", at as f32 / all),
@@ -167,7 +171,7 @@ pub fn import_scan(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ImportedScan, ScanError> {
-    timed_import(content, settings, checkpoints, progress, MissingStage::Made)
+    load_or_import(content, settings, checkpoints, progress, MissingStage::Made)
 }
 
 /// Loads the import of a scan from its checkpoints; `None` if it is not stored. Decodes nothing of
@@ -175,12 +179,13 @@ pub fn import_scan(
 ///
 /// # Errors
 /// [`ScanError::Ingest`] if the list of a scan's parts cannot be read.
-pub fn stored_import(
+pub fn load_stored_import(
     content: &Utf8Path,
     settings: &ImportSettings,
     checkpoints: &Checkpoints,
 ) -> Result<Option<ImportedScan>, ScanError> {
-    match timed_import(content, settings, checkpoints, &Progress::silent(), MissingStage::Refused) {
+    match load_or_import(content, settings, checkpoints, &Progress::silent(), MissingStage::Refused)
+    {
         Ok(scan) => Ok(Some(scan)),
         Err(ScanError::NotImported) => Ok(None),
         Err(error) => Err(error),
@@ -194,7 +199,7 @@ enum MissingStage {
     Refused,
 }
 
-fn timed_import(
+fn load_or_import(
     content: &Utf8Path,
     settings: &ImportSettings,
     checkpoints: &Checkpoints,
@@ -214,7 +219,7 @@ fn timed_import(
 ///
 /// # Errors
 /// [`ScanError`], also when the work was cancelled.
-pub fn cut_scan(
+pub fn parse_imported_scan(
     scan: ImportedScan,
     settings: &ParseSettings,
     models: &Models,
@@ -224,12 +229,23 @@ pub fn cut_scan(
     let ImportedScan { bundle, stages } = scan;
     let again = settings.models.allow_builtin.then(|| bundle.clone());
     let mut scan = match (
-        cut_with(bundle, settings, &chosen(settings.models, models), checkpoints, progress),
+        parse_bundle(
+            bundle,
+            settings,
+            &select_models(settings.models, models),
+            checkpoints,
+            progress,
+        ),
         again,
     ) {
         (Err(ScanError::Parse(ParseError::Model(error))), Some(bundle)) => {
-            let mut scan =
-                cut_with(bundle, settings, &chosen(BUILTIN, models), checkpoints, progress)?;
+            let mut scan = parse_bundle(
+                bundle,
+                settings,
+                &select_models(BUILTIN, models),
+                checkpoints,
+                progress,
+            )?;
             scan.scene
                 .report
                 .warnings
@@ -264,25 +280,25 @@ fn import(
         let bundle = uniground_ingest::load(
             &uniground_ingest::open(&first)?,
             settings,
-            &progress.part(0.0, share(1)),
+            &progress.sub_range(0.0, share(1)),
         )?;
         Ok::<_, ScanError>(bundle.with_paths(|path| below(&first, path)))
     };
-    let (bundle, mut all_reused) = checkpoints.once("import", &(), load)?;
+    let (bundle, mut all_reused) = checkpoints.load_or_compute("import", &(), load)?;
     let mut bundle = bundle.with_paths(|path| first.join(path));
     let to_scene = bundle.report.source_to_scene.unwrap_or(SourceToScene::IDENTITY);
     let (mut checkpoints, mut known) = (checkpoints.clone(), None);
     for (part, number) in added.iter().zip(1..) {
         let folder = part_folder(content, number);
         let made_of = format!(";{}", serde_json::to_string(part).map_err(std::io::Error::from)?);
-        checkpoints = checkpoints.depending_on(&made_of);
+        checkpoints = checkpoints.with_dependency(&made_of);
         let cloud = known.as_ref().unwrap_or(&bundle.cloud);
         let load = || {
             may_load()?;
             let (first, looking) =
-                (bundle.next_frame(), progress.part(share(number), share(number + 1)));
+                (bundle.next_frame(), progress.sub_range(share(number), share(number + 1)));
             let to_scene = part.to_scene.unwrap_or(to_scene);
-            let addition = uniground_ingest::add(
+            let addition = uniground_ingest::add_scan(
                 uniground_ingest::open(&folder)?,
                 made_of,
                 &to_scene,
@@ -293,23 +309,24 @@ fn import(
             )?;
             Ok::<_, ScanError>(addition.with_paths(|path| below(&folder, path)))
         };
-        let (addition, reused) = checkpoints.once(&format!("import{number}"), &(), load)?;
+        let (addition, reused) =
+            checkpoints.load_or_compute(&format!("import{number}"), &(), load)?;
         all_reused &= reused;
-        known = Some(addition.applied_to(cloud));
+        known = Some(addition.apply_to(cloud));
         bundle.additions.push(addition.with_paths(|path| folder.join(path)));
     }
     Ok((bundle, all_reused))
 }
 
-fn cut_with(
+fn parse_bundle(
     bundle: SceneBundle,
     settings: &ParseSettings,
     models: &Models,
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScan, ScanError> {
-    let (import, frames) = bundle.in_all();
-    let names = names_of(models);
+    let (import, frames) = bundle.combine_additions();
+    let names = model_names(models);
     let parsing = &settings.parsing;
     let rgbd = RgbdMasks { settings: parsing.rgbd_masks };
     // Only correction needs encoded pictures.

@@ -26,7 +26,7 @@ const STEP: usize = 2;
 impl Sharpness {
     /// Measures a photograph.
     #[must_use]
-    pub fn of(photograph: &RgbImage) -> Self {
+    pub fn measure(photograph: &RgbImage) -> Self {
         let (width, height) = photograph.dimensions();
         let (mut sums, mut counts) =
             ([0_u64; (GRID * GRID) as usize], [0_u64; (GRID * GRID) as usize]);
@@ -83,8 +83,10 @@ mod tests {
             true => Rgb([if (x / 4 + y / 4) % 2 == 0 { 220 } else { 30 }; 3]),
             false => Rgb([120; 3]),
         });
-        let (sharp, blurred) =
-            (Sharpness::of(&photograph), Sharpness::of(&imageops::blur(&photograph, 2.0)));
+        let (sharp, blurred) = (
+            Sharpness::measure(&photograph),
+            Sharpness::measure(&imageops::blur(&photograph, 2.0)),
+        );
         let (checked, even) = ([6, 6, 40, 50], [60, 6, 96, 64]);
         assert!(
             sharp.within(checked) > 4.0 * blurred.within(checked),
@@ -94,7 +96,7 @@ mod tests {
         );
         assert_eq!(sharp.within(even), 0.0);
         assert_eq!(
-            Sharpness::of(&RgbImage::new(1, 1)).within([0, 0, 1, 1]),
+            Sharpness::measure(&RgbImage::new(1, 1)).within([0, 0, 1, 1]),
             0.0,
             "too small to tell"
         );

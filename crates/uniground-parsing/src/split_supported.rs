@@ -42,7 +42,7 @@ const MAX_OF_REGION: f32 = 0.5;
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn set_free(
+pub fn split_supported(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     planes: &Planes,
@@ -57,7 +57,7 @@ pub fn set_free(
     let pieces: Vec<SuperpointFacts> = points
         .par_iter()
         .zip(&superpoints.patches)
-        .map(|(points, patch)| SuperpointFacts::of(points, patch))
+        .map(|(points, patch)| SuperpointFacts::measure(points, patch))
         .collect();
     let mut neighbours = vec![Vec::new(); pieces.len()];
     for &(a, b) in &superpoints.adjacent {
@@ -76,18 +76,18 @@ pub fn set_free(
     {
         progress.check()?;
         let mut left: BTreeSet<u32> = members.iter().copied().collect();
-        let most = (MAX_OF_REGION * points_of(members, &pieces) as f32) as u32;
-        for top in tops(&pieces, members) {
+        let most = (MAX_OF_REGION * count_points(members, &pieces) as f32) as u32;
+        for top in find_surfaces(&pieces, members) {
             let above = |s: &u32| {
                 let piece = &pieces[*s as usize];
                 piece.middle_z > top.z + OVER_M
                     && piece.low_z > top.z - CONTACT_M
                     && !top.members.contains(s)
             };
-            for thing in hanging_together(left.iter().copied().filter(above).collect(), &neighbours)
+            for thing in group_connected(left.iter().copied().filter(above).collect(), &neighbours)
             {
-                if (min_points..=most).contains(&points_of(&thing, &pieces))
-                    && top.carries(&thing, &pieces)
+                if (min_points..=most).contains(&count_points(&thing, &pieces))
+                    && top.is_supporting(&thing, &pieces)
                 {
                     thing.iter().for_each(|s| {
                         left.remove(s);
@@ -113,7 +113,7 @@ struct SuperpointFacts {
 }
 
 impl SuperpointFacts {
-    fn of(points: &[Point3<f32>], patch: &Patch) -> Self {
+    fn measure(points: &[Point3<f32>], patch: &Patch) -> Self {
         let mut heights: Vec<f32> = points.iter().map(|p| p.z).collect();
         let mut height = |share| quantile(&mut heights, share).unwrap_or(0.0);
         Self {
@@ -135,20 +135,20 @@ impl SuperpointFacts {
 struct CellRect([i32; 4]);
 
 impl CellRect {
-    fn around(cells: &BTreeSet<(i32, i32)>) -> Self {
+    fn bounding(cells: &BTreeSet<(i32, i32)>) -> Self {
         let grown = |[left, near, right, far]: [i32; 4], &(x, y): &(i32, i32)| {
             [left.min(x), near.min(y), right.max(x), far.max(y)]
         };
         Self(cells.iter().fold([i32::MAX, i32::MAX, i32::MIN, i32::MIN], grown))
     }
 
-    fn cells(self) -> f32 {
+    fn area_cells(self) -> f32 {
         let Self([left, near, right, far]) = self;
         (right - left + 1) as f32 * (far - near + 1) as f32
     }
 
     /// Whether it contains a cell, or one next to it.
-    fn holds(self, (x, y): (i32, i32)) -> bool {
+    fn contains_cell(self, (x, y): (i32, i32)) -> bool {
         let Self([left, near, right, far]) = self;
         (left - 1..=right + 1).contains(&x) && (near - 1..=far + 1).contains(&y)
     }
@@ -164,20 +164,20 @@ struct SupportSurface {
 
 impl SupportSurface {
     /// Whether these superpoints stand on it as one thing.
-    fn carries(&self, thing: &[u32], pieces: &[SuperpointFacts]) -> bool {
+    fn is_supporting(&self, thing: &[u32], pieces: &[SuperpointFacts]) -> bool {
         let piece = |&s: &u32| &pieces[s as usize];
         let low_z = thing.iter().map(|s| piece(s).low_z).fold(f32::INFINITY, f32::min);
         let high_z = thing.iter().map(|s| piece(s).high_z).fold(f32::NEG_INFINITY, f32::max);
         let cells = footprint(thing, pieces);
-        let over = cells.iter().filter(|cell| self.around.holds(**cell)).count();
+        let over = cells.iter().filter(|cell| self.around.contains_cell(**cell)).count();
         low_z < self.z + CONTACT_M
             && high_z >= self.z + MIN_RISE_M
             && over as f32 >= OVER_TOP * cells.len() as f32
-            && CellRect::around(&cells).cells() <= MAX_COVERED * self.around.cells()
+            && CellRect::bounding(&cells).area_cells() <= MAX_COVERED * self.around.area_cells()
     }
 }
 
-fn points_of(members: &[u32], pieces: &[SuperpointFacts]) -> u32 {
+fn count_points(members: &[u32], pieces: &[SuperpointFacts]) -> u32 {
     members.iter().map(|&s| pieces[s as usize].points).sum()
 }
 
@@ -186,7 +186,7 @@ fn footprint(members: &[u32], pieces: &[SuperpointFacts]) -> BTreeSet<(i32, i32)
 }
 
 /// The level surfaces of a region, largest first.
-fn tops(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
+fn find_surfaces(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
     let height = |&s: &u32| pieces[s as usize].middle_z;
     let mut level: Vec<u32> =
         members.iter().copied().filter(|&s| pieces[s as usize].is_level).collect();
@@ -200,7 +200,7 @@ fn tops(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
             z,
             members: members.iter().copied().collect(),
             area_m2,
-            around: CellRect::around(&cells),
+            around: CellRect::bounding(&cells),
         }
     };
     let mut tops: Vec<SupportSurface> =
@@ -211,7 +211,7 @@ fn tops(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
 }
 
 /// Groups these superpoints into connected sets.
-fn hanging_together(mut left: BTreeSet<u32>, neighbours: &[Vec<u32>]) -> Vec<Vec<u32>> {
+fn group_connected(mut left: BTreeSet<u32>, neighbours: &[Vec<u32>]) -> Vec<Vec<u32>> {
     let mut sets = Vec::new();
     while let Some(first) = left.pop_first() {
         let (mut set, mut at) = (vec![first], 0);
@@ -228,7 +228,7 @@ fn hanging_together(mut left: BTreeSet<u32>, neighbours: &[Vec<u32>]) -> Vec<Vec
 mod tests {
     use super::*;
     use uniground_geometry::Vector3;
-    use uniground_geometry::colour::Lab;
+    use uniground_geometry::color::Lab;
 
     /// A block from corner to corner, meters, sampled every two centimeters, and its normal.
     type Block = ([f32; 3], [f32; 3], Vector3<f32>);
@@ -263,7 +263,8 @@ mod tests {
             roughness_m: vec![0.0; count],
         };
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![plane; count] };
-        set_free(&cloud, &superpoints, &planes, vec![0; count], 50, &Progress::silent()).unwrap()
+        split_supported(&cloud, &superpoints, &planes, vec![0; count], 50, &Progress::silent())
+            .unwrap()
     }
 
     fn top() -> Block {

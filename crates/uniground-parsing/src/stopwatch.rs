@@ -30,7 +30,7 @@ impl Stopwatch {
         stage: &str,
         work: impl FnOnce(&mut StageOutcome) -> Result<T, E>,
     ) -> Result<T, E> {
-        forget_peak_memory();
+        reset_peak_memory();
         let start = Instant::now();
         let mut outcome = StageOutcome::default();
         let result = work(&mut outcome)?;
@@ -47,7 +47,7 @@ impl Stopwatch {
 
 /// Resets the kernel's peak memory counter of this process; other readers of its `VmHWM` see the
 /// same. If the kernel does not allow it, the peak since process start is reported.
-fn forget_peak_memory() {
+fn reset_peak_memory() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 

@@ -5,7 +5,7 @@ use super::appearance::Outlines;
 use super::labels::Labels;
 use super::lifting::MasksOfFrames;
 use super::masks::IdRuns;
-use super::outline::{Outline, unoccluded};
+use super::outline::{Outline, unoccluded_share};
 use super::relief::{FlatCandidates, FlatHeights, FlatRelief};
 use super::sharpness::SharpnessOfFrames;
 use super::visibility::{FramePoint, PointVisibility, SAMPLED, Visibility, is_sampled};
@@ -21,7 +21,7 @@ use uniground_types::settings::ViewSettings;
 
 /// The points of a scene by instance, prepared for look-ups in frames.
 #[derive(Clone, Copy)]
-pub struct LabelledPoints<'a> {
+pub struct LabeledPoints<'a> {
     /// The instances of each point.
     pub labels: &'a Labels<'a>,
     /// The points.
@@ -67,12 +67,16 @@ pub struct InstancePixel {
 /// Returns the visible points of every instance this frame shows, sorted by instance.
 #[must_use]
 pub fn visible_pixels(
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     frame: &FrameRef,
     depth: &DepthImage,
 ) -> Vec<InstancePixel> {
-    by_instance(labelled.labels, frame, &labelled.visibility.in_frame(&frame.depth_camera(), depth))
-        .0
+    group_by_instance(
+        labeled.labels,
+        frame,
+        &labeled.visibility.in_frame(&frame.depth_camera(), depth),
+    )
+    .0
 }
 
 /// Points of instances that lie inside the picture but are not visible.
@@ -85,7 +89,7 @@ struct UnseenPoints {
 }
 
 impl UnseenPoints {
-    fn hidden(&self, instance: InstanceId) -> &[(InstanceId, (f32, f32))] {
+    fn hidden_of(&self, instance: InstanceId) -> &[(InstanceId, (f32, f32))] {
         let first = self.hidden.partition_point(|(of, _)| *of < instance);
         let after = self.hidden.partition_point(|(of, _)| *of <= instance);
         &self.hidden[first..after]
@@ -94,19 +98,19 @@ impl UnseenPoints {
 
 /// Projects points into the color picture, once for each instance they belong to: the visible ones,
 /// sorted by instance, and the others.
-fn by_instance(
+fn group_by_instance(
     labels: &Labels,
     frame: &FrameRef,
     points: &[FramePoint],
 ) -> (Vec<InstancePixel>, UnseenPoints) {
-    let colour_camera = frame.colour_camera();
+    let color_camera = frame.color_camera();
     let (mut pixels, mut unseen) = (
         Vec::with_capacity(points.len()),
         UnseenPoints { unknown: vec![0; labels.len()], ..UnseenPoints::default() },
     );
     for &FramePoint { point, position, cell, sight } in points {
-        let Some(pixel) = colour_camera.project(&position) else { continue };
-        let (instances, at) = (labels.of(point as usize), (pixel.u, pixel.v));
+        let Some(pixel) = color_camera.project(&position) else { continue };
+        let (instances, at) = (labels.instances_of_point(point as usize), (pixel.u, pixel.v));
         match sight {
             PointVisibility::Visible => {
                 pixels.extend(instances.map(|instance| InstancePixel { instance, at, cell }));
@@ -131,15 +135,15 @@ fn by_instance(
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left
 /// out.
 fn sightings(
-    labelled: LabelledPoints,
+    labeled: LabeledPoints,
     sampled: &[u32],
     frame: &FrameRef,
     points: &[FramePoint],
     masks: &[IdRuns],
 ) -> Vec<Sighting> {
-    let (hits, unseen) = by_instance(labelled.labels, frame, points);
-    let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
-    let agreements = agreements(&hits, labelled.labels.things, masks);
+    let (hits, unseen) = group_by_instance(labeled.labels, frame, points);
+    let (width, height) = (frame.color_intrinsics.width, frame.color_intrinsics.height);
+    let agreements = agreements(&hits, labeled.labels.things, masks);
     hits.chunk_by(|a, b| a.instance == b.instance)
         .map(|hits| {
             // At least one pixel each way, inside the picture.
@@ -154,18 +158,18 @@ fn sightings(
             let box_px = [left, top, right, bottom];
             let instance = hits[0].instance;
             let at: Vec<(f32, f32)> = hits.iter().map(|hit| hit.at).collect();
-            let outline = Outline::of_points(&at, box_px);
+            let outline = Outline::from_points(&at, box_px);
             let view = View {
                 frame: frame.index,
                 visible_points: hits.len() as u32,
                 box_px,
-                mask: Some(outline.mask.packed()),
+                mask: Some(outline.mask.to_view_mask()),
             };
             let agreement = agreements.get(&instance).copied().unwrap_or(0.0);
             let of_instance = instance.0 as usize - 1;
-            let whole = whole(
+            let whole = visible_share(
                 &at,
-                unseen.hidden(instance),
+                unseen.hidden_of(instance),
                 unseen.unknown[of_instance],
                 sampled[of_instance],
             );
@@ -177,7 +181,7 @@ fn sightings(
 /// Share of an instance that is in the picture, times the share of that which nothing else hides.
 ///
 /// Points that are not visible are known only for a sample of `sampled` points.
-fn whole(
+fn visible_share(
     visible: &[(f32, f32)],
     hidden: &[(InstanceId, (f32, f32))],
     unknown: u32,
@@ -187,7 +191,7 @@ fn whole(
     // Thins out the visible points to the same sampling rate.
     let visible: Vec<(f32, f32)> = visible.iter().step_by(SAMPLED as usize).copied().collect();
     let in_picture = visible.len() as f32 + hidden.len() as f32 + unknown as f32;
-    (in_picture / sampled.max(1) as f32).min(1.0) * unoccluded(&visible, &hidden)
+    (in_picture / sampled.max(1) as f32).min(1.0) * unoccluded_share(&visible, &hidden)
 }
 
 /// What a frame shows of one instance.
@@ -202,7 +206,7 @@ struct InstanceInFrame {
 /// `things`; the other instances overlap them.
 fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
     let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
-    for ids in masks.iter().map(IdRuns::unpacked) {
+    for ids in masks.iter().map(IdRuns::to_image) {
         let mut of_mask: BTreeMap<u16, u32> = BTreeMap::new();
         let mut held: Vec<InstanceInFrame> = Vec::new();
         for same in hits.chunk_by(|a, b| a.instance == b.instance) {
@@ -236,28 +240,28 @@ const TRIM: f32 = 0.01;
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
-pub fn all_sightings(
-    labelled: LabelledPoints,
+pub fn compute_sightings(
+    labeled: LabeledPoints,
     (frames, depths): (&[FrameRef], &DepthCache),
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
-    Ok(all_sighted(labelled, None, (frames, depths), masks, progress)?.sightings)
+    Ok(compute_instance_views(labeled, None, (frames, depths), masks, progress)?.sightings)
 }
 
-/// Same as [`all_sightings`], plus the reliefs of flat things.
+/// Same as [`compute_sightings`], plus the reliefs of flat things.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
-pub fn all_sighted(
-    labelled: LabelledPoints,
+pub fn compute_instance_views(
+    labeled: LabeledPoints,
     flats: Option<&FlatCandidates>,
     (frames, depths): (&[FrameRef], &DepthCache),
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<InstanceViews, ParseError> {
     let (mut all, mut heights) = (Vec::new(), FlatHeights::default());
-    let sampled = labelled.labels.counts(is_sampled);
+    let sampled = labeled.labels.counts(is_sampled);
     stream_frames(
         frames,
         |frame| {
@@ -265,26 +269,27 @@ pub fn all_sighted(
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
             let depth = depths.depth(frame)?;
             let camera = frame.depth_camera();
-            let points = labelled.visibility.around_frame(&camera, &depth);
-            let heights =
-                flats.map(|flats| flats.heights(&camera, &depth, &points)).unwrap_or_default();
-            Ok::<_, ParseError>((sightings(labelled, &sampled, frame, &points, masks), heights))
+            let points = labeled.visibility.around_frame(&camera, &depth);
+            let heights = flats
+                .map(|flats| flats.measure_heights(&camera, &depth, &points))
+                .unwrap_or_default();
+            Ok::<_, ParseError>((sightings(labeled, &sampled, frame, &points, masks), heights))
         },
         |i, (seen, of_frame)| {
             all.extend(seen);
-            heights.gather(of_frame);
+            heights.merge(of_frame);
             Ok(progress.report("views", (i + 1) as f32 / frames.len() as f32)?)
         },
     )?;
     Ok(InstanceViews {
         sightings: all,
-        reliefs: flats.map(|flats| flats.reliefs(heights)).unwrap_or_default(),
+        reliefs: flats.map(|flats| flats.compute_reliefs(heights)).unwrap_or_default(),
     })
 }
 
 /// Chooses the views of each instance: the best first, then those with the farthest camera centers
 /// among the frames that show it well.
-pub fn choose(
+pub fn choose_views(
     instances: &mut [Instance],
     sightings: Vec<Sighting>,
     frames: &[FrameRef],
@@ -298,21 +303,21 @@ pub fn choose(
     instances.par_iter_mut().zip(per_instance).for_each(|(instance, seen)| {
         let center = |frame: FrameIndex| {
             let at = frames.binary_search_by_key(&frame, |f| f.index);
-            at.map_or_else(|_| Point3::origin(), |i| Camera::center(&frames[i].colour_camera()))
+            at.map_or_else(|_| Point3::origin(), |i| Camera::center(&frames[i].color_camera()))
         };
-        instance.views = spread(judged(seen, sharpness), settings, center);
+        instance.views = select_distant(score_views(seen, sharpness), settings, center);
     });
 }
 
 /// Applies the outlines that a segmenter has corrected.
-pub fn tighten(instances: &mut [Instance], outlines: &Outlines) {
+pub fn apply_outlines(instances: &mut [Instance], outlines: &Outlines) {
     for instance in instances {
         for view in &mut instance.views {
             if let Some(outline) =
                 outlines.get(&view.frame).and_then(|of_frame| of_frame.get(&instance.id))
             {
                 view.box_px = outline.box_px;
-                view.mask = Some(outline.mask.packed());
+                view.mask = Some(outline.mask.to_view_mask());
             }
         }
     }
@@ -332,7 +337,7 @@ const LEAST_SHARP: f32 = 0.3;
 ///
 /// The first counts squared: with half of a thing in view, it is at most a quarter as easy to
 /// recognize, however large.
-fn judged(seen: Vec<Sighting>, sharpness: &SharpnessOfFrames) -> Vec<(f32, View)> {
+fn score_views(seen: Vec<Sighting>, sharpness: &SharpnessOfFrames) -> Vec<(f32, View)> {
     let sharp: Vec<Option<f32>> =
         seen.iter().map(|s| Some(sharpness.get(&s.view.frame)?.within(s.view.box_px))).collect();
     let usual =
@@ -348,7 +353,7 @@ fn judged(seen: Vec<Sighting>, sharpness: &SharpnessOfFrames) -> Vec<(f32, View)
 }
 
 /// Selects the best view and distant ones from scored views.
-fn spread(
+fn select_distant(
     mut seen: Vec<(f32, View)>,
     settings: &ViewSettings,
     center: impl Fn(FrameIndex) -> Point3<f32>,
@@ -397,14 +402,15 @@ mod tests {
         let seen = [(0.8, 0), (1.0, 1), (0.9, 2), (0.7, 6), (0.1, 9)]
             .map(|(worth, frame)| (worth, view(frame)))
             .to_vec();
-        let chosen = spread(seen, &ViewSettings::default(), |f| Point3::new(f.0 as f32, 0.0, 0.0));
+        let chosen =
+            select_distant(seen, &ViewSettings::default(), |f| Point3::new(f.0 as f32, 0.0, 0.0));
         assert_eq!(chosen.iter().map(|v| v.frame.0).collect::<Vec<_>>(), [1, 6, 2]);
     }
 
     #[test]
     fn a_view_is_worth_more_whole_large_and_sharp() {
         let worth = |seen: &[Sighting], sharpness: &SharpnessOfFrames| -> Vec<f32> {
-            judged(seen.to_vec(), sharpness).into_iter().map(|(worth, _)| worth).collect()
+            score_views(seen.to_vec(), sharpness).into_iter().map(|(worth, _)| worth).collect()
         };
         let nothing_known = SharpnessOfFrames::new();
         let [half_hidden, whole, near] = worth(
@@ -419,7 +425,7 @@ mod tests {
             image::Rgb([if (x / 3 + y / 3) % 2 == 0 { 200 } else { 20 }; 3])
         });
         let sharpness = [(0, &checked), (1, &even), (2, &checked)]
-            .map(|(f, picture)| (FrameIndex(f), Sharpness::of(picture)));
+            .map(|(f, picture)| (FrameIndex(f), Sharpness::measure(picture)));
         let found = worth(&[0, 1, 2].map(|frame| sighting(frame, 1.0, 900.0)), &sharpness.into());
         assert!(found[0] == found[2] && found[1] < 0.5 * found[0], "{found:?}");
     }
@@ -434,12 +440,12 @@ mod tests {
             })
             .collect();
         assert_eq!(
-            (whole(&front, &[], 0, 400), whole(&front, &[], 0, 800)),
+            (visible_share(&front, &[], 0, 400), visible_share(&front, &[], 0, 800)),
             (1.0, 0.5),
             "half of it out of the picture"
         );
-        assert_eq!(whole(&front, &[], 400, 800), 1.0, "nothing is known to hide it");
-        let covered = whole(&front, &beside, 0, 800);
+        assert_eq!(visible_share(&front, &[], 400, 800), 1.0, "nothing is known to hide it");
+        let covered = visible_share(&front, &beside, 0, 800);
         assert!((0.4..0.6).contains(&covered), "half of it behind something: {covered}");
     }
 
@@ -454,7 +460,8 @@ mod tests {
                 cell: (i, 0),
             })
             .collect();
-        let image = |ids: [u16; 6]| IdRuns::of(&IdImage { width: 6, height: 1, ids: ids.to_vec() });
+        let image =
+            |ids: [u16; 6]| IdRuns::from_image(&IdImage { width: 6, height: 1, ids: ids.to_vec() });
         let parts = image([5, 5, 5, 7, 7, 7]);
         let found = agreements(&hits, 2, std::slice::from_ref(&parts));
         assert_eq!(found, BTreeMap::from([(InstanceId(1), 0.75), (InstanceId(2), 2.0 / 3.0)]));
@@ -465,6 +472,8 @@ mod tests {
 
     #[test]
     fn an_instance_nobody_sees_has_no_views() {
-        assert!(spread(Vec::new(), &ViewSettings::default(), |_| Point3::origin()).is_empty());
+        assert!(
+            select_distant(Vec::new(), &ViewSettings::default(), |_| Point3::origin()).is_empty()
+        );
     }
 }

@@ -76,7 +76,7 @@ impl Visibility {
         let mut order: Vec<(u32, VoxelKey, u32)> = (0_u32..)
             .zip(positions)
             .zip(group_of)
-            .map(|((point, p), &group)| (group, VoxelKey::of(p, CLUSTER_M), point))
+            .map(|((point, p), &group)| (group, VoxelKey::containing(p, CLUSTER_M), point))
             .collect();
         order.par_sort_unstable();
         let points: Vec<(Point3<f32>, u32)> =
@@ -102,19 +102,19 @@ impl Visibility {
     /// unspecified but always the same.
     #[must_use]
     pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
-        self.look(camera, depth, |_, sight| sight == PointVisibility::Visible)
+        self.collect_points(camera, depth, |_, sight| sight == PointVisibility::Visible)
     }
 
     /// Same as [`in_frame`](Self::in_frame), plus a sample of the points that are inside the
     /// picture but not visible; see [`is_sampled`].
     #[must_use]
     pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
-        self.look(camera, depth, |point, sight| {
+        self.collect_points(camera, depth, |point, sight| {
             sight == PointVisibility::Visible || is_sampled(point)
         })
     }
 
-    fn look(
+    fn collect_points(
         &self,
         camera: &Camera,
         depth: &DepthImage,
@@ -123,7 +123,7 @@ impl Visibility {
         self.clusters
             .par_iter()
             .with_min_len(64)
-            .filter(|cluster| camera.may_show(&cluster.center, cluster.radius_m))
+            .filter(|cluster| camera.can_show(&cluster.center, cluster.radius_m))
             .flat_map_iter(|cluster| &self.points[cluster.points.clone()])
             .filter_map(|&(position, point)| {
                 let pixel = camera.project(&position)?;
@@ -172,7 +172,7 @@ mod tests {
             outside[0],
             outside[1],
         ];
-        let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
         let seen = Visibility::new(&cloud, &[0; 6], 0.05).in_frame(&camera, &depth);
         assert_eq!(
             seen.iter().map(|seen| (seen.point, seen.cell)).collect::<Vec<_>>(),
@@ -191,7 +191,7 @@ mod tests {
             [at(3.0, 3.0, 2.0); 8],
         ]
         .concat();
-        let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
         let seen = Visibility::new(&cloud, &[0; 32], 0.05).around_frame(&camera, &depth);
         let count = |sight, points: std::ops::Range<u32>| {
             seen.iter().filter(|p| p.sight == sight && points.contains(&p.point)).count()
@@ -219,7 +219,7 @@ mod tests {
                 .filter(|(_, p)| camera.project(p).is_some_and(|pixel| pixel.v < 2.5 && (pixel.z_m - 2.0).abs() <= 1.0))
                 .map(|(i, _)| i)
                 .collect();
-            let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+            let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
             let seen = Visibility::new(&cloud, &group_of, 0.5).in_frame(&camera, &depth);
             prop_assert!(seen.is_sorted_by_key(|seen| group_of[seen.point as usize]));
             let mut found: Vec<u32> = seen.iter().map(|seen| seen.point).collect();

@@ -138,7 +138,7 @@ enum WallSides {
 
 impl Building {
     /// Fits planes to the walls and ceilings among `instances`; `None` where there are none.
-    pub fn of(positions: &[Point3<f32>], instances: &[Instance]) -> Option<Self> {
+    pub fn fit(positions: &[Point3<f32>], instances: &[Instance]) -> Option<Self> {
         let parts: Vec<(&Instance, Structure)> = instances
             .iter()
             .filter_map(|i| Some((i, i.structure.filter(|s| *s != Structure::Floor)?)))
@@ -146,7 +146,7 @@ impl Building {
             .collect();
         let fitted: Vec<Vec<PlaneRect>> = parts
             .par_iter()
-            .map(|(instance, structure)| sheets_of(positions, instance, *structure))
+            .map(|(instance, structure)| find_planes(positions, instance, *structure))
             .collect();
         let mut sheets: Vec<PlaneRect> = fitted.into_iter().flatten().take(MAX_SHEETS).collect();
         if sheets.is_empty() {
@@ -154,17 +154,17 @@ impl Building {
         }
         let sample: Vec<&Point3<f32>> =
             positions.iter().step_by(positions.len().div_ceil(ROOM_SAMPLE)).collect();
-        turn_to_rooms(&mut sheets, &sample);
-        extend(&mut sheets, &sample);
+        orient_to_rooms(&mut sheets, &sample);
+        extend_walls(&mut sheets, &sample);
         let hung: Vec<(usize, OrientedBox)> =
-            instances.iter().filter_map(|i| hung(&sheets, i)).collect();
+            instances.iter().filter_map(|i| find_wall_of(&sheets, i)).collect();
         let of_point = positions
             .par_iter()
             .map(|p| {
                 // Ceilings take precedence: their rims would hover over the room.
                 let mut nearest: [Option<(usize, f32)>; 2] = [None; 2];
                 for (i, sheet) in sheets.iter().enumerate() {
-                    let Some(distance_m) = sheet.owns(p) else { continue };
+                    let Some(distance_m) = sheet.distance_if_on_plane(p) else { continue };
                     let is_wall = |i: usize| sheets[i].structure == Structure::Wall;
                     let before = |(other, other_m): (usize, f32)| {
                         (is_wall(i), distance_m) < (is_wall(other), other_m)
@@ -176,8 +176,10 @@ impl Building {
                     }
                 }
                 if nearest[0].is_none() {
-                    nearest[0] =
-                        hung.iter().find(|(_, of)| holds(of, RIM_M, p)).map(|(i, _)| (*i, 0.0));
+                    nearest[0] = hung
+                        .iter()
+                        .find(|(_, of)| box_contains(of, RIM_M, p))
+                        .map(|(i, _)| (*i, 0.0));
                 }
                 nearest.map(|own| own.map_or(0, |(i, _)| i as u8 + 1))
             })
@@ -211,24 +213,24 @@ impl Building {
             })
             .collect();
         let open = |sheet: &PlaneRect| {
-            sheet.turns_away(eye) || shown.iter().any(|s| sheet.hides(&s.within, eye))
+            sheet.faces_away(eye) || shown.iter().any(|s| sheet.is_hiding(&s.within, eye))
         };
         Opening { open: self.sheets.iter().map(open).collect(), shown }
     }
 
     /// Whether a point is drawn. Where an open wall meets another, its rim is left out too. In a
     /// subject's box, the subject is drawn but not the wall it stands at.
-    pub fn draws(&self, point: usize, p: &Point3<f32>, opening: &Opening) -> bool {
+    pub fn is_drawn(&self, point: usize, p: &Point3<f32>, opening: &Opening) -> bool {
         let own =
             self.of_point[point].into_iter().filter_map(|number| (number as usize).checked_sub(1));
         own.filter(|&i| opening.open[i]).all(|i| {
             let before = self.sheets[i].distance(p) > self.sheets[i].slack_m;
-            opening.shown.iter().any(|s| (s.flat[i] || before) && holds(&s.within, RIM_M, p))
+            opening.shown.iter().any(|s| (s.flat[i] || before) && box_contains(&s.within, RIM_M, p))
         })
     }
 
     /// Returns the lower edges of the walls that the camera looks through.
-    pub fn footings(&self, opening: &Opening) -> Vec<[Point3<f32>; 2]> {
+    pub fn open_wall_footings(&self, opening: &Opening) -> Vec<[Point3<f32>; 2]> {
         let walls = self
             .sheets
             .iter()
@@ -253,15 +255,15 @@ impl Building {
 
 impl Opening {
     /// Whether a point belongs to a subject.
-    pub fn shows(&self, p: &Point3<f32>) -> bool {
-        self.shown.iter().any(|s| holds(&s.within, RIM_M, p))
+    pub fn is_on_subject(&self, p: &Point3<f32>) -> bool {
+        self.shown.iter().any(|s| box_contains(&s.within, RIM_M, p))
     }
 }
 
 impl PlaneRect {
     /// Fits a rectangle to the points on a plane.
-    fn fitted(on: &[Point3<f32>], instance: &Instance, structure: Structure) -> Self {
-        let Moments { mean: middle, covariance } = Moments::of(on);
+    fn fit(on: &[Point3<f32>], instance: &Instance, structure: Structure) -> Self {
+        let Moments { mean: middle, covariance } = Moments::from_points(on);
         let (variance, normal) = least_axis(&covariance);
         let along = Vector3::z().cross(&normal).try_normalize(1e-3).unwrap_or_else(Vector3::x);
         let up = normal.cross(&along);
@@ -316,7 +318,7 @@ impl PlaneRect {
     }
 
     /// Returns the distance to the plane for a point that belongs to it, meters.
-    fn owns(&self, p: &Point3<f32>) -> Option<f32> {
+    fn distance_if_on_plane(&self, p: &Point3<f32>) -> Option<f32> {
         let distance = self.distance(p);
         let growth_m =
             if self.structure == Structure::Ceiling { CEILING_GROWTH_M } else { WALL_GROWTH_M };
@@ -331,12 +333,12 @@ impl PlaneRect {
         corners(of).iter().all(|corner| self.distance(corner).abs() < depth_m)
     }
 
-    fn turns_away(&self, eye: &Point3<f32>) -> bool {
+    fn faces_away(&self, eye: &Point3<f32>) -> bool {
         self.faces == WallSides::Room && self.distance(eye) < 0.0
     }
 
     /// Whether the plane is between the eye and much of a box.
-    fn hides(&self, subject: &OrientedBox, eye: &Point3<f32>) -> bool {
+    fn is_hiding(&self, subject: &OrientedBox, eye: &Point3<f32>) -> bool {
         let corners = corners(subject).map(|corner| corner + (subject.center - corner) * DRAWN_IN);
         let before = self.distance(eye);
         let hidden = |p: &&Point3<f32>| {
@@ -351,12 +353,12 @@ impl PlaneRect {
 }
 
 /// Finds the planes in the box of a wall or a ceiling, largest first.
-fn sheets_of(
+fn find_planes(
     positions: &[Point3<f32>],
     instance: &Instance,
     structure: Structure,
 ) -> Vec<PlaneRect> {
-    let inside = |p: &&Point3<f32>| holds(&instance.oriented_box, BOX_GROWTH_M, p);
+    let inside = |p: &&Point3<f32>| box_contains(&instance.oriented_box, BOX_GROWTH_M, p);
     let mut left: Vec<Point3<f32>> = positions.iter().filter(inside).copied().collect();
     let enough = MIN_POINTS.max((left.len() as f32 * MIN_SHARE) as usize);
     let mut sheets = Vec::new();
@@ -367,7 +369,7 @@ fn sheets_of(
         if on.len() < enough {
             break;
         }
-        let sheet = PlaneRect::fitted(&on, instance, structure);
+        let sheet = PlaneRect::fit(&on, instance, structure);
         left.retain(|p| sheet.distance(p).abs() > 2.0 * sheet.slack_m);
         sheets.push(sheet);
     }
@@ -407,7 +409,7 @@ fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f
 
 /// Orients the planes. Ceilings face down. Walls face the side with the room on it. If a wall
 /// between two rooms was scanned from both, each side faces away from the other.
-fn turn_to_rooms(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
+fn orient_to_rooms(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
     let flipped = |sheet: &mut PlaneRect| sheet.normal = -sheet.normal;
     for sheet in sheets
         .iter_mut()
@@ -435,7 +437,7 @@ fn turn_to_rooms(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
         } else if in_front <= 1.0 - BOTH_SIDES {
             let other = all
                 .iter()
-                .filter_map(|other| sheet.other_side(other))
+                .filter_map(|other| sheet.distance_to_other_side(other))
                 .min_by(|a, b| a.abs().total_cmp(&b.abs()));
             if let Some(distance) = other {
                 if distance > 0.0 {
@@ -451,7 +453,7 @@ fn turn_to_rooms(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
 
 /// Extends walls from floor to ceiling, and along the room where stage 1 recognized only a stretch
 /// of them.
-fn extend(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
+fn extend_walls(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
     let mut heights: Vec<f32> = sample.iter().map(|p| p.z).collect();
     let [low_z, high_z] =
         [STRAY_SHARE, 1.0 - STRAY_SHARE].map(|q| quantile(&mut heights, q).unwrap_or(0.0));
@@ -496,7 +498,7 @@ fn extend(sheets: &mut [PlaneRect], sample: &[&Point3<f32>]) {
 
 impl PlaneRect {
     /// Returns the distance of the other side of the same wall, meters along the normal.
-    fn other_side(&self, other: &Self) -> Option<f32> {
+    fn distance_to_other_side(&self, other: &Self) -> Option<f32> {
         let distance = self.distance(&other.middle);
         let parallel =
             other.structure == Structure::Wall && self.normal.dot(&other.normal).abs() > PARALLEL;
@@ -508,7 +510,7 @@ impl PlaneRect {
 /// Returns the plane of the wall that a thing belongs to, and the thing's box. This is the wall it
 /// hangs on; windows, doors and curtains, which reach high and lie flat, belong to the wall they
 /// are in.
-fn hung(sheets: &[PlaneRect], instance: &Instance) -> Option<(usize, OrientedBox)> {
+fn find_wall_of(sheets: &[PlaneRect], instance: &Instance) -> Option<(usize, OrientedBox)> {
     let of = instance.oriented_box;
     let hangs = |sheet: &PlaneRect| match instance.support {
         Support::Wall { id } => sheet.instance == id && sheet.is_flat(&of, HANGS_M),
@@ -534,7 +536,7 @@ fn corners(of: &OrientedBox) -> [Point3<f32>; 8] {
 }
 
 /// Whether a point is in a box grown by `growth_m` on all sides, meters.
-pub(super) fn holds(of: &OrientedBox, growth_m: f32, p: &Point3<f32>) -> bool {
+pub(super) fn box_contains(of: &OrientedBox, growth_m: f32, p: &Point3<f32>) -> bool {
     let (sin, cos) = of.yaw_rad.sin_cos();
     let d = p - of.center;
     let (x, y) = (cos * d.x + sin * d.y, cos * d.y - sin * d.x);

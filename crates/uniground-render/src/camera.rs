@@ -29,10 +29,10 @@ impl Orbit {
     #[must_use]
     pub fn camera(&self, extent: &Aabb) -> Camera {
         let eye = extent.center
-            + direction(self.azimuth_deg, self.tilt_deg) * (extent.size.norm().max(0.1) * 1.5);
+            + view_direction(self.azimuth_deg, self.tilt_deg) * (extent.size.norm().max(0.1) * 1.5);
         let pose = look_at(&eye, &extent.center, self.azimuth_deg.to_radians());
-        let camera = Camera::new(uncalibrated(self.width, self.height), &pose);
-        Camera::new(calibrated(&camera, &extent.corners(), MARGIN, f32::INFINITY), &pose)
+        let camera = Camera::new(default_intrinsics(self.width, self.height), &pose);
+        Camera::new(calibrate(&camera, &extent.corners(), MARGIN, f32::INFINITY), &pose)
     }
 }
 
@@ -49,14 +49,14 @@ pub(super) struct Distance {
 
 /// `e = c + D d` with `d = R_azim R_tilt (0, 0, 1)` and `D = alpha max(extent)` (paper). Radius and
 /// height are `D sin` and `D cos` of the tilt, each at least its bound.
-pub(super) fn eye(
+pub(super) fn eye_position(
     target: &Point3<f32>,
     extent: &Aabb,
     azimuth_deg: f32,
     tilt_deg: f32,
     distance: Distance,
 ) -> Point3<f32> {
-    let offset = direction(azimuth_deg, tilt_deg) * (distance.alpha * extent.size.max());
+    let offset = view_direction(azimuth_deg, tilt_deg) * (distance.alpha * extent.size.max());
     let radius = offset.xy().norm().max(distance.min_radius_m);
     let azimuth = azimuth_deg.to_radians();
     target
@@ -68,12 +68,12 @@ pub(super) fn eye(
 }
 
 /// `R_azim R_tilt (0, 0, 1)`: from straight above, tilted toward +X, rotated about +Z.
-fn direction(azimuth_deg: f32, tilt_deg: f32) -> Vector3<f32> {
+fn view_direction(azimuth_deg: f32, tilt_deg: f32) -> Vector3<f32> {
     let (tilt, azimuth) = (tilt_deg.to_radians(), azimuth_deg.to_radians());
     Vector3::new(tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), tilt.cos())
 }
 
-pub(super) fn uncalibrated(width: u32, height: u32) -> Intrinsics {
+pub(super) fn default_intrinsics(width: u32, height: u32) -> Intrinsics {
     let focal = height as f32 / 2.0 / (FIELD_OF_VIEW_DEG.to_radians() / 2.0).tan();
     Intrinsics {
         width,
@@ -105,7 +105,7 @@ pub(super) fn look_at(eye: &Point3<f32>, target: &Point3<f32>, azimuth_rad: f32)
 /// Zooms and shifts the intrinsics so that all points fill the picture up to `margin` on every side
 /// (paper: `s = 2 / max(p_max - p_min)`, `f' = s f`, `c' = s c - s m`, Eq. 10 and 11); no zoom is
 /// larger than `max_zoom`. The pose stays.
-pub(super) fn calibrated(
+pub(super) fn calibrate(
     camera: &Camera,
     points: &[Point3<f32>],
     margin: f32,
@@ -191,7 +191,9 @@ mod tests {
     fn the_eye_is_where_the_paper_puts_it_and_never_too_near() {
         let far = Distance { alpha: 1.5, min_radius_m: 0.5, min_height_m: 1.0 };
         let target = Point3::new(1.0, 2.0, 0.5);
-        let at = |azimuth_deg, distance| eye(&target, &ROOM, azimuth_deg, 15.0, distance) - target;
+        let at = |azimuth_deg, distance| {
+            eye_position(&target, &ROOM, azimuth_deg, 15.0, distance) - target
+        };
         assert!((at(0.0, far) - Vector3::new(2.3294, 0.0, 8.6933)).norm() < 1e-3);
         assert!((at(120.0, far) - Vector3::new(-1.1647, 2.0173, 8.6933)).norm() < 1e-3);
         let near = Distance { alpha: 0.01, min_radius_m: 0.5, min_height_m: 1.0 };
@@ -205,12 +207,12 @@ mod tests {
     fn calibration_fills_the_picture_and_leaves_the_pose() {
         let pose =
             look_at(&Point3::new(0.0, 0.0, 4.0), &Point3::origin(), -std::f32::consts::FRAC_PI_2);
-        let camera = Camera::new(uncalibrated(100, 100), &pose);
+        let camera = Camera::new(default_intrinsics(100, 100), &pose);
         let square = |x: f32| {
             [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]
                 .map(|(dx, dy)| Point3::new(x + dx, dy, 0.0))
         };
-        let fitted = calibrated(&camera, &square(0.5), 0.1, 10.0);
+        let fitted = calibrate(&camera, &square(0.5), 0.1, 10.0);
         assert!((fitted.fx - 160.0).abs() < 1e-2, "{fitted:?}");
         let shown = Camera::new(fitted, &pose);
         let at = |x: f32, y: f32| shown.project(&Point3::new(x, y, 0.0)).unwrap();
@@ -221,10 +223,10 @@ mod tests {
         );
         // The zoom is limited: the uncalibrated focal length is 120.7.
         let capped =
-            calibrated(&camera, &square(0.5).map(|p| Point3::from(p.coords * 0.01)), 0.1, 2.0);
+            calibrate(&camera, &square(0.5).map(|p| Point3::from(p.coords * 0.01)), 0.1, 2.0);
         assert!((capped.fx - 241.42).abs() < 0.1, "{capped:?}");
         // Without anything to show, the camera does not change.
-        assert_eq!(calibrated(&camera, &[Point3::new(0.0, 0.0, 9.0)], 0.1, 2.0), camera.intrinsics);
+        assert_eq!(calibrate(&camera, &[Point3::new(0.0, 0.0, 9.0)], 0.1, 2.0), camera.intrinsics);
     }
 
     /// The world-to-camera rows by the paper's own formulas, in its axes (x left, y up).

@@ -1,10 +1,10 @@
 //! The global render: the scene around the candidates from several sides, stitched (paper: spatial
 //! relationship prompt).
 
-use super::camera::{Distance, calibrated, eye, look_at, uncalibrated};
+use super::camera::{Distance, calibrate, default_intrinsics, eye_position, look_at};
 use super::directions::{self, DirectionWord};
 use super::insets;
-use super::overlay::{self, LabelledBox, bounds};
+use super::overlay::{self, LabeledBox, projected_bounds};
 use super::render_scene::{Cutaway, RenderScene, Splats};
 use super::text;
 use image::{Rgb, RgbImage, imageops};
@@ -66,7 +66,7 @@ impl Default for GlobalView {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Subjects {
     /// Candidates and anchors; later ones are drawn on top.
-    pub boxes: Vec<LabelledBox>,
+    pub boxes: Vec<LabeledBox>,
     /// Direction words drawn at the border of each view.
     pub words: Vec<DirectionWord>,
     /// The point that cameras look at, world frame. Paper: the mean candidate center (Eq. 3);
@@ -89,9 +89,9 @@ impl GlobalView {
             min_radius_m: self.min_radius_m,
             min_height_m: self.min_height_m,
         };
-        let eye = eye(&subjects.target, extent, azimuth_deg, self.tilt_deg, distance);
+        let eye = eye_position(&subjects.target, extent, azimuth_deg, self.tilt_deg, distance);
         let pose = look_at(&eye, &subjects.target, azimuth_deg.to_radians());
-        let wide = Camera::new(uncalibrated(self.view_px, self.view_px), &pose);
+        let wide = Camera::new(default_intrinsics(self.view_px, self.view_px), &pose);
         let corners: Vec<Point3<f32>> =
             subjects.boxes.iter().flat_map(|b| b.aabb.corners()).collect();
         let smallest = subjects
@@ -100,7 +100,7 @@ impl GlobalView {
             .filter_map(|b| longer_side(&wide, &b.aabb))
             .fold(f32::INFINITY, f32::min);
         let max_zoom = self.max_zoom.max(self.min_subject_px / smallest.max(LEAST_PX));
-        Camera::new(calibrated(&wide, &corners, self.margin, max_zoom), &pose)
+        Camera::new(calibrate(&wide, &corners, self.margin, max_zoom), &pose)
     }
 
     /// Draws all views side by side.
@@ -144,27 +144,32 @@ impl GlobalView {
         subjects: &Subjects,
         title_px: f32,
     ) -> RgbImage {
-        let drawn = self.drawn(render_scene, camera, subjects);
-        let mut view = super::on_paper(&drawn);
+        let drawn = self.draw_from_outside(render_scene, camera, subjects);
+        let mut view = super::over_background(&drawn);
         let mut taken = directions::draw(&mut view, camera, &subjects.target, &subjects.words);
         taken.extend(Rect::from_xywh(TITLE_AT.0, TITLE_AT.1, title_px, TITLE_PX));
-        let insets = insets::placed(camera, &subjects.boxes, self.min_subject_px, &taken);
+        let insets = insets::place_insets(camera, &subjects.boxes, self.min_subject_px, &taken);
         taken.extend(insets.iter().map(|inset| inset.rect));
         overlay::draw(&mut view, &drawn, camera, &subjects.boxes, taken);
         for inset in insets {
-            let boxes: Vec<LabelledBox> =
+            let boxes: Vec<LabeledBox> =
                 inset.boxes.iter().map(|&i| subjects.boxes[i].clone()).collect();
-            let drawn = self.drawn(render_scene, &inset.camera, subjects);
-            let mut close = super::on_paper(&drawn);
+            let drawn = self.draw_from_outside(render_scene, &inset.camera, subjects);
+            let mut close = super::over_background(&drawn);
             overlay::draw(&mut close, &drawn, &inset.camera, &boxes, Vec::new());
-            inset.put(&mut view, &close);
+            inset.draw_onto(&mut view, &close);
         }
         view
     }
 
-    fn drawn(&self, render_scene: &RenderScene, camera: &Camera, subjects: &Subjects) -> Splats {
+    fn draw_from_outside(
+        &self,
+        render_scene: &RenderScene,
+        camera: &Camera,
+        subjects: &Subjects,
+    ) -> Splats {
         let boxes: Vec<Aabb> = subjects.boxes.iter().map(|b| b.aabb).collect();
-        let mut drawn = render_scene.drawn(camera, self.cutaway, &boxes);
+        let mut drawn = render_scene.draw_from_outside(camera, self.cutaway, &boxes);
         if self.shading > 0.0 {
             drawn.shade(camera, self.shading);
         }
@@ -174,7 +179,7 @@ impl GlobalView {
 
 /// Longer side of a box in the picture, pixels; `None` behind the camera.
 pub(super) fn longer_side(camera: &Camera, aabb: &Aabb) -> Option<f32> {
-    bounds(camera, aabb).map(|rect| rect.width().max(rect.height()))
+    projected_bounds(camera, aabb).map(|rect| rect.width().max(rect.height()))
 }
 
 #[cfg(test)]
@@ -188,7 +193,7 @@ mod tests {
         Aabb { center: Point3::new(0.0, 0.0, 1.2), size: Vector3::new(6.0, 5.0, 2.4) };
 
     fn subjects() -> Subjects {
-        let at = |x: f32, y: f32, style| LabelledBox {
+        let at = |x: f32, y: f32, style| LabeledBox {
             aabb: Aabb { center: Point3::new(x, y, 0.4), size: Vector3::new(0.6, 0.5, 0.8) },
             label: "7".into(),
             style,
@@ -230,7 +235,7 @@ mod tests {
     #[test]
     fn words_stand_where_things_lie() {
         let mut cloud = PointCloud::default();
-        for (direction, colour) in [
+        for (direction, color) in [
             (Vector3::x(), [255, 0, 0]),
             (-Vector3::x(), [0, 255, 0]),
             (Vector3::y(), [0, 0, 255]),
@@ -240,17 +245,17 @@ mod tests {
                 for j in 0..40 {
                     let across = Vector3::new(i as f32 * 0.01 - 0.2, j as f32 * 0.01 - 0.2, 0.0);
                     cloud.positions.push(Point3::from(direction * 0.9 + across));
-                    cloud.colours.push(colour);
+                    cloud.colors.push(color);
                 }
             }
         }
-        let colour_of = |word: &str| match word.split(' ').next() {
+        let color_of = |word: &str| match word.split(' ').next() {
             Some("left") => [255, 0, 0],
             Some("right") => [0, 255, 0],
             Some("back") => [0, 0, 255],
             _ => [255, 255, 0],
         };
-        let render_scene = RenderScene::of(cloud);
+        let render_scene = RenderScene::new(cloud);
         let mut subjects = subjects();
         subjects
             .boxes
@@ -260,10 +265,11 @@ mod tests {
         let view = GlobalView { shading: 0.0, ..GlobalView::default() };
         for azimuth_deg in [0.0_f32, 30.0, 120.0, 200.0, 240.0] {
             let camera = view.camera(&ROOM, &subjects, azimuth_deg);
-            let drawn = render_scene.drawn(&camera, Cutaway::HighestPoints, &[]).picture;
+            let drawn =
+                render_scene.draw_from_outside(&camera, Cutaway::HighestPoints, &[]).picture;
             let azimuth = azimuth_deg.to_radians();
             let origin = camera.project(&subjects.target).unwrap();
-            let marks = directions::marks(&camera, &subjects.target, &subjects.words);
+            let marks = directions::place_words(&camera, &subjects.target, &subjects.words);
             assert_eq!(marks.len(), 4);
             for (mark, word) in marks.iter().zip(&subjects.words) {
                 let d = word.direction;
@@ -277,10 +283,10 @@ mod tests {
                     mark.word,
                     mark.towards
                 );
-                let of_colour = drawn
+                let of_color = drawn
                     .enumerate_pixels()
-                    .filter(|(_, _, p)| p.0 == [colour_of(&mark.word), [255; 3]].concat()[..4]);
-                let places: Vec<_> = of_colour
+                    .filter(|(_, _, p)| p.0 == [color_of(&mark.word), [255; 3]].concat()[..4]);
+                let places: Vec<_> = of_color
                     .map(|(x, y, _)| {
                         nalgebra::Vector2::new(x as f32 - origin.u, y as f32 - origin.v)
                     })
@@ -305,8 +311,8 @@ mod tests {
         cloud.positions.extend(
             (0..500).map(|i| Point3::new((i % 25) as f32 * 0.1, (i / 25) as f32 * 0.1, 0.0)),
         );
-        cloud.colours.extend([[120, 90, 60]; 500]);
-        let render_scene = RenderScene::of(cloud);
+        cloud.colors.extend([[120, 90, 60]; 500]);
+        let render_scene = RenderScene::new(cloud);
         let picture = GlobalView::default().draw(&render_scene, &ROOM, &subjects());
         assert_eq!(picture.dimensions(), (3 * 680 + 8, 680));
         assert_eq!(picture, GlobalView::default().draw(&render_scene, &ROOM, &subjects()));

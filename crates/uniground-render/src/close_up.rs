@@ -1,7 +1,7 @@
 //! Close-ups of a candidate that no photograph shows, drawn from the cloud with its surroundings.
 
 use super::camera::Distance;
-use super::camera::{calibrated, eye, look_at, uncalibrated};
+use super::camera::{calibrate, default_intrinsics, eye_position, look_at};
 use super::render_scene::{Cutaway, RenderScene};
 use super::shot::Shot;
 use image::RgbImage;
@@ -26,13 +26,13 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
         .map(|&azimuth_deg| {
             let distance = Distance { alpha: 1.5, min_radius_m: 0.5, min_height_m: 0.5 };
             let pose = look_at(
-                &eye(&aabb.center, &surroundings, azimuth_deg, TILT_DEG, distance),
+                &eye_position(&aabb.center, &surroundings, azimuth_deg, TILT_DEG, distance),
                 &aabb.center,
                 azimuth_deg.to_radians(),
             );
-            let wide = Camera::new(uncalibrated(SIDE_PX, SIDE_PX), &pose);
+            let wide = Camera::new(default_intrinsics(SIDE_PX, SIDE_PX), &pose);
             let showing = |subject: &Aabb| {
-                Camera::new(calibrated(&wide, &subject.corners(), MARGIN, f32::INFINITY), &pose)
+                Camera::new(calibrate(&wide, &subject.corners(), MARGIN, f32::INFINITY), &pose)
             };
             let (near, far) = (showing(aabb), showing(&surroundings));
             let seen: Vec<_> =
@@ -45,8 +45,8 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
                 share(seen.iter().map(axis).fold(0.0, f32::max))
             };
             Shot {
-                crop: drawn(render_scene, &near, aabb),
-                frame: drawn(render_scene, &far, aabb),
+                crop: draw_subject(render_scene, &near, aabb),
+                frame: draw_subject(render_scene, &far, aabb),
                 place: [low(|p| p.u), low(|p| p.v), high(|p| p.u), high(|p| p.v)],
                 mask: None,
                 taken: None,
@@ -56,8 +56,8 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
 }
 
 /// Draws things that hang from the ceiling, but not the ceiling above them.
-fn drawn(render_scene: &RenderScene, camera: &Camera, subject: &Aabb) -> RgbImage {
-    super::on_paper(&render_scene.drawn(camera, Cutaway::Building, &[*subject]))
+fn draw_subject(render_scene: &RenderScene, camera: &Camera, subject: &Aabb) -> RgbImage {
+    super::over_background(&render_scene.draw_from_outside(camera, Cutaway::Building, &[*subject]))
 }
 
 #[cfg(test)]
@@ -72,7 +72,7 @@ mod tests {
         for i in 0..100 {
             for j in 0..100 {
                 cloud.positions.push(Point3::new(i as f32 * 0.03, j as f32 * 0.03, 0.0));
-                cloud.colours.push([120; 3]);
+                cloud.colors.push([120; 3]);
             }
         }
         for i in 0..400 {
@@ -81,11 +81,11 @@ mod tests {
                 1.5 + (i / 20) as f32 * 0.01,
                 2.4,
             ));
-            cloud.colours.push([250, 0, 0]);
+            cloud.colors.push([250, 0, 0]);
         }
         let lamp = Aabb { center: Point3::new(1.6, 1.6, 2.35), size: Vector3::new(0.2, 0.2, 0.1) };
         let red = |shot: &Shot| shot.crop.pixels().filter(|p| p.0 == [250, 0, 0]).count();
-        assert!(close_ups(&RenderScene::of(cloud), &lamp).iter().all(|shot| red(shot) > 5000));
+        assert!(close_ups(&RenderScene::new(cloud), &lamp).iter().all(|shot| red(shot) > 5000));
     }
 
     #[test]
@@ -98,17 +98,17 @@ mod tests {
                     j as f32 * 0.05 - 1.5,
                     0.0,
                 ));
-                cloud.colours.push([120; 3]);
+                cloud.colors.push([120; 3]);
                 cloud.positions.push(Point3::new(
                     i as f32 * 0.01 - 0.3,
                     j as f32 * 0.01 - 0.3,
                     0.4,
                 ));
-                cloud.colours.push([250, 0, 0]);
+                cloud.colors.push([250, 0, 0]);
             }
         }
         let aabb = Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::new(0.6, 0.6, 0.4) };
-        let shots = close_ups(&RenderScene::of(cloud), &aabb);
+        let shots = close_ups(&RenderScene::new(cloud), &aabb);
         assert_eq!(shots.len(), 3);
         for Shot { crop, frame, place, .. } in shots {
             let red = |picture: &RgbImage| picture.pixels().filter(|p| p.0 == [250, 0, 0]).count();

@@ -51,7 +51,7 @@ impl Tile {
     /// Converts a position of the composed picture to column and row of the frame's color picture;
     /// `None` outside of the tile.
     #[must_use]
-    pub fn place(&self, (x, y): (f32, f32)) -> Option<(f32, f32)> {
+    pub fn to_photograph(&self, (x, y): (f32, f32)) -> Option<(f32, f32)> {
         let (left, top, width, height) = self.area;
         let share = ((x - left as f32) / width as f32, (y - top as f32) / height as f32);
         let [l, t, r, b] = self.shows.map(|v| v as f32);
@@ -80,18 +80,18 @@ impl Collage {
         let crop_height = ((height - tag_height) as f32 * CROP_SHARE) as u32;
         let top = tag_height + crop_height;
         let areas = |(shot, x): (&Shot, u32)| {
-            let crop = fitted(
+            let crop = fit_area(
                 shot.crop.dimensions(),
                 (x, tag_height),
                 (cell - GAP_PX, crop_height - GAP_PX),
             );
-            [crop, fitted(shot.frame.dimensions(), (x, top), (cell - GAP_PX, height - top))]
+            [crop, fit_area(shot.frame.dimensions(), (x, top), (cell - GAP_PX, height - top))]
         };
         let areas = shots.iter().zip((0..).map(|i| i * cell)).map(areas).collect();
         Layout { size: (cell * shots.len().max(1) as u32, height), tag_height, areas }
     }
 
-    fn shown<'a>(&self, shots: &'a [Shot]) -> &'a [Shot] {
+    fn select_shots<'a>(&self, shots: &'a [Shot]) -> &'a [Shot] {
         &shots[..shots.len().min(self.max_shots)]
     }
 
@@ -99,7 +99,7 @@ impl Collage {
     /// with a frame have one.
     #[must_use]
     pub fn tiles(&self, shots: &[Shot]) -> Vec<Tile> {
-        let shots = self.shown(shots);
+        let shots = self.select_shots(shots);
         let tiles = |(shot, [crop, whole]): (&Shot, [Area; 2])| {
             let (width, height) = shot.frame.dimensions();
             let both = |(frame, shows)| {
@@ -116,7 +116,7 @@ impl Collage {
     /// Draws a collage. Without shots, it draws only the tag, which says so.
     #[must_use]
     pub fn draw(&self, id: u32, shots: &[Shot]) -> RgbImage {
-        let shots = self.shown(shots);
+        let shots = self.select_shots(shots);
         let Layout { size, tag_height, areas } = self.layout(shots);
         let mut sheet = RgbImage::from_pixel(size.0, size.1, SHEET);
         let tag = if shots.is_empty() {
@@ -124,10 +124,10 @@ impl Collage {
         } else {
             format!("ID {id}")
         };
-        self::tag(&mut sheet, (0, 0), tag_height, &tag);
+        self::draw_tag(&mut sheet, (0, 0), tag_height, &tag);
         for (shot, [crop, area]) in shots.iter().zip(areas) {
-            put_crop(&mut sheet, shot, crop);
-            put(&mut sheet, &shot.frame, area);
+            draw_crop(&mut sheet, shot, crop);
+            paste(&mut sheet, &shot.frame, area);
             let (left, upper, width, height) = area;
             let at = |share: f32, length: u32| share * length as f32;
             let [l, t, r, b] = shot.place;
@@ -140,7 +140,7 @@ impl Collage {
             let corner = |x: f32, y: f32, room: f32| {
                 (left as f32 + at(x, width) + room, upper as f32 + at(y, height) + room)
             };
-            red_box(&mut sheet, area, corner(l, t, -room), corner(r, b, room));
+            draw_red_box(&mut sheet, area, corner(l, t, -room), corner(r, b, room));
         }
         sheet
     }
@@ -148,18 +148,18 @@ impl Collage {
 
 /// Draws many candidates on one sheet, one crop each, so that they can be named together.
 #[must_use]
-pub fn mosaic(tiles: &[(u32, &Shot)], columns: u32, tile_px: u32) -> RgbImage {
+pub fn draw_mosaic(tiles: &[(u32, &Shot)], columns: u32, tile_px: u32) -> RgbImage {
     let rows = (tiles.len() as u32).div_ceil(columns.max(1)).max(1);
     let mut sheet = RgbImage::from_pixel(columns * tile_px, rows * tile_px, SHEET);
     let tag_height = (tile_px / 7).max(14);
-    for ((id, shot), (x, y)) in tiles.iter().zip(corners(columns, tile_px)) {
-        put_crop(&mut sheet, shot, mosaic_area(shot, (x, y), tile_px));
-        tag(&mut sheet, (x, y), tag_height, &format!("ID {id}"));
+    for ((id, shot), (x, y)) in tiles.iter().zip(cell_corners(columns, tile_px)) {
+        draw_crop(&mut sheet, shot, mosaic_area(shot, (x, y), tile_px));
+        draw_tag(&mut sheet, (x, y), tag_height, &format!("ID {id}"));
     }
     sheet
 }
 
-/// Returns the positions of the photographs on a [`mosaic`] of these shots. Only shots taken with a
+/// Returns the positions of the photographs on a [`draw_mosaic`] of these shots. Only shots taken with a
 /// frame have one.
 #[must_use]
 pub fn mosaic_tiles(shots: &[&Shot], columns: u32, tile_px: u32) -> Vec<Tile> {
@@ -167,17 +167,17 @@ pub fn mosaic_tiles(shots: &[&Shot], columns: u32, tile_px: u32) -> Vec<Tile> {
         let (frame, shows) = shot.taken?;
         Some(Tile { area: mosaic_area(shot, corner, tile_px), frame, shows })
     };
-    shots.iter().zip(corners(columns, tile_px)).filter_map(tile).collect()
+    shots.iter().zip(cell_corners(columns, tile_px)).filter_map(tile).collect()
 }
 
 /// Top left corners of the cells of a mosaic, row by row.
-fn corners(columns: u32, tile_px: u32) -> impl Iterator<Item = (u32, u32)> {
+fn cell_corners(columns: u32, tile_px: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..).map(move |i: u32| (i % columns.max(1) * tile_px, i / columns.max(1) * tile_px))
 }
 
 fn mosaic_area(shot: &Shot, (x, y): (u32, u32), tile_px: u32) -> Area {
     let tag_height = (tile_px / 7).max(14);
-    fitted(
+    fit_area(
         shot.crop.dimensions(),
         (x, y + tag_height),
         (tile_px - GAP_PX, tile_px - tag_height - GAP_PX),
@@ -185,7 +185,7 @@ fn mosaic_area(shot: &Shot, (x, y): (u32, u32), tile_px: u32) -> Area {
 }
 
 /// Draws white letters on dark, left aligned.
-fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
+fn draw_tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
     let size_px = height as f32 * 0.78;
     let width = (text::width(words, size_px) as u32 + 12).min(sheet.width() - x);
     for (u, v) in (x..x + width).flat_map(|u| (y..y + height).map(move |v| (u, v))) {
@@ -202,19 +202,24 @@ fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
 }
 
 /// Draws the crop of a shot into an area, with its object outlined and the surroundings dimmed.
-fn put_crop(sheet: &mut RgbImage, shot: &Shot, area: Area) {
-    put(sheet, &shot.crop, area);
+fn draw_crop(sheet: &mut RgbImage, shot: &Shot, area: Area) {
+    paste(sheet, &shot.crop, area);
     if let Some((mask, place)) = &shot.mask {
         draw_outline(sheet, area, mask, *place, Surroundings::Dimmed);
     }
 }
 
-fn put(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Area) {
-    imageops::replace(sheet, &resized(picture, (width, height)), i64::from(left), i64::from(top));
+fn paste(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Area) {
+    imageops::replace(
+        sheet,
+        &resize_picture(picture, (width, height)),
+        i64::from(left),
+        i64::from(top),
+    );
 }
 
 /// Returns the largest centered area of a cell in which a picture of this size fits.
-fn fitted(picture: (u32, u32), (x, y): (u32, u32), (width, height): (u32, u32)) -> Area {
+fn fit_area(picture: (u32, u32), (x, y): (u32, u32), (width, height): (u32, u32)) -> Area {
     /// Maximum enlargement of tiny crops: they have no more detail to show.
     const MAX_ENLARGED: f32 = 4.0;
     let scale =
@@ -224,7 +229,7 @@ fn fitted(picture: (u32, u32), (x, y): (u32, u32), (width, height): (u32, u32)) 
     (x + (width - size.0) / 2, y + (height - size.1) / 2, size.0, size.1)
 }
 
-fn resized(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
+fn resize_picture(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
     if picture.dimensions() == (width, height) {
         return picture.clone();
     }
@@ -243,7 +248,7 @@ fn resized(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
 }
 
 /// Draws a red outline just outside of a box, three pixels wide, clipped to the box's picture.
-fn red_box(
+fn draw_red_box(
     sheet: &mut RgbImage,
     (left, top, width, height): (u32, u32, u32, u32),
     low: (f32, f32),
@@ -257,7 +262,7 @@ fn red_box(
         (y.round() as i64).clamp(i64::from(top) + WIDTH_PX, i64::from(top + height) - WIDTH_PX)
     };
     let (l, t, r, b) = (inside_x(low.0), inside_y(low.1), inside_x(high.0), inside_y(high.1));
-    let mut put = |x: i64, y: i64| {
+    let mut draw_pixel = |x: i64, y: i64| {
         if let (Ok(x), Ok(y)) = (u32::try_from(x), u32::try_from(y))
             && x < sheet.width()
             && y < sheet.height()
@@ -267,12 +272,12 @@ fn red_box(
     };
     for k in 1..=WIDTH_PX {
         for x in l - k..r + k {
-            put(x, t - k);
-            put(x, b - 1 + k);
+            draw_pixel(x, t - k);
+            draw_pixel(x, b - 1 + k);
         }
         for y in t - k..b + k {
-            put(l - k, y);
-            put(r - 1 + k, y);
+            draw_pixel(l - k, y);
+            draw_pixel(r - 1 + k, y);
         }
     }
 }
@@ -353,7 +358,7 @@ mod tests {
     fn a_mosaic_holds_every_tile() {
         let red = Shot { crop: RgbImage::from_pixel(40, 40, Rgb([200, 40, 40])), ..shot(64, 48) };
         let tiles: Vec<(u32, &Shot)> = (1..=7).map(|id| (id, &red)).collect();
-        let sheet = mosaic(&tiles, 4, 170);
+        let sheet = draw_mosaic(&tiles, 4, 170);
         assert_eq!(sheet.dimensions(), (680, 340));
         let red =
             |i: u32| *sheet.get_pixel(i % 4 * 170 + 85, i / 4 * 170 + 95) == Rgb([200, 40, 40]);
@@ -364,7 +369,7 @@ mod tests {
     /// and its box, and no dimming.
     #[test]
     fn an_object_whose_mask_is_known_stands_out() {
-        let mask = CellMask::of(4, 4, |column, _| column < 2);
+        let mask = CellMask::from_fn(4, 4, |column, _| column < 2);
         let shot = Shot { mask: Some((mask, [0.25, 0.25, 0.75, 0.75])), ..shot(640, 480) };
         let collage =
             Collage { max_shots: 1, ..Collage::default() }.draw(22, std::slice::from_ref(&shot));
@@ -406,7 +411,8 @@ mod tests {
             box_px: [250, 180, 400, 300],
             mask: None,
         };
-        let shots = vec![Shot { taken: None, ..shot(640, 480) }, Shot::of_view(photograph, &view)];
+        let shots =
+            vec![Shot { taken: None, ..shot(640, 480) }, Shot::from_view(photograph, &view)];
         let collage = Collage::default();
         let marks = |picture: &RgbImage, tiles: &[Tile]| {
             let green = |p: &Rgb<u8>| p.0[1] > 150 && p.0[0] < 80;
@@ -414,8 +420,9 @@ mod tests {
                 .enumerate_pixels()
                 .filter(|(_, _, p)| green(p))
                 .map(|(x, y, _)| (x as f32 + 0.5, y as f32 + 0.5));
-            let found: Vec<(f32, f32)> =
-                marked.filter_map(|at| tiles.iter().find_map(|tile| tile.place(at))).collect();
+            let found: Vec<(f32, f32)> = marked
+                .filter_map(|at| tiles.iter().find_map(|tile| tile.to_photograph(at)))
+                .collect();
             assert!(
                 found.iter().all(|(x, y)| (x - 320.0).abs() < 16.0 && (y - 220.0).abs() < 16.0),
                 "{found:?}"
@@ -428,7 +435,7 @@ mod tests {
         let [first, second] = &shots[..] else { panic!("two shots") };
         assert!(
             marks(
-                &mosaic(&[(1, first), (2, second)], 1, 170),
+                &draw_mosaic(&[(1, first), (2, second)], 1, 170),
                 &mosaic_tiles(&[first, second], 1, 170)
             ) > 100
         );

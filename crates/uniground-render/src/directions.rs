@@ -34,7 +34,7 @@ const TRIAD_PX: f32 = 42.0;
 
 /// Returns the position of each word: at the border of the picture, in the direction it means as
 /// seen from `target`.
-pub(super) fn marks(
+pub(super) fn place_words(
     camera: &Camera,
     target: &Point3<f32>,
     words: &[DirectionWord],
@@ -43,7 +43,7 @@ pub(super) fn marks(
     words
         .iter()
         .filter_map(|DirectionWord { word, direction }| {
-            let towards = on_picture(camera, target, direction)?.try_normalize(1e-3)?;
+            let towards = project_direction(camera, target, direction)?.try_normalize(1e-3)?;
             let size = Vector2::new(
                 text::width(word, WORD_PX) + 2.0 * PADDING_PX,
                 WORD_PX + 2.0 * PADDING_PX,
@@ -64,7 +64,7 @@ pub(super) fn marks(
 }
 
 /// Direction in the picture, pixels per meter at `target`.
-fn on_picture(
+fn project_direction(
     camera: &Camera,
     target: &Point3<f32>,
     direction: &Vector3<f32>,
@@ -83,7 +83,7 @@ pub(super) fn draw(
     target: &Point3<f32>,
     words: &[DirectionWord],
 ) -> Vec<Rect> {
-    let marks = marks(camera, target, words);
+    let marks = place_words(camera, target, words);
     let Some(mut layer) = Pixmap::new(picture.width(), picture.height()) else { return Vec::new() };
     let mut ink = Paint { anti_alias: true, ..Paint::default() };
     let mut pale = Paint::default();
@@ -91,7 +91,7 @@ pub(super) fn draw(
     ink.set_color_rgba8(INK[0], INK[1], INK[2], 255);
     for DirectionMark { rect, towards, .. } in &marks {
         layer.fill_rect(*rect, &pale, Transform::identity(), None);
-        if let Some(arrow) = arrow(rect, *towards) {
+        if let Some(arrow) = arrow_path(rect, *towards) {
             // A pale outline, for dark backgrounds.
             layer.stroke_path(
                 &arrow,
@@ -105,11 +105,12 @@ pub(super) fn draw(
     }
     let mut taken: Vec<Rect> =
         marks.iter().filter_map(|mark| mark.rect.outset(ARROW_PX, ARROW_PX)).collect();
-    let corner = triad_corner(picture.dimensions(), &taken);
+    let corner = free_corner(picture.dimensions(), &taken);
     if let Some(plate) = corner {
         layer.fill_rect(plate, &pale, Transform::identity(), None);
     }
-    let axes = corner.map(|corner| triad(&mut layer, camera, target, &corner)).unwrap_or_default();
+    let axes =
+        corner.map(|corner| draw_axes(&mut layer, camera, target, &corner)).unwrap_or_default();
     taken.extend(corner);
     blend(picture, &layer);
     for DirectionMark { word, rect, .. } in &marks {
@@ -122,14 +123,14 @@ pub(super) fn draw(
             Rgb(INK),
         );
     }
-    for (name, at, colour) in axes {
-        text::draw(picture, name, at.x - 4.0, at.y - 8.0, 14.0, Rgb(colour));
+    for (name, at, color) in axes {
+        text::draw(picture, name, at.x - 4.0, at.y - 8.0, 14.0, Rgb(color));
     }
     taken
 }
 
 /// A triangle beyond a word, in the direction it points to.
-fn arrow(rect: &Rect, towards: Vector2<f32>) -> Option<tiny_skia::Path> {
+fn arrow_path(rect: &Rect, towards: Vector2<f32>) -> Option<tiny_skia::Path> {
     let (half_w, half_h) = (rect.width() / 2.0, rect.height() / 2.0);
     let middle = Vector2::new(rect.left() + half_w, rect.top() + half_h);
     let out = (half_w / towards.x.abs().max(1e-6)).min(half_h / towards.y.abs().max(1e-6));
@@ -145,7 +146,7 @@ fn arrow(rect: &Rect, towards: Vector2<f32>) -> Option<tiny_skia::Path> {
 }
 
 /// Returns a free corner of the picture, bottom left first.
-fn triad_corner((width, height): (u32, u32), taken: &[Rect]) -> Option<Rect> {
+fn free_corner((width, height): (u32, u32), taken: &[Rect]) -> Option<Rect> {
     let side = 2.0 * TRIAD_PX + 20.0;
     let (right, bottom) = (width as f32 - side, height as f32 - side);
     let corners = [(0.0, bottom), (right, bottom), (0.0, 0.0), (right, 0.0)];
@@ -155,7 +156,7 @@ fn triad_corner((width, height): (u32, u32), taken: &[Rect]) -> Option<Rect> {
 
 /// Draws the world's axes as seen in this view: X red, Y green, Z blue. Returns the areas of their
 /// names.
-fn triad(
+fn draw_axes(
     layer: &mut Pixmap,
     camera: &Camera,
     target: &Point3<f32>,
@@ -168,18 +169,18 @@ fn triad(
         ("Y", Vector3::y(), [0, 120, 0]),
         ("Z", Vector3::z(), [20, 40, 200]),
     ];
-    let seen = axes.map(|(name, axis, colour)| {
-        (name, on_picture(camera, target, &axis).unwrap_or_default(), colour)
+    let seen = axes.map(|(name, axis, color)| {
+        (name, project_direction(camera, target, &axis).unwrap_or_default(), color)
     });
     let longest = seen.iter().map(|(_, along, _)| along.norm()).fold(1e-6, f32::max);
     seen.into_iter()
-        .map(|(name, along, colour)| {
+        .map(|(name, along, color)| {
             let tip = middle + along / longest * TRIAD_PX;
             let mut path = PathBuilder::new();
             path.move_to(middle.x, middle.y);
             path.line_to(tip.x, tip.y);
             let mut paint = Paint { anti_alias: true, ..Paint::default() };
-            paint.set_color_rgba8(colour[0], colour[1], colour[2], 255);
+            paint.set_color_rgba8(color[0], color[1], color[2], 255);
             if let Some(path) = path.finish() {
                 layer.stroke_path(
                     &path,
@@ -190,7 +191,7 @@ fn triad(
                 );
             }
             let beyond = along.try_normalize(1e-6).unwrap_or_default() * 9.0;
-            (name, tip + beyond, colour)
+            (name, tip + beyond, color)
         })
         .collect()
 }

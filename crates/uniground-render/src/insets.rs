@@ -1,8 +1,8 @@
 //! Insets: close-up pictures in the corners of a view, for candidates that are too small in it.
 
-use super::camera::calibrated;
+use super::camera::calibrate;
 use super::candidates::longer_side;
-use super::overlay::{LabelledBox, bounds, overlap};
+use super::overlay::{LabeledBox, overlap, projected_bounds};
 use image::{Rgb, RgbImage, imageops};
 use tiny_skia::Rect;
 use uniground_geometry::scene::{Camera, Intrinsics};
@@ -33,9 +33,9 @@ pub(super) struct Inset {
 
 /// Creates insets for boxes whose longer side is below `min_px`, where there is free space: not
 /// over `taken`, and not over a box. Boxes near each other share an inset.
-pub(super) fn placed(
+pub(super) fn place_insets(
     camera: &Camera,
-    boxes: &[LabelledBox],
+    boxes: &[LabeledBox],
     min_px: f32,
     taken: &[Rect],
 ) -> Vec<Inset> {
@@ -44,19 +44,22 @@ pub(super) fn placed(
     let mut small: Vec<usize> = (0..boxes.len()).filter(|&i| size(camera, i) < min_px).collect();
     // The most important ones are last in the list and must come first here.
     small.reverse();
-    let mut taken: Vec<Rect> =
-        taken.iter().copied().chain(boxes.iter().filter_map(|b| bounds(camera, &b.aabb))).collect();
+    let mut taken: Vec<Rect> = taken
+        .iter()
+        .copied()
+        .chain(boxes.iter().filter_map(|b| projected_bounds(camera, &b.aabb)))
+        .collect();
     let mut insets = Vec::new();
     while !small.is_empty() && insets.len() < MOST {
         let found = SIDE_SHARES.iter().find_map(|share| {
             let side = (camera.intrinsics.width as f32 * share).round();
-            Some((side, corner(camera.intrinsics, side, &taken)?))
+            Some((side, free_square(camera.intrinsics, side, &taken)?))
         });
         let Some((side, rect)) = found else { break };
         let mut group = vec![small[0]];
         for &other in &small[1..] {
             let with: Vec<usize> = group.iter().copied().chain([other]).collect();
-            let close = zoomed(camera, boxes, &with, side as u32);
+            let close = zoom_camera(camera, boxes, &with, side as u32);
             if with.iter().all(|&i| size(&close, i) >= min_px) {
                 group = with;
             }
@@ -67,7 +70,7 @@ pub(super) fn placed(
         taken.push(rect);
         insets.push(Inset {
             rect,
-            camera: zoomed(camera, boxes, &group, side as u32),
+            camera: zoom_camera(camera, boxes, &group, side as u32),
             boxes: group,
         });
     }
@@ -75,12 +78,12 @@ pub(super) fn placed(
 }
 
 /// Returns the view's camera, zoomed in on some boxes.
-fn zoomed(camera: &Camera, boxes: &[LabelledBox], which: &[usize], side: u32) -> Camera {
+fn zoom_camera(camera: &Camera, boxes: &[LabeledBox], which: &[usize], side: u32) -> Camera {
     let pose: Isometry3<f32> = camera.world_to_camera().inverse();
     let corners: Vec<Point3<f32>> = which.iter().flat_map(|&i| boxes[i].aabb.corners()).collect();
     let square = Camera::new(Intrinsics { width: side, height: side, ..camera.intrinsics }, &pose);
     Camera::new(
-        calibrated(
+        calibrate(
             &square,
             &corners,
             if which.len() > 1 { GROUP_MARGIN } else { MARGIN },
@@ -92,7 +95,7 @@ fn zoomed(camera: &Camera, boxes: &[LabelledBox], which: &[usize], side: u32) ->
 
 /// Returns a free square in a corner or at the middle of a side. The right side comes first,
 /// because titles and axes are on the left.
-fn corner(of: Intrinsics, side: f32, taken: &[Rect]) -> Option<Rect> {
+fn free_square(of: Intrinsics, side: f32, taken: &[Rect]) -> Option<Rect> {
     let (right, bottom) = (of.width as f32 - side - GAP_PX, of.height as f32 - side - GAP_PX);
     let (middle_x, middle_y) = ((of.width as f32 - side) / 2.0, (of.height as f32 - side) / 2.0);
     let places = [
@@ -112,7 +115,7 @@ fn corner(of: Intrinsics, side: f32, taken: &[Rect]) -> Option<Rect> {
 
 impl Inset {
     /// Draws the close-up at its position, with a border.
-    pub fn put(&self, view: &mut RgbImage, close: &RgbImage) {
+    pub fn draw_onto(&self, view: &mut RgbImage, close: &RgbImage) {
         let (x, y) = (self.rect.left() as i64, self.rect.top() as i64);
         let rim =
             RgbImage::from_pixel(close.width() + 2 * RIM_PX, close.height() + 2 * RIM_PX, RIM);
@@ -131,12 +134,12 @@ mod tests {
     const MIN_PX: f32 = 40.0;
 
     fn subjects(at: &[[f32; 2]], side: f32) -> Subjects {
-        let small = |(i, at): (usize, &[f32; 2])| LabelledBox {
+        let small = |(i, at): (usize, &[f32; 2])| LabeledBox {
             aabb: Aabb { center: Point3::new(at[0], at[1], 0.8), size: Vector3::repeat(side) },
             label: i.to_string(),
             style: BoxStyle::Candidate,
         };
-        let boxes: Vec<LabelledBox> = at.iter().enumerate().map(small).collect();
+        let boxes: Vec<LabeledBox> = at.iter().enumerate().map(small).collect();
         let target = Point3::from(
             boxes.iter().map(|b| b.aabb.center.coords).sum::<Vector3<f32>>() / boxes.len() as f32,
         );
@@ -155,12 +158,12 @@ mod tests {
                 let camera = view.camera(&hall, &near, azimuth_deg);
                 assert!(longer_side(&camera, &near.boxes[0].aabb).unwrap() >= MIN_PX - 0.1);
                 assert!(
-                    placed(&camera, &near.boxes, MIN_PX - 0.1, &[]).is_empty(),
+                    place_insets(&camera, &near.boxes, MIN_PX - 0.1, &[]).is_empty(),
                     "the view itself is close enough"
                 );
 
                 let camera = view.camera(&hall, &apart, azimuth_deg);
-                let insets = placed(&camera, &apart.boxes, MIN_PX, &[]);
+                let insets = place_insets(&camera, &apart.boxes, MIN_PX, &[]);
                 assert_eq!(
                     insets.iter().map(|inset| inset.boxes.len()).collect::<Vec<_>>(),
                     [2, 1],
@@ -181,12 +184,10 @@ mod tests {
                         "it is within the view"
                     );
                     assert!(insets[..k].iter().all(|other| !overlap(&other.rect, &inset.rect)));
-                    assert!(
-                        apart
-                            .boxes
-                            .iter()
-                            .all(|b| !overlap(&inset.rect, &bounds(&camera, &b.aabb).unwrap()))
-                    );
+                    assert!(apart.boxes.iter().all(|b| !overlap(
+                        &inset.rect,
+                        &projected_bounds(&camera, &b.aabb).unwrap()
+                    )));
                 }
             }
         }
@@ -198,6 +199,6 @@ mod tests {
         let hall = Aabb { center: Point3::origin(), size: Vector3::new(40.0, 25.0, 4.0) };
         let camera = GlobalView::default().camera(&hall, &apart, 0.0);
         let all = Rect::from_xywh(0.0, 0.0, 680.0, 680.0).unwrap();
-        assert!(placed(&camera, &apart.boxes, MIN_PX, &[all]).is_empty());
+        assert!(place_insets(&camera, &apart.boxes, MIN_PX, &[all]).is_empty());
     }
 }

@@ -8,7 +8,7 @@ const QUALITY: u8 = 85;
 /// Encodes a picture. Returns an empty file for more than 65,535 pixels per side, which JPEG does
 /// not support.
 #[must_use]
-pub fn jpeg(image: &RgbImage) -> Vec<u8> {
+pub fn encode_jpeg(image: &RgbImage) -> Vec<u8> {
     let mut bytes = Vec::new();
     let (Ok(width), Ok(height)) = (u16::try_from(image.width()), u16::try_from(image.height()))
     else {
@@ -35,13 +35,13 @@ mod tests {
     #[test]
     fn what_is_encoded_decodes_to_nearly_the_same() {
         let picture = RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8 * 3, y as u8 * 4, 90]));
-        let decoded = image::load_from_memory(&jpeg(&picture)).unwrap().into_rgb8();
+        let decoded = image::load_from_memory(&encode_jpeg(&picture)).unwrap().into_rgb8();
         let worst = picture.iter().zip(decoded.iter()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst.is_some_and(|d| d < 24), "{worst:?}");
     }
 
     #[test]
     fn a_picture_too_large_for_jpeg_is_empty() {
-        assert!(jpeg(&RgbImage::new(70_000, 1)).is_empty());
+        assert!(encode_jpeg(&RgbImage::new(70_000, 1)).is_empty());
     }
 }

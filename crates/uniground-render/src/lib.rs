@@ -19,15 +19,15 @@ mod text;
 pub use camera::Orbit;
 pub use candidates::{GlobalView, Subjects};
 pub use close_up::close_ups;
-pub use collage::{Collage, Tile, mosaic, mosaic_tiles};
+pub use collage::{Collage, Tile, draw_mosaic, mosaic_tiles};
 pub use directions::DirectionWord;
 use image::{Pixel as _, Rgb, RgbImage};
-pub use jpeg::jpeg;
+pub use jpeg::encode_jpeg;
 pub use outline::{Surroundings, draw_outline, outline_reach};
-pub use overlay::{BoxStyle, LabelledBox};
+pub use overlay::{BoxStyle, LabeledBox};
 use render_scene::Splats;
 pub use render_scene::{Cutaway, RenderScene};
-pub use shot::{Shot, crop_area, cut, shares};
+pub use shot::{Shot, crop_area, cut_out_area, to_area_shares};
 use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Camera;
@@ -39,10 +39,14 @@ pub const ROOM_VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.
 
 /// Draws the cloud's colors over a frame, half transparent. `camera` is the frame's own.
 #[must_use]
-pub fn frame_overlay(frame: &RgbImage, camera: &Camera, render_scene: &RenderScene) -> RgbImage {
+pub fn draw_frame_overlay(
+    frame: &RgbImage,
+    camera: &Camera,
+    render_scene: &RenderScene,
+) -> RgbImage {
     let mut picture = frame.clone();
     for (under, over) in
-        picture.pixels_mut().zip(render_scene.drawn_with_ceiling(camera).picture.pixels())
+        picture.pixels_mut().zip(render_scene.draw_with_ceiling(camera).picture.pixels())
     {
         let [r, g, b, alpha] = over.0;
         if alpha > 0 {
@@ -59,22 +63,22 @@ pub fn frame_overlay(frame: &RgbImage, camera: &Camera, render_scene: &RenderSce
 /// Draws the scene from an orbit camera with boxes on top. The inside of the room is visible: see
 /// [`Cutaway::Building`].
 #[must_use]
-pub fn scene_picture(
+pub fn draw_scene(
     render_scene: &RenderScene,
     extent: &Aabb,
     orbit: &Orbit,
-    boxes: &[LabelledBox],
+    boxes: &[LabeledBox],
 ) -> RgbImage {
     let camera = orbit.camera(extent);
     let subjects: Vec<Aabb> = boxes.iter().map(|b| b.aabb).collect();
-    let drawn = render_scene.drawn(&camera, Cutaway::Building, &subjects);
-    let mut picture = on_paper(&drawn);
+    let drawn = render_scene.draw_from_outside(&camera, Cutaway::Building, &subjects);
+    let mut picture = over_background(&drawn);
     overlay::draw(&mut picture, &drawn, &camera, boxes, Vec::new());
     picture
 }
 
 /// The drawn points over the background.
-fn on_paper(drawn: &Splats) -> RgbImage {
+fn over_background(drawn: &Splats) -> RgbImage {
     let mut picture =
         RgbImage::from_pixel(drawn.picture.width(), drawn.picture.height(), BACKGROUND);
     for (under, over) in
@@ -88,12 +92,12 @@ fn on_paper(drawn: &Splats) -> RgbImage {
 /// Renders what a camera at `eye` that looks at `at` would see of the cloud, ceilings included.
 /// Returns the camera (640 x 480), its picture, and the depth of every pixel in meters.
 #[must_use]
-pub fn simulated_frame(
+pub fn render_frame(
     scene: &RenderScene,
     eye: &Point3<f32>,
     at: &Point3<f32>,
 ) -> (Camera, image::RgbaImage, Vec<f32>) {
-    let camera = Camera::new(camera::uncalibrated(640, 480), &camera::look_at(eye, at, 0.0));
-    let Splats { picture, depth_m, .. } = scene.drawn_with_ceiling(&camera);
+    let camera = Camera::new(camera::default_intrinsics(640, 480), &camera::look_at(eye, at, 0.0));
+    let Splats { picture, depth_m, .. } = scene.draw_with_ceiling(&camera);
     (camera, picture, depth_m)
 }

@@ -17,10 +17,10 @@ const USUAL_PX: f32 = 480.0;
 /// How far the lines reach outside of the object in a picture of this size, pixels.
 #[must_use]
 pub fn outline_reach(width: u32, height: u32) -> u32 {
-    (BOTH_WIDTH * unit(width, height)).ceil() as u32
+    (BOTH_WIDTH * line_unit_px(width, height)).ceil() as u32
 }
 
-fn unit(width: u32, height: u32) -> f32 {
+fn line_unit_px(width: u32, height: u32) -> f32 {
     (width.min(height) as f32 / USUAL_PX).max(1.0)
 }
 
@@ -49,7 +49,7 @@ pub fn draw_outline(
     };
     let inside: Vec<bool> = (0..height)
         .flat_map(|y| (0..width).map(move |x| (x, y)))
-        .map(|(x, y)| mask.covers((share(x, width, l, r), share(y, height, t, b))))
+        .map(|(x, y)| mask.contains((share(x, width, l, r), share(y, height, t, b))))
         .collect();
     let is_inside = |x: i64, y: i64| {
         (0..i64::from(width)).contains(&x)
@@ -64,7 +64,7 @@ pub fn draw_outline(
             }
         }
     }
-    let unit = unit(width, height);
+    let unit = line_unit_px(width, height);
     let reach = i64::from(outline_reach(width, height));
     let disc: Vec<(i64, i64, f32)> = (-reach..=reach)
         .flat_map(|y| (-reach..=reach).map(move |x| (x, y, ((x * x + y * y) as f32).sqrt())))
@@ -106,7 +106,7 @@ mod tests {
         draw_outline(
             &mut picture,
             (10, 0, 100, 100),
-            &CellMask::of(8, 8, |_, _| true),
+            &CellMask::from_fn(8, 8, |_, _| true),
             [0.25, 0.25, 0.75, 0.75],
             around,
         );
@@ -154,7 +154,7 @@ mod tests {
         draw_outline(
             &mut picture,
             (20, 20, 20, 20),
-            &CellMask::of(4, 4, |_, _| true),
+            &CellMask::from_fn(4, 4, |_, _| true),
             [0.5, 0.5, 1.5, 1.5],
             Surroundings::Kept,
         );

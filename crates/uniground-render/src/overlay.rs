@@ -24,7 +24,7 @@ pub enum BoxStyle {
 
 /// A box in the world with a tag.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LabelledBox {
+pub struct LabeledBox {
     /// Axis-aligned, meters, world frame (Z up).
     pub aabb: Aabb,
     /// One line of text on the tag: "22", "7 anchor".
@@ -34,7 +34,7 @@ pub struct LabelledBox {
 }
 
 impl BoxStyle {
-    fn colour(self) -> [u8; 3] {
+    fn line_color(self) -> [u8; 3] {
         match self {
             Self::Answer => [0, 150, 60],
             Self::Anchor => [210, 30, 30],
@@ -69,35 +69,35 @@ pub(super) fn draw(
     picture: &mut RgbImage,
     drawn: &Splats,
     camera: &Camera,
-    boxes: &[LabelledBox],
+    boxes: &[LabeledBox],
     taken: Vec<Rect>,
 ) {
     let Some(mut layer) = Pixmap::new(picture.width(), picture.height()) else { return };
     draw_footings(&mut layer, drawn, camera);
-    for labelled in boxes {
-        draw_edges(&mut layer, drawn, camera, labelled);
+    for labeled in boxes {
+        draw_edges(&mut layer, drawn, camera, labeled);
     }
-    let places = label_places(picture.dimensions(), camera, boxes, taken);
-    for (labelled, LabelSpot { rect, home, .. }) in
+    let places = place_labels(picture.dimensions(), camera, boxes, taken);
+    for (labeled, LabelSpot { rect, home, .. }) in
         boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
     {
-        draw_leader(&mut layer, labelled.style, rect, *home);
+        draw_leader(&mut layer, labeled.style, rect, *home);
     }
-    for (labelled, LabelSpot { rect, .. }) in
+    for (labeled, LabelSpot { rect, .. }) in
         boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
     {
         let mut paint = Paint::default();
-        let [r, g, b] = labelled.style.colour();
+        let [r, g, b] = labeled.style.line_color();
         paint.set_color_rgba8(r, g, b, 255);
         layer.fill_rect(*rect, &paint, Transform::identity(), None);
     }
     blend(picture, &layer);
-    for (labelled, LabelSpot { rect, size_px, .. }) in
+    for (labeled, LabelSpot { rect, size_px, .. }) in
         boxes.iter().zip(&places).filter_map(|(b, place)| Some((b, place.as_ref()?)))
     {
         text::draw(
             picture,
-            &labelled.label,
+            &labeled.label,
             rect.left() + PADDING_PX,
             rect.top() + PADDING_PX,
             *size_px,
@@ -117,7 +117,7 @@ pub(super) fn position(camera: &Camera, point: &Point3<f32>) -> Option<(Point2<f
 fn draw_footings(layer: &mut Pixmap, drawn: &Splats, camera: &Camera) {
     let (mut seen, mut hidden) = (PathBuilder::new(), PathBuilder::new());
     for [a, b] in &drawn.footings {
-        edge(drawn, camera, (a, b), &mut seen, &mut hidden);
+        add_edge(drawn, camera, (a, b), &mut seen, &mut hidden);
     }
     let Some(path) = seen.finish() else { return };
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
@@ -132,19 +132,19 @@ fn draw_footings(layer: &mut Pixmap, drawn: &Splats, camera: &Camera) {
     );
 }
 
-fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &LabelledBox) {
+fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labeled: &LabeledBox) {
     let (mut seen, mut hidden) = (PathBuilder::new(), PathBuilder::new());
-    let corners = labelled.aabb.corners();
+    let corners = labeled.aabb.corners();
     for i in 0..8_usize {
         for bit in [1, 2, 4].into_iter().filter(|bit| i & bit == 0) {
-            edge(drawn, camera, (&corners[i], &corners[i | bit]), &mut seen, &mut hidden);
+            add_edge(drawn, camera, (&corners[i], &corners[i | bit]), &mut seen, &mut hidden);
         }
     }
-    let [r, g, b] = labelled.style.colour();
-    let width = labelled.style.width_px();
-    let mut line = |path: &Path, colour: Color, width: f32, dash: Option<StrokeDash>| {
+    let [r, g, b] = labeled.style.line_color();
+    let width = labeled.style.width_px();
+    let mut line = |path: &Path, color: Color, width: f32, dash: Option<StrokeDash>| {
         let mut paint = Paint { anti_alias: true, ..Paint::default() };
-        paint.set_color(colour);
+        paint.set_color(color);
         let cap = if dash.is_some() { LineCap::Butt } else { LineCap::Round };
         let stroke = Stroke { width, line_cap: cap, dash, ..Stroke::default() };
         layer.stroke_path(path, &paint, &stroke, Transform::identity(), None);
@@ -165,7 +165,7 @@ fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &La
 }
 
 /// Adds the visible stretches of an edge to one path and the hidden ones to another.
-fn edge(
+fn add_edge(
     drawn: &Splats,
     camera: &Camera,
     (a, b): (&Point3<f32>, &Point3<f32>),
@@ -222,7 +222,7 @@ fn draw_leader(layer: &mut Pixmap, style: BoxStyle, rect: &Rect, home: Point2<f3
     }
     let Some(path) = path.finish() else { return };
     let mut paint = Paint { anti_alias: true, ..Paint::default() };
-    let [r, g, b] = style.colour();
+    let [r, g, b] = style.line_color();
     paint.set_color_rgba8(r, g, b, 220);
     layer.stroke_path(
         &path,
@@ -245,30 +245,30 @@ pub(super) struct LabelSpot {
 /// Finds a position for every label that has a box in the picture: as near to the box as possible,
 /// never over another label, and not over the middle of another box if there is an alternative. The
 /// last boxes are the most important, so they choose first.
-pub(super) fn label_places(
+pub(super) fn place_labels(
     picture: (u32, u32),
     camera: &Camera,
-    boxes: &[LabelledBox],
+    boxes: &[LabeledBox],
     mut taken: Vec<Rect>,
 ) -> Vec<Option<LabelSpot>> {
     let middles: Vec<Option<Point2<f32>>> =
         boxes.iter().map(|b| position(camera, &b.aabb.center).map(|(at, _)| at)).collect();
     let mut places = vec![None; boxes.len()];
-    for (i, labelled) in boxes.iter().enumerate().rev() {
-        let Some(home) = home(picture, camera, &labelled.aabb) else { continue };
+    for (i, labeled) in boxes.iter().enumerate().rev() {
+        let Some(home) = label_anchor(picture, camera, &labeled.aabb) else { continue };
         let others = || {
             middles.iter().enumerate().filter(|(j, _)| *j != i).filter_map(|(_, middle)| *middle)
         };
         let found = LABEL_PX.iter().find_map(|&size_px| {
             let size = (
-                text::width(&labelled.label, size_px) + 2.0 * PADDING_PX,
+                text::width(&labeled.label, size_px) + 2.0 * PADDING_PX,
                 size_px + 2.0 * PADDING_PX,
             );
             let free = |place: &Rect| taken.iter().all(|other| !overlap(place, other));
-            let covers_none = |place: &Rect| others().all(|middle| !holds(place, middle));
-            let rect = spots(picture, home, size)
+            let covers_none = |place: &Rect| others().all(|middle| !rect_contains(place, middle));
+            let rect = candidate_areas(picture, home, size)
                 .find(|place| free(place) && covers_none(place))
-                .or_else(|| spots(picture, home, size).find(free))?;
+                .or_else(|| candidate_areas(picture, home, size).find(free))?;
             Some(LabelSpot { rect, size_px, home })
         });
         taken.extend(found.iter().map(|place| place.rect));
@@ -278,7 +278,7 @@ pub(super) fn label_places(
 }
 
 /// Bounds of a box in the picture, possibly outside of it; `None` when it is behind the camera.
-pub(super) fn bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
+pub(super) fn projected_bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
     let corners = aabb.corners();
     let mut at = corners.iter().filter_map(|corner| position(camera, corner)).map(|(at, _)| at);
     let first = at.next()?;
@@ -288,7 +288,7 @@ pub(super) fn bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
 
 /// The middle of a box's upper border, moved into the picture; `None` when the box is behind the
 /// camera.
-fn home((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Point2<f32>> {
+fn label_anchor((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Point2<f32>> {
     let corners: Vec<Point2<f32>> =
         aabb.corners().iter().filter_map(|c| position(camera, c)).map(|(at, _)| at).collect();
     let count = corners.len() as f32;
@@ -300,7 +300,7 @@ fn home((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Poi
 }
 
 /// Candidate positions for a label: above its box, then in rings around it, all within the picture.
-fn spots(
+fn candidate_areas(
     (width, height): (u32, u32),
     home: Point2<f32>,
     (w, h): (f32, f32),
@@ -324,7 +324,7 @@ fn spots(
     })
 }
 
-fn holds(rect: &Rect, at: Point2<f32>) -> bool {
+fn rect_contains(rect: &Rect, at: Point2<f32>) -> bool {
     (rect.left()..=rect.right()).contains(&at.x) && (rect.top()..=rect.bottom()).contains(&at.y)
 }
 
@@ -359,10 +359,10 @@ mod tests {
         Orbit { width: 680, height: 680, azimuth_deg: -90.0, tilt_deg: 30.0 }.camera(&ROOM)
     }
 
-    fn boxes(count: usize, spread_m: f32) -> Vec<LabelledBox> {
+    fn boxes(count: usize, spread_m: f32) -> Vec<LabeledBox> {
         let at = |i: usize| Point3::new(i as f32 * spread_m - 0.5, (i % 7) as f32 * spread_m, 0.0);
         (0..count)
-            .map(|i| LabelledBox {
+            .map(|i| LabeledBox {
                 aabb: Aabb { center: at(i), size: Vector3::repeat(0.3) },
                 label: format!("{}", 100 + i),
                 style: BoxStyle::Candidate,
@@ -373,7 +373,7 @@ mod tests {
     #[test]
     fn every_label_has_a_place_and_none_overlap() {
         for (count, spread_m) in [(8, 0.02), (10, 0.3), (100, 0.01)] {
-            let places = label_places((680, 680), &camera(), &boxes(count, spread_m), Vec::new());
+            let places = place_labels((680, 680), &camera(), &boxes(count, spread_m), Vec::new());
             let rects: Vec<Rect> = places.iter().flatten().map(|p| p.rect).collect();
             assert_eq!(rects.len(), count, "{spread_m}");
             for (i, a) in rects.iter().enumerate() {
@@ -389,11 +389,12 @@ mod tests {
     fn labels_leave_the_others_in_sight() {
         let boxes = boxes(5, 0.4);
         let camera = camera();
-        let places = label_places((680, 680), &camera, &boxes, Vec::new());
+        let places = place_labels((680, 680), &camera, &boxes, Vec::new());
         for (i, place) in places.iter().enumerate() {
             let rect = place.as_ref().unwrap().rect;
-            let hides =
-                |j: usize| holds(&rect, position(&camera, &boxes[j].aabb.center).unwrap().0);
+            let hides = |j: usize| {
+                rect_contains(&rect, position(&camera, &boxes[j].aabb.center).unwrap().0)
+            };
             assert!((0..5).filter(|j| *j != i).all(|j| !hides(j)));
         }
     }
@@ -406,19 +407,19 @@ mod tests {
         for i in 0..200 {
             for j in 0..200 {
                 cloud.positions.push(Point3::new(i as f32 * 0.01, -1.0, j as f32 * 0.02 - 2.0));
-                cloud.colours.push([255; 3]);
+                cloud.colors.push([255; 3]);
             }
         }
         let camera =
             Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg: 80.0 }.camera(&ROOM);
-        let drawn = RenderScene::of(cloud).drawn_with_ceiling(&camera);
+        let drawn = RenderScene::new(cloud).draw_with_ceiling(&camera);
         let aabb = Aabb { center: Point3::origin(), size: Vector3::new(3.6, 0.2, 1.0) };
         let mut picture = RgbImage::from_pixel(400, 400, Rgb([255; 3]));
         draw(
             &mut picture,
             &drawn,
             &camera,
-            &[LabelledBox { aabb, label: "7".into(), style: BoxStyle::Candidate }],
+            &[LabeledBox { aabb, label: "7".into(), style: BoxStyle::Candidate }],
             Vec::new(),
         );
         let (a, b) = (Point3::new(-1.8, -0.1, -0.5), Point3::new(1.8, -0.1, -0.5));

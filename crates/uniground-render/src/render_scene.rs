@@ -1,6 +1,6 @@
 //! Draws points as z-buffered squares, large enough to close the gaps between them.
 
-use super::building::{Building, RIM_M, holds};
+use super::building::{Building, RIM_M, box_contains};
 use image::{Rgba, RgbaImage};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -47,14 +47,14 @@ pub struct RenderScene {
 impl RenderScene {
     /// Prepares a cloud of which nothing else is known: one pass over its points.
     #[must_use]
-    pub fn of(cloud: impl Into<Arc<PointCloud>>) -> Self {
-        Self::of_parsed(cloud, &[])
+    pub fn new(cloud: impl Into<Arc<PointCloud>>) -> Self {
+        Self::with_building(cloud, &[])
     }
 
     /// Prepares a cloud with known walls and ceilings: several passes over its points. Stores two
     /// bytes per point beside the cloud.
     #[must_use]
-    pub fn of_parsed(cloud: impl Into<Arc<PointCloud>>, instances: &[Instance]) -> Self {
+    pub fn with_building(cloud: impl Into<Arc<PointCloud>>, instances: &[Instance]) -> Self {
         let cloud = cloud.into();
         let mut heights: Vec<f32> = cloud.positions.iter().map(|p| p.z).collect();
         let (low, high) = heights
@@ -64,42 +64,55 @@ impl RenderScene {
             true => quantile(&mut heights, CEILING_PERCENTILE).unwrap_or(f32::INFINITY),
             false => f32::INFINITY,
         };
-        let building = Building::of(&cloud.positions, instances);
+        let building = Building::fit(&cloud.positions, instances);
         Self { spacing_m: typical_spacing_m(&cloud.positions), ceiling_m, building, cloud }
     }
 
     /// Draws the room from outside, with `subjects` visible.
     #[must_use]
-    pub(super) fn drawn(&self, camera: &Camera, cutaway: Cutaway, subjects: &[Aabb]) -> Splats {
+    pub(super) fn draw_from_outside(
+        &self,
+        camera: &Camera,
+        cutaway: Cutaway,
+        subjects: &[Aabb],
+    ) -> Splats {
         let highest_m = match (&self.building, cutaway) {
             (Some(building), Cutaway::Building) if building.has_ceiling() => f32::INFINITY,
             _ => self.ceiling_m,
         };
         let Cutaway::Building = cutaway else {
-            return self.draw(camera, |_, p| p.z <= highest_m);
+            return self.draw_points(camera, |_, p| p.z <= highest_m);
         };
         let Some(building) = &self.building else {
             let of = |s: &Aabb| OrientedBox { center: s.center, size: s.size, yaw_rad: 0.0 };
             let kept: Vec<OrientedBox> = subjects.iter().map(of).collect();
-            return self
-                .draw(camera, |_, p| p.z <= highest_m || kept.iter().any(|b| holds(b, RIM_M, p)));
+            return self.draw_points(camera, |_, p| {
+                p.z <= highest_m || kept.iter().any(|b| box_contains(b, RIM_M, p))
+            });
         };
         let opening = building.opening(&camera.center(), subjects);
         let draws = |i: usize, p: &Point3<f32>| match p.z <= highest_m {
-            true => building.draws(i, p, &opening),
-            false => opening.shows(p),
+            true => building.is_drawn(i, p, &opening),
+            false => opening.is_on_subject(p),
         };
-        Splats { footings: building.footings(&opening), ..self.draw(camera, draws) }
+        Splats {
+            footings: building.open_wall_footings(&opening),
+            ..self.draw_points(camera, draws)
+        }
     }
 
     /// Draws every point.
     #[must_use]
-    pub(super) fn drawn_with_ceiling(&self, camera: &Camera) -> Splats {
-        self.draw(camera, |_, _| true)
+    pub(super) fn draw_with_ceiling(&self, camera: &Camera) -> Splats {
+        self.draw_points(camera, |_, _| true)
     }
 
-    fn draw(&self, camera: &Camera, keep: impl Fn(usize, &Point3<f32>) -> bool + Sync) -> Splats {
-        draw(&self.cloud, self.spacing_m, camera, keep)
+    fn draw_points(
+        &self,
+        camera: &Camera,
+        keep: impl Fn(usize, &Point3<f32>) -> bool + Sync,
+    ) -> Splats {
+        draw_splats(&self.cloud, self.spacing_m, camera, keep)
     }
 }
 
@@ -160,7 +173,7 @@ impl Splats {
     }
 }
 
-fn draw(
+fn draw_splats(
     cloud: &PointCloud,
     spacing_m: f32,
     camera: &Camera,
@@ -171,16 +184,16 @@ fn draw(
     let splats: Vec<(f32, f32, f32, [u8; 3])> = cloud
         .positions
         .par_iter()
-        .zip(&cloud.colours)
+        .zip(&cloud.colors)
         .enumerate()
         .filter(|(i, (p, _))| keep(*i, p))
-        .filter_map(|(_, (p, &colour))| {
-            camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour))
+        .filter_map(|(_, (p, &color))| {
+            camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, color))
         })
         .collect();
     let mut picture = RgbaImage::new(width, height);
     let mut depth_m = vec![f32::INFINITY; (width * height) as usize];
-    for (u, v, z_m, colour) in splats {
+    for (u, v, z_m, color) in splats {
         let half = (camera.intrinsics.fx * size_m / z_m / 2.0).clamp(0.5, MAX_SPLAT_PX / 2.0);
         let span = |at: f32, len: u32| {
             ((at - half + 0.5).max(0.0) as u32)..((at + half + 0.5).max(0.0) as u32).clamp(1, len)
@@ -190,7 +203,7 @@ fn draw(
                 let nearest = &mut depth_m[(row * width + column) as usize];
                 if z_m < *nearest {
                     *nearest = z_m;
-                    let [r, g, b] = colour;
+                    let [r, g, b] = color;
                     picture.put_pixel(column, row, Rgba([r, g, b, 255]));
                 }
             }
@@ -212,9 +225,9 @@ mod tests {
         let mut cloud = PointCloud::default();
         for i in -50..=50 {
             for j in -50..=50 {
-                let (position, colour) = at(i as f32 * 0.02, j as f32 * 0.02);
+                let (position, color) = at(i as f32 * 0.02, j as f32 * 0.02);
                 cloud.positions.push(position);
-                cloud.colours.push(colour);
+                cloud.colors.push(color);
             }
         }
         cloud
@@ -225,9 +238,9 @@ mod tests {
         let mut cloud = grid(|x, y| (Point3::new(x, y, 3.0), [0, 0, 255]));
         let front = grid(|x, y| (Point3::new(x, y, 2.0), [255, 0, 0]));
         cloud.positions.extend(front.positions);
-        cloud.colours.extend(front.colours);
-        let drawn = RenderScene::of(cloud)
-            .drawn_with_ceiling(&Camera::new(VIEW, &Isometry3::from(Vector3::zeros())));
+        cloud.colors.extend(front.colors);
+        let drawn = RenderScene::new(cloud)
+            .draw_with_ceiling(&Camera::new(VIEW, &Isometry3::from(Vector3::zeros())));
         let window = drawn
             .picture
             .enumerate_pixels()
@@ -244,7 +257,7 @@ mod tests {
         let camera = Camera::new(VIEW, &Isometry3::from(Vector3::zeros()));
         let brightness = |slope: f32| {
             let cloud = grid(|x, y| (Point3::new(x, y, 3.0 + slope * x), [200; 3]));
-            let mut drawn = RenderScene::of(cloud).drawn_with_ceiling(&camera);
+            let mut drawn = RenderScene::new(cloud).draw_with_ceiling(&camera);
             drawn.shade(&camera, 0.5);
             drawn.picture.get_pixel(100, 100).0[0]
         };
@@ -262,8 +275,8 @@ mod tests {
         let room = |height: f32| {
             let mut cloud = grid(|x, y| (Point3::new(x, y, 0.0), [90; 3]));
             cloud.positions.extend((0..200).map(|i| Point3::new(i as f32 * 0.01, 0.0, height)));
-            cloud.colours.extend([[255; 3]; 200]);
-            RenderScene::of(cloud).ceiling_m
+            cloud.colors.extend([[255; 3]; 200]);
+            RenderScene::new(cloud).ceiling_m
         };
         assert!(room(1.0).is_infinite());
         assert!(room(2.5) < 2.5);

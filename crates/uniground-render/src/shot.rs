@@ -34,20 +34,20 @@ impl Shot {
     /// (left, top, right, bottom, pixels).
     #[must_use]
     pub fn new(crop: RgbImage, frame: RgbImage, box_px: [u32; 4]) -> Self {
-        let place = shares(box_px, [0, 0, frame.width(), frame.height()]);
+        let place = to_area_shares(box_px, [0, 0, frame.width(), frame.height()]);
         Self { crop, frame, place, mask: None, taken: None }
     }
 
     /// Creates a shot of a view and its photograph.
     #[must_use]
-    pub fn of_view(photograph: RgbImage, view: &View) -> Self {
+    pub fn from_view(photograph: RgbImage, view: &View) -> Self {
         let area = crop_area(view.box_px, photograph.dimensions());
-        let crop = cut(&photograph, area);
+        let crop = cut_out_area(&photograph, area);
         let mask = view
             .mask
             .as_ref()
-            .and_then(CellMask::unpacked)
-            .map(|mask| (mask, shares(view.box_px, area)));
+            .and_then(CellMask::from_view_mask)
+            .map(|mask| (mask, to_area_shares(view.box_px, area)));
         Self { mask, taken: Some((view.frame, area)), ..Self::new(crop, photograph, view.box_px) }
     }
 
@@ -88,14 +88,14 @@ pub fn crop_area([left, top, right, bottom]: [u32; 4], (width, height): (u32, u3
 
 /// Cuts out an area of a photograph (left, top, right, bottom, pixels).
 #[must_use]
-pub fn cut(photograph: &RgbImage, [left, top, right, bottom]: [u32; 4]) -> RgbImage {
+pub fn cut_out_area(photograph: &RgbImage, [left, top, right, bottom]: [u32; 4]) -> RgbImage {
     imageops::crop_imm(photograph, left, top, (right - left).max(1), (bottom - top).max(1))
         .to_image()
 }
 
 /// Converts a box to shares of an area, both in pixels of one picture.
 #[must_use]
-pub fn shares(box_px: [u32; 4], [left, top, right, bottom]: [u32; 4]) -> [f32; 4] {
+pub fn to_area_shares(box_px: [u32; 4], [left, top, right, bottom]: [u32; 4]) -> [f32; 4] {
     let [l, t, r, b] = box_px.map(|v| v as f32);
     let (x, y) = (left as f32, top as f32);
     let (width, height) = ((right - left).max(1) as f32, (bottom - top).max(1) as f32);
@@ -140,14 +140,14 @@ mod tests {
 
     #[test]
     fn a_shot_knows_where_its_thing_is_in_both_pictures() {
-        let mask = CellMask::of(10, 10, |column, _| column < 5);
+        let mask = CellMask::from_fn(10, 10, |column, _| column < 5);
         let view = View {
             frame: FrameIndex(0),
             visible_points: 9,
             box_px: [300, 200, 320, 230],
-            mask: Some(mask.packed()),
+            mask: Some(mask.to_view_mask()),
         };
-        let shot = Shot::of_view(RgbImage::new(640, 480), &view);
+        let shot = Shot::from_view(RgbImage::new(640, 480), &view);
         assert_eq!((shot.crop.dimensions(), shot.frame.dimensions()), ((224, 224), (640, 480)));
         let (unpacked, [left, top, right, bottom]) = shot.mask.clone().unwrap();
         assert_eq!((unpacked, left, right), (mask, 102.0 / 224.0, 122.0 / 224.0));

@@ -10,7 +10,7 @@ static FONT: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| {
 
 /// Width of a line of text at a size in pixels.
 pub(super) fn width(text: &str, size_px: f32) -> f32 {
-    layout(text, size_px).1
+    lay_out_glyphs(text, size_px).1
 }
 
 /// Draws a line of text with its top left corner at `(x, y)`.
@@ -20,10 +20,10 @@ pub(super) fn draw(
     x: f32,
     y: f32,
     size_px: f32,
-    colour: Rgb<u8>,
+    color: Rgb<u8>,
 ) {
     let Some(font) = FONT.as_ref() else { return };
-    for mut glyph in layout(text, size_px).0 {
+    for mut glyph in lay_out_glyphs(text, size_px).0 {
         glyph.position += point(x, y);
         let Some(outline) = font.outline_glyph(glyph) else { continue };
         let bounds = outline.px_bounds();
@@ -36,7 +36,7 @@ pub(super) fn draw(
                 && v < i64::from(picture.height());
             if inside {
                 let below = picture.get_pixel_mut(u as u32, v as u32);
-                for (channel, ink) in below.0.iter_mut().zip(colour.0) {
+                for (channel, ink) in below.0.iter_mut().zip(color.0) {
                     *channel = (f32::from(*channel)
                         + (f32::from(ink) - f32::from(*channel)) * coverage.min(1.0))
                     .round() as u8;
@@ -48,7 +48,7 @@ pub(super) fn draw(
 
 /// Returns glyphs from the origin, with the baseline set so that the line starts at its top; and
 /// the advance.
-fn layout(text: &str, size_px: f32) -> (Vec<Glyph>, f32) {
+fn lay_out_glyphs(text: &str, size_px: f32) -> (Vec<Glyph>, f32) {
     let Some(font) = FONT.as_ref() else { return (Vec::new(), 0.0) };
     let scaled = font.as_scaled(PxScale::from(size_px));
     let mut advance = 0.0;

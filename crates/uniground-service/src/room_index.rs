@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_grounding::GivenName;
 use uniground_grounding::room_index::{Sought, entries};
 use uniground_models::neural::{Models, Role};
@@ -106,7 +106,7 @@ impl RoomSearch {
             let known = entries(&parse.instances).into_iter();
             let known = known.map(|entry| RoomEntry {
                 name: entry.name,
-                colour: entry.colour.map_or("", ColourName::word),
+                color: entry.color.map_or("", ColorName::as_str),
                 weight: entry.weight,
             });
             let seen = parse.embeddings.as_ref().filter(|_| keeps_vectors).map(|embeddings| {
@@ -139,13 +139,13 @@ impl RoomSearch {
         let mut rooms: HashMap<String, Vec<f32>> = HashMap::new();
         for at in 0..sought.len() {
             for (name, fit) in self.best_fitting_names(&sought, at).await? {
-                for RoomMatch { parse_id, colour, weight } in
-                    self.rooms_with(&name, sought.colours(at), labels).await?
+                for RoomMatch { parse_id, color, weight } in
+                    self.rooms_with(&name, sought.colors(at), labels).await?
                 {
                     let counts = sought.weigh_entry(
                         at,
                         fit,
-                        ColourName::ALL.into_iter().find(|known| known.word() == colour),
+                        ColorName::ALL.into_iter().find(|known| known.as_str() == color),
                         weight,
                     );
                     let best =
@@ -215,15 +215,15 @@ impl RoomSearch {
     async fn rooms_with(
         &self,
         name: &str,
-        colours: &[ColourName],
+        colors: &[ColorName],
         labels: &Labels,
     ) -> Result<Vec<RoomMatch>, Error> {
         let mut found = self.room_index_repository.rooms_with(name, None, labels, ROOMS).await?;
         if found.len() >= ROOMS as usize {
-            for colour in colours {
+            for color in colors {
                 found.extend(
                     self.room_index_repository
-                        .rooms_with(name, Some(colour.word()), labels, ROOMS)
+                        .rooms_with(name, Some(color.as_str()), labels, ROOMS)
                         .await?,
                 );
             }

@@ -63,7 +63,8 @@ impl Dependencies {
             limits,
             vlm: None,
             models: Models::default(),
-            parse_pool: background::pool().map_err(|error| Error::Io(io::Error::other(error)))?,
+            parse_pool: background::low_priority_pool()
+                .map_err(|error| Error::Io(io::Error::other(error)))?,
             reader: ScanReader::in_process(),
             import_root: None,
             inference: None,

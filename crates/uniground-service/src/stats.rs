@@ -176,10 +176,10 @@ impl StatsService {
             .uploads
             .set(MAX_UPLOADS.saturating_sub(self.upload_permits.available_permits()) as i64);
         let looks = [
-            ("parses", self.parse_cache.looks()),
-            ("clouds", self.parse_cache.render_scenes.looks()),
-            ("files", self.parse_cache.sound.looks()),
-            ("pictures", self.picture_cache.looks()),
+            ("parses", self.parse_cache.hits_and_misses()),
+            ("clouds", self.parse_cache.render_scenes.hits_and_misses()),
+            ("files", self.parse_cache.sound.hits_and_misses()),
+            ("pictures", self.picture_cache.hits_and_misses()),
         ];
         looks
             .into_iter()
@@ -236,7 +236,7 @@ impl StatsService {
 
 fn job_stats(kind: &str, working: bool, figures: &Figures) -> JobStats {
     let of = |state: JobState| {
-        figures.jobs.iter().find(|jobs| jobs.kind == kind && jobs.state == state.word())
+        figures.jobs.iter().find(|jobs| jobs.kind == kind && jobs.state == state.as_str())
     };
     let number = |state| of(state).map_or(0, |jobs| jobs.jobs);
     let oldest = of(JobState::Queued).and_then(|jobs| jobs.oldest.parse::<Timestamp>().ok());

@@ -226,7 +226,7 @@ impl JobRepository {
         let mut which = SqlFilter::new("SELECT * FROM jobs WHERE true");
         which.and_if_some("id <", cursor);
         which.and_if_some("kind =", kind.as_ref());
-        which.and_if_some("state =", state.map(JobState::word));
+        which.and_if_some("state =", state.map(JobState::as_str));
         which.and_if_some("subject =", subject.as_ref());
         which.fetch("id DESC", limit, &self.database.reader).await
     }
@@ -379,7 +379,7 @@ impl JobRepository {
         let (code, detail) = error.unzip();
         let (message, detail) = (message.map(replace_nul), detail.map(replace_nul));
         let ended = sqlx::query(sql)
-            .bind(state.word())
+            .bind(state.as_str())
             .bind(message.as_deref())
             .bind(code)
             .bind(detail.as_deref())

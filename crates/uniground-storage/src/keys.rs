@@ -106,7 +106,7 @@ impl KeyRepository {
             .bind(&key.name)
             .bind(&key.prefix)
             .bind(&key.hash)
-            .bind(key.scope.word())
+            .bind(key.scope.as_str())
             .bind(&key.expires_at)
             .bind(key.requests_per_minute.map(i64::from))
             .bind(key.max_scenes.map(i64::from))

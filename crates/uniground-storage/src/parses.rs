@@ -9,7 +9,7 @@ use sqlx::{AnyConnection, FromRow, Row};
 use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{ImportReport, Instance, InstanceId, ParseReport};
-use uniground_parsing::pointed::known_as;
+use uniground_parsing::pointed::find_identical;
 use uniground_types::settings::{ParseModels, ParseSettings};
 
 /// A finished parse as stored, with JSON columns as text. [`record`](Self::record) parses them.
@@ -248,7 +248,8 @@ impl ParseRepository {
         let last = "SELECT max(id) FROM instances WHERE parse_id = $1 AND EXISTS (SELECT 1 FROM scenes WHERE parse_id = $1)";
         let last: Option<i64> = sqlx::query_scalar(last).bind(parse_id).fetch_one(&mut *tx).await?;
         let last: Option<u32> = last.map(to_unsigned).transpose()?;
-        let (known, full) = (known_as(&before, found).map(|known| known.id), before.len() >= most);
+        let (known, full) =
+            (find_identical(&before, found).map(|known| known.id), before.len() >= most);
         let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full)
         else {
             tx.rollback().await?;

@@ -20,7 +20,7 @@ pub struct ParseToIndex {
 pub struct RoomEntry {
     pub name: String,
     /// The word for its color; "" for none in particular.
-    pub colour: &'static str,
+    pub color: &'static str,
     /// `0..=1`
     pub weight: f32,
 }
@@ -29,7 +29,7 @@ pub struct RoomEntry {
 #[derive(Debug, Clone, PartialEq)]
 pub struct RoomMatch {
     pub parse_id: String,
-    pub colour: String,
+    pub color: String,
     pub weight: f32,
 }
 
@@ -86,7 +86,7 @@ impl RoomIndexRepository {
             let query = entries.iter().fold(
                 sqlx::query(AssertSqlSafe(sql)).bind(&room.parse_id),
                 |query, entry| {
-                    query.bind(&entry.name).bind(entry.colour).bind(f64::from(entry.weight))
+                    query.bind(&entry.name).bind(entry.color).bind(f64::from(entry.weight))
                 },
             );
             query.execute(&mut *tx).await?;
@@ -121,7 +121,7 @@ impl RoomIndexRepository {
     pub async fn rooms_with(
         &self,
         name: &str,
-        colour: Option<&str>,
+        color: Option<&str>,
         labels: &Labels,
         most: u32,
     ) -> Result<Vec<RoomMatch>, StoreError> {
@@ -132,13 +132,13 @@ impl RoomIndexRepository {
         );
         let query = sqlx::query_as(AssertSqlSafe(sql))
             .bind(name)
-            .bind(colour)
+            .bind(color)
             .bind(serde_json::to_string(labels)?)
             .bind(i64::from(most));
         let rows: Vec<(String, String, f64)> = query.fetch_all(&self.database.reader).await?;
         Ok(rows
             .into_iter()
-            .map(|(parse_id, colour, weight)| RoomMatch { parse_id, colour, weight: weight as f32 })
+            .map(|(parse_id, color, weight)| RoomMatch { parse_id, color, weight: weight as f32 })
             .collect())
     }
 

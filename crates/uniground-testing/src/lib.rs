@@ -7,7 +7,7 @@
 use camino::{Utf8Path, Utf8PathBuf};
 use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::colour::ColourHistogram;
+use uniground_geometry::color::ColorHistogram;
 use uniground_geometry::scene::{Instance, InstanceId, Support};
 use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::{DualEncoder, Models, OnnxRuntime, RuntimeSettings, Segmenter};
@@ -30,7 +30,7 @@ pub fn thing(
     Instance {
         point_count: 1000,
         mean_rgb: rgb,
-        colours: ColourHistogram::of([rgb]),
+        colors: ColorHistogram::from_colors([rgb]),
         planarity: 0.3,
         support,
         height_above_floor_m: base,

@@ -264,7 +264,7 @@ pub struct Usage {
 }
 
 /// Default of `stored` for answers from older versions.
-fn kept() -> bool {
+fn default_stored() -> bool {
     true
 }
 
@@ -336,7 +336,7 @@ pub struct Answer {
     pub degraded: bool,
     /// Whether the server stored this answer. If `false` (for example on a full disk), the answer
     /// cannot be fetched again.
-    #[serde(default = "kept")]
+    #[serde(default = "default_stored")]
     pub stored: bool,
     /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. An orientation
     /// in the question, like "facing the door", takes precedence.

@@ -115,17 +115,17 @@ fn default_poses() -> u32 {
 impl ApproachRequest {
     /// Creates a request for an instance with default options.
     #[must_use]
-    pub fn to(instance_id: InstanceId, robot: Robot) -> Self {
-        Self { instance_id: Some(instance_id), ..Self::with(robot) }
+    pub fn for_instance(instance_id: InstanceId, robot: Robot) -> Self {
+        Self { instance_id: Some(instance_id), ..Self::with_defaults(robot) }
     }
 
     /// Creates a request for a query with default options.
     #[must_use]
-    pub fn asking(query: impl Into<String>, robot: Robot) -> Self {
-        Self { query: Some(query.into()), ..Self::with(robot) }
+    pub fn for_query(query: impl Into<String>, robot: Robot) -> Self {
+        Self { query: Some(query.into()), ..Self::with_defaults(robot) }
     }
 
-    fn with(robot: Robot) -> Self {
+    fn with_defaults(robot: Robot) -> Self {
         let (min_distance_m, max_distance_m, max_poses) =
             (0.0, default_distance(), default_poses());
         let frame = FrameChoice::default();
@@ -155,17 +155,19 @@ impl ApproachRequest {
             }
         }
         let Robot { radius_m, height_m, eye_height_m, reach_m } = self.robot;
-        numbers::above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;
+        numbers::check_above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;
         check_height("/robot/height_m", height_m)?;
-        numbers::above_zero("/robot/eye_height_m", eye_height_m, MAX_HEIGHT_M)?;
+        numbers::check_above_zero("/robot/eye_height_m", eye_height_m, MAX_HEIGHT_M)?;
         if eye_height_m > height_m {
             return Err(FieldError::new("/robot/eye_height_m", "must not be above height_m"));
         }
-        reach_m
-            .map_or(Ok(()), |reach| numbers::above_zero("/robot/reach_m", reach, MAX_REACH_M))?;
-        self.from
-            .map_or(Ok(()), |FloorPoint { x, y, z }| numbers::coordinates("/from", &[x, y, z]))?;
-        numbers::above_zero("/max_distance_m", self.max_distance_m, MAX_DISTANCE_M)?;
+        reach_m.map_or(Ok(()), |reach| {
+            numbers::check_above_zero("/robot/reach_m", reach, MAX_REACH_M)
+        })?;
+        self.from.map_or(Ok(()), |FloorPoint { x, y, z }| {
+            numbers::check_coordinates("/from", &[x, y, z])
+        })?;
+        numbers::check_above_zero("/max_distance_m", self.max_distance_m, MAX_DISTANCE_M)?;
         if !(0.0..=self.max_distance_m).contains(&self.min_distance_m) {
             return Err(FieldError::new(
                 "/min_distance_m",
@@ -188,7 +190,7 @@ pub fn check_map_height(height_m: f32) -> Result<(), FieldError> {
 }
 
 fn check_height(pointer: &str, height_m: f32) -> Result<(), FieldError> {
-    numbers::in_range(pointer, height_m, MIN_HEIGHT_M..=MAX_HEIGHT_M)
+    numbers::check_in_range(pointer, height_m, MIN_HEIGHT_M..=MAX_HEIGHT_M)
 }
 
 /// Whether a standing pose was found.
@@ -371,12 +373,12 @@ pub struct PlacedPose {
 impl PlacedPose {
     /// Transforms a pose to another frame.
     #[must_use]
-    pub fn of(pose: &StandingPose, scene_to_frame: &SceneToFrame) -> Self {
+    pub fn from_pose(pose: &StandingPose, scene_to_frame: &SceneToFrame) -> Self {
         let [x, y, z] = pose.position.map(f64::from);
         let corner = |[x, y]: &[f32; 2]| scene_to_frame.apply([f64::from(*x), f64::from(*y), z]);
         Self {
             position: scene_to_frame.apply([x, y, z]),
-            orientation: scene_to_frame.facing(f64::from(pose.yaw_rad)),
+            orientation: scene_to_frame.orientation_of_yaw(f64::from(pose.yaw_rad)),
             path: pose.path.iter().map(corner).collect(),
         }
     }
@@ -424,7 +426,7 @@ mod tests {
 
     #[test]
     fn wrong_requests_are_named_by_field() {
-        let good = ApproachRequest::to(InstanceId(1), ROBOT);
+        let good = ApproachRequest::for_instance(InstanceId(1), ROBOT);
         assert_eq!(good.check(), Ok(()));
         let with = |change: fn(&mut ApproachRequest)| {
             let mut request = good.clone();

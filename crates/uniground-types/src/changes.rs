@@ -105,16 +105,16 @@ impl Changes {
     /// Combines these changes with later changes of the same scene. Omits objects that appeared and
     /// then disappeared.
     #[must_use]
-    pub fn then(mut self, later: Self) -> Self {
+    pub fn followed_by(mut self, later: Self) -> Self {
         let Self { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged } = later;
         for thing in gone {
-            self.no_more(thing, |changes| &mut changes.gone);
+            self.remove(thing, |changes| &mut changes.gone);
         }
         for thing in regrouped {
-            self.no_more(thing, |changes| &mut changes.regrouped);
+            self.remove(thing, |changes| &mut changes.regrouped);
         }
         for MovedThing { before, after, distance_m } in moved {
-            if let Some(came) = self.came(before.id) {
+            if let Some(came) = self.find_appeared(before.id) {
                 *came = after;
             } else if let Some(moved) =
                 self.moved.iter_mut().find(|moved| moved.after.id == before.id)
@@ -133,14 +133,14 @@ impl Changes {
     }
 
     /// Returns an object that appeared in the combined period.
-    fn came(&mut self, id: InstanceId) -> Option<&mut ChangedThing> {
+    fn find_appeared(&mut self, id: InstanceId) -> Option<&mut ChangedThing> {
         self.appeared.iter_mut().chain(&mut self.first_seen).find(|thing| thing.id == id)
     }
 
     /// Removes an object that appeared in the combined period. Otherwise adds its original state to
     /// a list.
-    fn no_more(&mut self, thing: ChangedThing, list: impl Fn(&mut Self) -> &mut Vec<ChangedThing>) {
-        if self.came(thing.id).is_some() {
+    fn remove(&mut self, thing: ChangedThing, list: impl Fn(&mut Self) -> &mut Vec<ChangedThing>) {
+        if self.find_appeared(thing.id).is_some() {
             self.appeared.retain(|came| came.id != thing.id);
             self.first_seen.retain(|came| came.id != thing.id);
             return;
@@ -176,7 +176,7 @@ mod tests {
             ..Changes::default()
         };
         assert_eq!(
-            first.then(then),
+            first.followed_by(then),
             Changes { gone: vec![thing(2, 1.0)], unchanged: 5, ..Changes::default() }
         );
     }
@@ -185,13 +185,16 @@ mod tests {
     fn moves_are_told_from_the_first_place_to_the_last() {
         let first = Changes { moved: vec![moved((1, 0.0), (7, 1.0))], ..Changes::default() };
         let again = Changes { moved: vec![moved((7, 1.0), (8, 3.0))], ..Changes::default() };
-        let both = first.clone().then(again);
+        let both = first.clone().followed_by(again);
         assert_eq!(both.moved, [moved((1, 0.0), (8, 3.0))]);
         let away = Changes { gone: vec![thing(8, 3.0)], ..Changes::default() };
-        assert_eq!(both.then(away), Changes { gone: vec![thing(1, 0.0)], ..Changes::default() });
+        assert_eq!(
+            both.followed_by(away),
+            Changes { gone: vec![thing(1, 0.0)], ..Changes::default() }
+        );
         let new = Changes { first_seen: vec![thing(7, 1.0)], ..Changes::default() };
-        let carried =
-            new.then(Changes { moved: vec![moved((7, 1.0), (9, 2.0))], ..Changes::default() });
+        let carried = new
+            .followed_by(Changes { moved: vec![moved((7, 1.0), (9, 2.0))], ..Changes::default() });
         assert_eq!(carried, Changes { first_seen: vec![thing(9, 2.0)], ..Changes::default() });
         assert!(!carried.is_empty() && Changes { unchanged: 3, ..Changes::default() }.is_empty());
     }

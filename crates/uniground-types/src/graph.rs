@@ -104,7 +104,7 @@ pub enum GraphRelation {
 impl GraphRelation {
     /// Returns the name in JSON, like `next_to`.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::PartOf => "part_of",
             Self::On => "on",
@@ -120,7 +120,7 @@ impl GraphRelation {
 impl NodeKind {
     /// Returns the name in JSON.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Thing => "thing",
             Self::Part => "part",

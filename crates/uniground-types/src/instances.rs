@@ -99,7 +99,7 @@ pub enum Levels {
 impl Levels {
     /// Returns whether an instance is listed. Dismissed instances are listed only with `All`.
     #[must_use]
-    pub fn lists(self, level: Level, dismissed: bool) -> bool {
+    pub fn includes(self, level: Level, dismissed: bool) -> bool {
         match self {
             Self::All => true,
             _ if dismissed => false,

@@ -33,7 +33,7 @@ impl JobState {
 
     /// Returns the name of the state in JSON and the database.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Queued => "queued",
             Self::Running => "running",
@@ -50,7 +50,7 @@ impl TryFrom<String> for JobState {
     fn try_from(word: String) -> Result<Self, String> {
         Self::ALL
             .into_iter()
-            .find(|state| state.word() == word)
+            .find(|state| state.as_str() == word)
             .ok_or_else(|| format!("{word:?} is not a job state"))
     }
 }

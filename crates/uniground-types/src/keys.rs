@@ -21,7 +21,7 @@ impl Scope {
 
     /// Returns the name of the scope in JSON and the database.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Read => "read",
             Self::Write => "write",
@@ -36,7 +36,7 @@ impl TryFrom<String> for Scope {
     fn try_from(word: String) -> Result<Self, String> {
         Self::ALL
             .into_iter()
-            .find(|scope| scope.word() == word)
+            .find(|scope| scope.as_str() == word)
             .ok_or_else(|| format!("{word:?} is not a scope"))
     }
 }

@@ -13,12 +13,12 @@ pub struct LinkRequest {
     #[cfg_attr(feature = "openapi", schema(min_items = 1, max_items = 500, example = json!(["/v1/scenes/01a1ff70-0000-7000-8000-000000000001/*"])))]
     pub paths: Vec<String>,
     /// Validity of the links, seconds, 10 to 86400. Default: 600.
-    #[serde(default = "ten_minutes")]
+    #[serde(default = "default_seconds_valid")]
     #[cfg_attr(feature = "openapi", schema(minimum = 10, maximum = 86_400, default = 600))]
     pub expires_in_s: u32,
 }
 
-fn ten_minutes() -> u32 {
+fn default_seconds_valid() -> u32 {
     600
 }
 

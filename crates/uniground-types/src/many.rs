@@ -55,7 +55,7 @@ fn default_top_k() -> u32 {
 impl ManyGroundRequest {
     /// Creates a question about all scenes with default options.
     #[must_use]
-    pub fn of(query: impl Into<String>) -> Self {
+    pub fn new(query: impl Into<String>) -> Self {
         Self {
             query: query.into(),
             scenes: None,
@@ -70,7 +70,7 @@ impl ManyGroundRequest {
 
     /// Returns the question for a single scene.
     #[must_use]
-    pub fn of_one(&self) -> GroundRequest {
+    pub fn to_ground_request(&self) -> GroundRequest {
         GroundRequest {
             reasoner: self.reasoner,
             min_confidence: self.min_confidence,
@@ -78,14 +78,14 @@ impl ManyGroundRequest {
             timeout_s: self.timeout_s,
             // Scenes may have been parsed with different encoders.
             allow_builtin: true,
-            ..GroundRequest::of(&self.query)
+            ..GroundRequest::new(&self.query)
         }
     }
 
     /// # Errors
     /// Returns a [`FieldError`] that names the field.
     pub fn check(&self) -> Result<(), FieldError> {
-        self.of_one().check()?;
+        self.to_ground_request().check()?;
         check_labels("/labels", &self.labels)?;
         if !(1..=MOST_ANSWERS).contains(&self.top_k) {
             return Err(FieldError::new("/top_k", format!("must be 1 to {MOST_ANSWERS}")));
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn what_makes_no_sense_is_named() {
-        let asked = || ManyGroundRequest::of("the red mug");
+        let asked = || ManyGroundRequest::new("the red mug");
         assert!(asked().check().is_ok());
         let named = |request: ManyGroundRequest| request.check().unwrap_err().to_string();
         assert!(named(ManyGroundRequest { top_k: 0, ..asked() }).contains("/top_k"));

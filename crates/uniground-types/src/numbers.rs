@@ -15,7 +15,7 @@ const FARTHEST: f64 = 1e9;
 ///
 /// # Errors
 /// Returns a [`FieldError`] that names the field.
-pub fn in_range<T: PartialOrd + Display>(
+pub fn check_in_range<T: PartialOrd + Display>(
     pointer: &str,
     value: T,
     range: RangeInclusive<T>,
@@ -32,7 +32,7 @@ pub fn in_range<T: PartialOrd + Display>(
 ///
 /// # Errors
 /// Returns a [`FieldError`] that names the field.
-pub fn above_zero<T: PartialOrd + Display + Default>(
+pub fn check_above_zero<T: PartialOrd + Display + Default>(
     pointer: &str,
     value: T,
     most: T,
@@ -47,7 +47,7 @@ pub fn above_zero<T: PartialOrd + Display + Default>(
 ///
 /// # Errors
 /// Returns a [`FieldError`] that names the field.
-pub fn zero_or_more(pointer: &str, value: f64) -> Result<(), FieldError> {
+pub fn check_zero_or_more(pointer: &str, value: f64) -> Result<(), FieldError> {
     match value.is_finite() && value >= 0.0 {
         true => Ok(()),
         false => Err(FieldError::new(pointer, "must be 0 or more")),
@@ -58,7 +58,7 @@ pub fn zero_or_more(pointer: &str, value: f64) -> Result<(), FieldError> {
 ///
 /// # Errors
 /// Returns a [`FieldError`] that names the field.
-pub fn finite(pointer: &str, value: f64) -> Result<(), FieldError> {
+pub fn check_finite(pointer: &str, value: f64) -> Result<(), FieldError> {
     match value.is_finite() {
         true => Ok(()),
         false => Err(FieldError::new(pointer, "must be a finite number")),
@@ -69,7 +69,7 @@ pub fn finite(pointer: &str, value: f64) -> Result<(), FieldError> {
 ///
 /// # Errors
 /// Returns a [`FieldError`] that names the field.
-pub fn coordinates(pointer: &str, values: &[f64]) -> Result<(), FieldError> {
+pub fn check_coordinates(pointer: &str, values: &[f64]) -> Result<(), FieldError> {
     match values.iter().all(|value| value.abs() <= FARTHEST) {
         true => Ok(()),
         false => Err(FieldError::new(pointer, "must be within a billion of the origin")),
@@ -83,15 +83,20 @@ mod tests {
     #[test]
     fn what_is_no_number_is_in_no_range() {
         for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0] {
-            assert!(zero_or_more("/x", value).is_err(), "{value}");
-            assert!(above_zero("/x", value, f64::MAX).is_err(), "{value}");
-            assert!(in_range("/x", value, 0.0..=f64::MAX).is_err(), "{value}");
+            assert!(check_zero_or_more("/x", value).is_err(), "{value}");
+            assert!(check_above_zero("/x", value, f64::MAX).is_err(), "{value}");
+            assert!(check_in_range("/x", value, 0.0..=f64::MAX).is_err(), "{value}");
         }
         for value in [f64::NAN, f64::INFINITY, 1e10] {
-            assert!(coordinates("/x", &[0.0, value]).is_err(), "{value}");
+            assert!(check_coordinates("/x", &[0.0, value]).is_err(), "{value}");
         }
-        assert!(finite("/x", f64::from(f32::INFINITY)).is_err() && finite("/x", -1e300).is_ok());
-        assert!(above_zero("/x", 0.0, 1.0).is_err() && above_zero("/x", 1.0, 1.0).is_ok());
-        assert_eq!(in_range("/x", 3, 1..=2).unwrap_err().to_string(), "/x: must be 1 to 2");
+        assert!(
+            check_finite("/x", f64::from(f32::INFINITY)).is_err()
+                && check_finite("/x", -1e300).is_ok()
+        );
+        assert!(
+            check_above_zero("/x", 0.0, 1.0).is_err() && check_above_zero("/x", 1.0, 1.0).is_ok()
+        );
+        assert_eq!(check_in_range("/x", 3, 1..=2).unwrap_err().to_string(), "/x: must be 1 to 2");
     }
 }

@@ -62,7 +62,7 @@ impl SceneToMap {
                 "must be a unit quaternion x, y, z, w",
             ));
         }
-        numbers::coordinates("/scene_to_map/translation_m", &self.translation_m)
+        numbers::check_coordinates("/scene_to_map/translation_m", &self.translation_m)
     }
 }
 
@@ -123,9 +123,9 @@ pub struct PlacedBox {
 impl SceneToFrame {
     /// Returns the transform to a scene's map.
     #[must_use]
-    pub fn to_map(to_map: &SceneToMap) -> Self {
+    pub fn scene_to_map(to_map: &SceneToMap) -> Self {
         Self {
-            rotation: told(&turn(to_map.rotation)),
+            rotation: from_unit_quaternion(&to_unit_quaternion(to_map.rotation)),
             translation: to_map.translation_m,
             scale: 1.0,
         }
@@ -133,13 +133,13 @@ impl SceneToFrame {
 
     /// Returns the transform to the uploaded files.
     #[must_use]
-    pub fn to_source(from_source: &SourceToScene) -> Self {
+    pub fn scene_to_source(from_source: &SourceToScene) -> Self {
         let rotation = Matrix3::from_fn(|row, column| from_source.rotation[row][column]);
         let back = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
             rotation.transpose(),
         ));
         Self {
-            rotation: told(&back),
+            rotation: from_unit_quaternion(&back),
             translation: from_source.invert([0.0; 3]),
             scale: 1.0 / from_source.metres_per_unit,
         }
@@ -148,52 +148,57 @@ impl SceneToFrame {
     /// Transforms a point from the scene to the other frame.
     #[must_use]
     pub fn apply(&self, scene: [f64; 3]) -> [f64; 3] {
-        (turn(self.rotation) * Vector3::from(scene) * self.scale + Vector3::from(self.translation))
-            .into()
+        (to_unit_quaternion(self.rotation) * Vector3::from(scene) * self.scale
+            + Vector3::from(self.translation))
+        .into()
     }
 
     /// Transforms a point from the other frame to the scene.
     #[must_use]
     pub fn invert(&self, other: [f64; 3]) -> [f64; 3] {
-        (turn(self.rotation).inverse()
+        (to_unit_quaternion(self.rotation).inverse()
             * ((Vector3::from(other) - Vector3::from(self.translation)) / self.scale))
             .into()
     }
 
     /// Transforms a box from the scene to the other frame.
     #[must_use]
-    pub fn place(&self, id: InstanceId, of: &OrientedBox) -> PlacedBox {
+    pub fn transform_box(&self, id: InstanceId, of: &OrientedBox) -> PlacedBox {
         PlacedBox {
             id,
             center: self.apply(of.center.coords.map(f64::from).into()),
             size: (of.size.map(f64::from) * self.scale).into(),
-            orientation: self.facing(f64::from(of.yaw_rad)),
+            orientation: self.orientation_of_yaw(f64::from(of.yaw_rad)),
         }
     }
 
     /// Returns the rotation of an upright object with a yaw in the scene, as a unit quaternion `x,
     /// y, z, w` in the other frame.
     #[must_use]
-    pub fn facing(&self, yaw_rad: f64) -> [f64; 4] {
-        told(&(turn(self.rotation) * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)))
+    pub fn orientation_of_yaw(&self, yaw_rad: f64) -> [f64; 4] {
+        from_unit_quaternion(
+            &(to_unit_quaternion(self.rotation)
+                * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)),
+        )
     }
 
     /// Transforms an observer from the other frame to the scene. If the frames are tilted, projects
     /// the view direction to the floor plane.
     #[must_use]
-    pub fn observer(&self, other: &Observer) -> Observer {
+    pub fn observer_to_scene(&self, other: &Observer) -> Observer {
         let yaw = f64::from(other.yaw_rad);
-        let looks = turn(self.rotation).inverse() * Vector3::new(yaw.cos(), yaw.sin(), 0.0);
+        let looks =
+            to_unit_quaternion(self.rotation).inverse() * Vector3::new(yaw.cos(), yaw.sin(), 0.0);
         Observer { position: self.invert(other.position), yaw_rad: looks.y.atan2(looks.x) as f32 }
     }
 }
 
-fn turn([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
+fn to_unit_quaternion([x, y, z, w]: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
 }
 
 /// Returns the quaternion as `x, y, z, w`, with the sign that makes `w` positive.
-fn told(turn: &UnitQuaternion<f64>) -> [f64; 4] {
+fn from_unit_quaternion(turn: &UnitQuaternion<f64>) -> [f64; 4] {
     let sign = if turn.w < 0.0 { -1.0 } else { 1.0 };
     [turn.i, turn.j, turn.k, turn.w].map(|v| sign * v + 0.0)
 }
@@ -214,7 +219,7 @@ mod tests {
     #[test]
     fn a_map_turned_by_a_quarter_has_things_where_a_robot_finds_them() {
         // The scene's X is the map's Y.
-        let map = SceneToFrame::to_map(&SceneToMap {
+        let map = SceneToFrame::scene_to_map(&SceneToMap {
             rotation: [0.0, 0.0, S, S],
             translation_m: [10.0, 0.0, 0.5],
         });
@@ -224,14 +229,15 @@ mod tests {
             size: nalgebra::Vector3::new(2.0, 1.0, 0.5),
             yaw_rad: 0.0,
         };
-        let placed = map.place(InstanceId(3), &turned);
+        let placed = map.transform_box(InstanceId(3), &turned);
         assert!(
             near(placed.center, [8.0, 1.0, 0.5], 1e-6)
                 && near(placed.orientation, [0.0, 0.0, S, S], 1e-6),
             "{placed:?}"
         );
         // Looking along the map's Y is looking along the scene's X.
-        let observer = map.observer(&Observer { position: [10.0, 1.0, 1.5], yaw_rad: FRAC_PI_2 });
+        let observer =
+            map.observer_to_scene(&Observer { position: [10.0, 1.0, 1.5], yaw_rad: FRAC_PI_2 });
         assert!(
             near(observer.position, [1.0, 0.0, 1.0], 1e-5) && observer.yaw_rad.abs() < 1e-6,
             "{observer:?}"
@@ -245,13 +251,13 @@ mod tests {
             translation_m: [-500_000.0, 2.0, 0.0],
             metres_per_unit: 0.001,
         };
-        let back = SceneToFrame::to_source(&source);
+        let back = SceneToFrame::scene_to_source(&source);
         assert!(near(
             back.apply(source.apply([500_000_123.0, 40.0, -7.0])),
             [500_000_123.0, 40.0, -7.0],
             1e-4
         ));
-        let placed = back.place(
+        let placed = back.transform_box(
             InstanceId(1),
             &OrientedBox {
                 center: Point3::origin(),
@@ -284,13 +290,13 @@ mod tests {
         fn a_placed_box_is_the_same_box(q in prop::array::uniform4(-1.0..1.0_f64), t in prop::array::uniform3(-1e3..1e3_f64), yaw in -0.7..0.7_f32) {
             prop_assume!(q.iter().map(|v| v * v).sum::<f64>() > 0.1);
             let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
-            let map = SceneToFrame::to_map(&SceneToMap { rotation: q.map(|v| v / length), translation_m: t });
+            let map = SceneToFrame::scene_to_map(&SceneToMap { rotation: q.map(|v| v / length), translation_m: t });
             let of = OrientedBox { center: Point3::new(1.0, -2.0, 0.5), size: nalgebra::Vector3::new(2.0, 1.0, 0.5), yaw_rad: yaw };
-            let placed = map.place(InstanceId(1), &of);
+            let placed = map.transform_box(InstanceId(1), &of);
             let own = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::from(yaw));
             let half = of.size.map(f64::from) / 2.0;
             let corner = map.apply((own * half + of.center.coords.map(f64::from)).into());
-            let again = turn(placed.orientation) * (Vector3::from(placed.size) / 2.0) + Vector3::from(placed.center);
+            let again = to_unit_quaternion(placed.orientation) * (Vector3::from(placed.size) / 2.0) + Vector3::from(placed.center);
             prop_assert!(near(corner, again.into(), 1e-9));
             prop_assert!(near(map.invert(corner), (own * half + of.center.coords.map(f64::from)).into(), 1e-9));
         }

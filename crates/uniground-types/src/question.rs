@@ -53,7 +53,7 @@ pub enum ParserChoice {
 impl ParserChoice {
     /// Returns the effective parser. `auto` becomes `builtin` if the reasoner is `builtin`.
     #[must_use]
-    pub fn beside(self, reasoner: ReasonerChoice) -> Self {
+    pub fn resolve_for(self, reasoner: ReasonerChoice) -> Self {
         match (self, reasoner) {
             (Self::Auto, ReasonerChoice::Builtin) => Self::Builtin,
             (choice, _) => choice,
@@ -158,7 +158,7 @@ impl EvidenceMode {
     /// Returns the number of candidates for a `top_k`. With contact sheets it is at least their
     /// capacity.
     #[must_use]
-    pub fn candidates(self, top_k: u32) -> u32 {
+    pub fn candidate_limit(self, top_k: u32) -> u32 {
         match self {
             Self::Full | Self::CachedNames => top_k,
             Self::Sheet | Self::TwoStep => top_k.max(ON_SHEETS),
@@ -294,7 +294,7 @@ pub struct ShortlistRequest {
     #[serde(default)]
     pub query_text: QueryText,
     /// Source of the candidates. Default: `encoder`, if one has processed the scene.
-    #[serde(default = "by_encoder")]
+    #[serde(default = "default_candidate_source")]
     #[cfg_attr(feature = "openapi", schema(default = "encoder"))]
     pub candidates: CandidateSource,
     /// Whether scores are likelihoods against a vocabulary instead of cosines. Default: `false`.
@@ -316,20 +316,20 @@ impl ShortlistRequest {
 
     /// Creates a query with default options.
     #[must_use]
-    pub fn of(query: impl Into<String>) -> Self {
+    pub fn new(query: impl Into<String>) -> Self {
         let (query, top_k) = (query.into(), default_top_k());
         Self {
             query,
             top_k,
             query_text: QueryText::default(),
-            candidates: by_encoder(),
+            candidates: default_candidate_source(),
             calibrated: false,
             allow_builtin: false,
         }
     }
 }
 
-fn by_encoder() -> CandidateSource {
+fn default_candidate_source() -> CandidateSource {
     CandidateSource::Encoder
 }
 
@@ -340,7 +340,7 @@ fn default_top_k() -> u32 {
 impl GroundRequest {
     /// Creates a question with default options.
     #[must_use]
-    pub fn of(query: impl Into<String>) -> Self {
+    pub fn new(query: impl Into<String>) -> Self {
         Self {
             query: query.into(),
             top_k: default_top_k(),
@@ -368,14 +368,16 @@ impl GroundRequest {
         check_query(&self.query)?;
         check_top_k(self.top_k)?;
         if let Some(Observer { position, yaw_rad }) = &self.observer {
-            numbers::coordinates("/observer/position", position)?;
-            numbers::finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
+            numbers::check_coordinates("/observer/position", position)?;
+            numbers::check_finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
         }
         self.min_confidence
-            .map_or(Ok(()), |least| numbers::in_range("/min_confidence", least, 0.0..=1.0))?;
-        self.max_cost_usd.map_or(Ok(()), |usd| numbers::zero_or_more("/max_cost_usd", usd))?;
-        self.timeout_s
-            .map_or(Ok(()), |seconds| numbers::above_zero("/timeout_s", seconds, MAX_TIMEOUT_S))
+            .map_or(Ok(()), |least| numbers::check_in_range("/min_confidence", least, 0.0..=1.0))?;
+        self.max_cost_usd
+            .map_or(Ok(()), |usd| numbers::check_zero_or_more("/max_cost_usd", usd))?;
+        self.timeout_s.map_or(Ok(()), |seconds| {
+            numbers::check_above_zero("/timeout_s", seconds, MAX_TIMEOUT_S)
+        })
     }
 }
 

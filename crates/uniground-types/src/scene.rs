@@ -48,7 +48,7 @@ pub enum Level {
 impl Level {
     /// Returns the name in the API: `thing`, `part`, `whole`.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Thing => "thing",
             Self::Part => "part",
@@ -73,7 +73,7 @@ pub enum Structure {
 impl Structure {
     /// Returns the name in the API: `floor`, `ceiling`, `wall`.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Floor => "floor",
             Self::Ceiling => "ceiling",

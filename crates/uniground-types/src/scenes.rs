@@ -118,11 +118,19 @@ pub struct SceneChange {
     /// Transform from the scene to a map. Questions can then request boxes in the map. `null`
     /// removes it.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<SceneToMap>))]
-    #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "deserialize_nullable",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub scene_to_map: Option<Option<SceneToMap>>,
     /// Name of the map frame in tf, 1 to 200 characters. `null` removes it.
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>, min_length = 1, max_length = 200, example = "map"))]
-    #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "deserialize_nullable",
+        skip_serializing_if = "Option::is_none"
+    )]
     pub map_frame_id: Option<Option<String>>,
     /// Labels. They replace all existing labels. At most 20; names of 1 to 63 letters, digits, `.`,
     /// `_`, `-` and `/`, values of 1 to 100 characters without commas.
@@ -131,7 +139,7 @@ pub struct SceneChange {
 }
 
 /// Deserializes a field so that `null` and an omitted field differ.
-fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+fn deserialize_nullable<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Option<T>, D::Error> {
     T::deserialize(deserializer).map(Some)
@@ -154,7 +162,7 @@ pub struct ImportRequest {
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
     pub name: Option<String>,
     /// `false` stores the scan without parsing it. Default: `true`.
-    #[serde(default = "yes")]
+    #[serde(default = "default_true")]
     #[cfg_attr(feature = "openapi", schema(default = true))]
     pub parse: bool,
     /// Axis of the files that points up, for scans that do not state it. Default: the axis that the
@@ -173,14 +181,14 @@ pub struct ImportRequest {
     pub preset: ParsePreset,
 }
 
-fn yes() -> bool {
+fn default_true() -> bool {
     true
 }
 
 impl ImportRequest {
     /// Creates a request for a file or folder with default options.
     #[must_use]
-    pub fn of(path: impl Into<String>) -> Self {
+    pub fn from_path(path: impl Into<String>) -> Self {
         Self {
             path: path.into(),
             name: None,

@@ -22,20 +22,20 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
     let mut listed = Vec::new();
     for (i, frame) in frames.iter().enumerate() {
         let ending = if frame.optics == Optics::default() {
-            frame.colour.extension().unwrap_or("jpg")
+            frame.color.extension().unwrap_or("jpg")
         } else {
             "png"
         };
-        let (colour, depth, pose) =
+        let (color, depth, pose) =
             (format!("color/{i}.{ending}"), format!("depth/{i}.png"), format!("pose/{i}.txt"));
         // Pictures without lens distortion are copied, not encoded again.
-        let bytes = match &frame.optics.colour_lens {
-            None if ending != "png" || frame.colour.extension() == Some("png") => {
-                fs::read(&frame.colour)?
+        let bytes = match &frame.optics.color_lens {
+            None if ending != "png" || frame.color.extension() == Some("png") => {
+                fs::read(&frame.color)?
             }
-            _ => encode_png(frame.decode_colour()?.into())?,
+            _ => encode_png(frame.decode_color()?.into())?,
         };
-        put(&colour, &bytes)?;
+        put(&color, &bytes)?;
         let measured = frame.decode_depth()?;
         let units = measured
             .depth_m
@@ -56,8 +56,8 @@ pub(super) fn write(out: &Utf8Path, frames: &[FrameRef], cloud: &PointCloud) -> 
             m.row_iter().map(|r| format!("{} {} {} {}\n", r[0], r[1], r[2], r[3])).collect();
         put(&pose, rows.as_bytes())?;
         listed.push(json!({
-            "color": colour, "depth": depth, "pose": pose,
-            "intrinsics": camera_json(&frame.colour_intrinsics), "depth_intrinsics": camera_json(&frame.depth_intrinsics),
+            "color": color, "depth": depth, "pose": pose,
+            "intrinsics": camera_json(&frame.color_intrinsics), "depth_intrinsics": camera_json(&frame.depth_intrinsics),
         }));
     }
     let mut ply = Vec::new();

@@ -40,7 +40,7 @@ pub(super) fn render(
 
 /// Renders a few frames spread over the scan. Frames that cannot be decoded stay white.
 pub(super) fn contact_sheet(frames: &[FrameRef]) -> Option<RgbImage> {
-    let first = frames.first()?.colour_intrinsics;
+    let first = frames.first()?.color_intrinsics;
     let height = (WIDTH * first.height / first.width.max(1)).clamp(1, 4 * WIDTH);
     let shown = FRAMES.min(frames.len());
     let rows = (shown as u32).div_ceil(COLUMNS);
@@ -51,7 +51,7 @@ pub(super) fn contact_sheet(frames: &[FrameRef]) -> Option<RgbImage> {
     );
     for k in 0..shown {
         let frame = &frames[frames.len() * (2 * k + 1) / (2 * shown)];
-        let Ok(picture) = frame.decode_colour() else { continue };
+        let Ok(picture) = frame.decode_color() else { continue };
         let (column, row) = (k as u32 % COLUMNS, k as u32 / COLUMNS);
         replace(
             &mut sheet,

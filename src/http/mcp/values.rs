@@ -76,7 +76,7 @@ pub(super) struct Ground {
 impl Ground {
     pub fn into_request(self) -> (String, GroundRequest) {
         let Self { scene_id, query, observer, frame } = self;
-        (scene_id, GroundRequest { observer, frame, ..GroundRequest::of(query) })
+        (scene_id, GroundRequest { observer, frame, ..GroundRequest::new(query) })
     }
 }
 
@@ -154,7 +154,7 @@ pub(super) struct FindInScenes {
 impl FindInScenes {
     pub fn into_request(self) -> ManyGroundRequest {
         let Self { query, labels } = self;
-        ManyGroundRequest { labels, ..ManyGroundRequest::of(query) }
+        ManyGroundRequest { labels, ..ManyGroundRequest::new(query) }
     }
 }
 
@@ -303,7 +303,7 @@ pub(super) struct Approach {
 impl Approach {
     pub fn into_request(self) -> (String, ApproachRequest) {
         let Self { scene_id, instance_id, query, robot, from, frame } = self;
-        let any = ApproachRequest::to(InstanceId(0), robot);
+        let any = ApproachRequest::for_instance(InstanceId(0), robot);
         (
             scene_id,
             ApproachRequest { instance_id: instance_id.map(InstanceId), query, from, frame, ..any },

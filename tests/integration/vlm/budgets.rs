@@ -30,7 +30,7 @@ async fn a_search_over_many_scenes_asks_the_model_within_the_question_budget() {
         let request = ManyGroundRequest {
             reasoner: ReasonerChoice::Vlm,
             max_cost_usd: usd,
-            ..ManyGroundRequest::of(QUERY)
+            ..ManyGroundRequest::new(QUERY)
         };
         server.client.ground_many(&request).await
     };

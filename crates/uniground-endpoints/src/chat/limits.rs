@@ -9,7 +9,7 @@ use image::RgbImage;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::time::Duration;
-use uniground_render::jpeg;
+use uniground_render::encode_jpeg;
 
 /// Tokens of a question with five candidates, for models with one token per 28 x 28 pixels: a
 /// render, seven collages, two photographs, the text, and a reply.
@@ -75,8 +75,10 @@ impl ChatClient {
     /// Checks whether a vLLM server refuses a question's number of pictures, by a request with tiny
     /// pictures and one token of reply.
     async fn picture_limit_advice(&self) -> Option<String> {
-        let picture =
-            format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg(&RgbImage::new(56, 56))));
+        let picture = format!(
+            "data:image/jpeg;base64,{}",
+            STANDARD.encode(encode_jpeg(&RgbImage::new(56, 56)))
+        );
         let pictures = (0..QUESTION_PICTURES)
             .map(|_| json!({"type": "image_url", "image_url": {"url": picture}}));
         let content: Vec<Value> = pictures.chain([json!({"type": "text", "text": "?"})]).collect();

@@ -233,12 +233,12 @@ impl ChatClient {
                     let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
                     let prompt_tokens = plausible_token_count(
                         prompt_tokens,
-                        Tokens::of(request).total(),
+                        Tokens::estimate(request).total(),
                         MAX_PROMPT_FACTOR,
                     );
                     let completion_tokens = plausible_token_count(
                         completion_tokens,
-                        Tokens::of_text(&text),
+                        Tokens::estimate_text(&text),
                         MAX_COMPLETION_FACTOR,
                     );
                     return Ok(ChatReply {

@@ -16,7 +16,7 @@ use std::time::Duration;
 use uniground_client::install_crypto_provider;
 use uniground_models::neural::bundle::Bundle;
 use uniground_models::neural::network::{
-    Element, Input, Network, Port, Signature, Tensor, Values, finite,
+    Element, Input, Network, Port, Signature, Tensor, Values, check_finite,
 };
 use uniground_models::neural::{Engine, ModelError, Work};
 use uniground_models::with_causes;
@@ -197,7 +197,7 @@ impl Network for RemoteNetwork {
         let answer = self.send_request(inputs, outputs).map_err(&wrong)?;
         let made = read_answer(answer, outputs).map_err(&wrong)?;
         for (tensor, name) in made.iter().zip(outputs) {
-            finite(&self.name, name, &tensor.values)?;
+            check_finite(&self.name, name, &tensor.values)?;
         }
         Ok(made)
     }

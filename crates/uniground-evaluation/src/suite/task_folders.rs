@@ -145,7 +145,7 @@ fn read_candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
             rotated: None,
             cloud_points: 0,
             mean_rgb: None,
-            colours: Vec::new(),
+            colors: Vec::new(),
             seen_as: None,
         });
     }

@@ -30,7 +30,7 @@ use uniground_grounding::{Question, ShortlistScoring};
 use uniground_ingest::ScanFolder;
 use uniground_language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_models::attributes;
-use uniground_models::chat::{Budget, ChatModel, usage_of};
+use uniground_models::chat::{Budget, ChatModel, total_usage};
 use uniground_models::neural::{Models as NeuralModels, Role};
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{ParsedScan, parse_scan};
@@ -111,7 +111,7 @@ impl InProcess {
 
     /// Returns the stored stages of one scan's parses.
     fn checkpoints(&self, scan: &Utf8Path, import: &ImportSettings) -> anyhow::Result<Checkpoints> {
-        let Some(parses) = &self.parses else { return Ok(Checkpoints::none()) };
+        let Some(parses) = &self.parses else { return Ok(Checkpoints::disabled()) };
         let mut hasher = Sha256::new();
         digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
         let content = digest::short_hex(hasher);
@@ -122,7 +122,7 @@ impl InProcess {
         for entry in parses.read_dir_utf8()?.flatten().filter(|entry| entry.path() != own) {
             fs::remove_dir_all(entry.path()).with_context(|| entry.path().to_string())?;
         }
-        Ok(Checkpoints::kept_in(&folder, &serde_json::to_string(&(content, import))?))
+        Ok(Checkpoints::in_folder(&folder, &serde_json::to_string(&(content, import))?))
     }
 
     /// Returns the models of a configuration, loaded once.
@@ -196,7 +196,7 @@ impl System for InProcess {
         } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
-                let folder = ScanFolder::of(scan)?;
+                let folder = ScanFolder::open(scan)?;
                 let ParsedScan { scene, models, frames, .. } = parse_scan(
                     &folder.path,
                     &settings,
@@ -242,7 +242,7 @@ impl System for InProcess {
             .unwrap_or_else(|| attributes::NAME.into());
         let album = SceneAlbum::new(
             extent,
-            RenderScene::of_parsed(cloud, &instances),
+            RenderScene::with_building(cloud, &instances),
             models.encoder.zip(embeddings),
             encoder,
             frames,
@@ -285,7 +285,7 @@ fn build_known_instances(
     settings: &ParseSettings,
     with_views: bool,
 ) -> anyhow::Result<OpenedScene> {
-    let folder = scene.scan.as_deref().map(ScanFolder::of).transpose()?;
+    let folder = scene.scan.as_deref().map(ScanFolder::open).transpose()?;
     let bundle = match &folder {
         Some(folder) => Some(uniground_ingest::load(
             &uniground_ingest::open(&folder.path)?,
@@ -340,7 +340,7 @@ impl OpenScene for LocalScene {
         };
         let question = Question {
             query: expression.query.clone(),
-            top_k: configuration.evidence.candidates(configuration.top_k) as usize,
+            top_k: configuration.evidence.candidate_limit(configuration.top_k) as usize,
             convention: configuration.convention,
             observer: None,
             target_name: hints.and_then(|hints| hints.target_name.clone()),
@@ -375,7 +375,7 @@ impl OpenScene for LocalScene {
             candidates: grounding.candidates,
             shortlist: shortlist.candidates.iter().map(|c| c.aabb).collect(),
             models: Models { masks: self.masks.clone(), encoder, parser, names: None, reasoner },
-            usage: usage_of(&calls),
+            usage: total_usage(&calls),
             latency_ms,
         })
     }
@@ -417,7 +417,7 @@ fn answer(
 ) -> anyhow::Result<Answered> {
     let model = vlm.map(|vlm| VlmParser { model: vlm.model.clone(), budgets: vlm.budgets.clone() });
     let parser: Arc<dyn QueryParser> =
-        match (configuration.parser.beside(configuration.reasoner), model) {
+        match (configuration.parser.resolve_for(configuration.reasoner), model) {
             (ParserChoice::Vlm, Some(model)) => Arc::new(model),
             (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
             (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),

@@ -2,7 +2,7 @@
 
 use crate::annotations::{Annotations, SceneObject};
 use uniground_geometry::boxes::OrientedBox;
-use uniground_geometry::colour::ColourHistogram;
+use uniground_geometry::color::ColorHistogram;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     DepthCache, Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure,
@@ -12,11 +12,11 @@ use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::DualEncoder;
 use uniground_models::{attributes, calibration};
 use uniground_parsing::appearance;
-use uniground_parsing::instances::{Body, planarity, supports};
+use uniground_parsing::instances::{Body, planarity, find_supports};
 use uniground_parsing::labels::Labels;
 use uniground_parsing::lifting::MasksOfFrames;
 use uniground_parsing::sharpness::SharpnessOfFrames;
-use uniground_parsing::views::LabelledPoints;
+use uniground_parsing::views::LabeledPoints;
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{ParseError, ParsingSettings, views};
 
@@ -46,20 +46,20 @@ pub fn instances_of(
     for (i, label) in label_of_point.iter().enumerate() {
         if let Some(Ok(object)) = label.map(|label| objects.binary_search_by_key(&label, |o| o.id))
         {
-            colors[object].push(cloud.colours[i]);
+            colors[object].push(cloud.colors[i]);
             points[object].push(cloud.positions[i]);
         }
     }
     let structures: Vec<Option<Structure>> = objects.iter().map(SceneObject::structure).collect();
     let bodies: Vec<Body> =
-        objects.iter().map(|o| Body::of_box(o.aabb, &oriented_box_of(o))).collect();
+        objects.iter().map(|o| Body::from_box(o.aabb, &oriented_box_of(o))).collect();
     let floor =
         objects.iter().find(|o| o.structure() == Some(Structure::Floor)).map(|o| o.aabb.max().z);
     let floor_z = floor
         .or_else(|| objects.iter().map(|o| o.aabb.min().z).min_by(f32::total_cmp))
         .unwrap_or(0.0);
     // Silent progress cannot be cancelled.
-    let supports = supports(&bodies, &structures, floor_z, &Progress::silent())
+    let supports = find_supports(&bodies, &structures, floor_z, &Progress::silent())
         .unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
     let build = |(i, object): (usize, &SceneObject)| {
         let seen = &colors[i];
@@ -69,12 +69,12 @@ pub fn instances_of(
             oriented_box: oriented_box_of(object),
             point_count: seen.len() as u32,
             mean_rgb,
-            colours: if names == NamedBy::Annotated && !object.colours.is_empty() {
-                ColourHistogram::even(&object.colours)
+            colors: if names == NamedBy::Annotated && !object.colors.is_empty() {
+                ColorHistogram::uniform(&object.colors)
             } else if seen.is_empty() {
-                ColourHistogram::of([mean_rgb])
+                ColorHistogram::from_colors([mean_rgb])
             } else {
-                ColourHistogram::of(seen.iter().copied())
+                ColorHistogram::from_colors(seen.iter().copied())
             },
             planarity: if seen.is_empty() { UNKNOWN_PLANARITY } else { planarity(&points[i]) },
             structure: structures[i],
@@ -118,10 +118,10 @@ pub fn embed_and_name(
     settings: &ParsingSettings,
 ) -> Result<Embeddings, ParseError> {
     let (own, instance_of_point) = object_points(annotations, cloud);
-    let labels = Labels::of_things(&instance_of_point);
+    let labels = Labels::from_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
-    let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-    let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
+    let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
+    let rows = appearance::embed_known(frames, instances, labeled, encoder, &settings.appearance)?;
     Ok(calibration::name_all(instances, encoder, &rows)?)
 }
 
@@ -137,16 +137,16 @@ pub(super) fn choose_views(
     settings: &ParsingSettings,
 ) -> Result<(), ParseError> {
     let (own, instance_of_point) = object_points(annotations, cloud);
-    let labels = Labels::of_things(&instance_of_point);
+    let labels = Labels::from_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
-    let labelled = LabelledPoints { labels: &labels, visibility: &visibility };
-    let seen = views::all_sightings(
-        labelled,
+    let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
+    let seen = views::compute_sightings(
+        labeled,
         (frames, &DepthCache::new(0)),
         &MasksOfFrames::new(),
         &Progress::silent(),
     )?;
-    views::choose(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
+    views::choose_views(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
     Ok(())
 }
 
@@ -168,7 +168,7 @@ fn object_points(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, 
             label.map(|label| annotations.objects.binary_search_by_key(&label, |o| o.id))
         {
             own.positions.push(cloud.positions[i]);
-            own.colours.push(cloud.colours[i]);
+            own.colors.push(cloud.colors[i]);
             instance_of_point.push(InstanceId(object as u32 + 1));
         }
     }

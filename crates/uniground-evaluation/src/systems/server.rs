@@ -135,7 +135,7 @@ impl System for Server {
                 .context("the temporary folder is no text")?
                 .join("cloud.ply");
             fs::write(&file, cloud)?;
-            let render_scene = RenderScene::of(read_cloud(&file)?);
+            let render_scene = RenderScene::new(read_cloud(&file)?);
             let token = scene_token(&self.client.scene(&id).await?);
             let scene = RemoteScene {
                 token,
@@ -181,13 +181,13 @@ impl OpenScene for RemoteScene {
             direction_convention: *convention,
             // As measured in process: the report shows how reliable the confidences are.
             min_confidence: Some(0.0),
-            ..GroundRequest::of(&expression.query)
+            ..GroundRequest::new(&expression.query)
         };
         let shortlist = ShortlistRequest {
             top_k: SHORTLIST_DEPTH,
             candidates: *candidates,
             query_text: *query_text,
-            ..ShortlistRequest::of(&expression.query)
+            ..ShortlistRequest::new(&expression.query)
         };
         self.runtime.block_on(async {
             let start = Instant::now();
@@ -246,7 +246,7 @@ struct Archive {
 
 impl Archive {
     fn read(scan: &Utf8Path) -> anyhow::Result<Self> {
-        if let Some(kind) = ArchiveKind::of_file_name(scan.as_str()).filter(|_| scan.is_file()) {
+        if let Some(kind) = ArchiveKind::from_file_name(scan.as_str()).filter(|_| scan.is_file()) {
             return Ok(Self {
                 media_type: kind.media_type(),
                 path: scan.to_owned(),

@@ -43,15 +43,14 @@ impl Addition {
     /// Returns the cloud after the addition, given the previous one: remaining points, then new
     /// points.
     #[must_use]
-    pub fn applied_to(&self, before: &PointCloud) -> PointCloud {
+    pub fn apply_to(&self, before: &PointCloud) -> PointCloud {
         let kept = self.kept.iter().map(|&point| point as usize);
         let positions = kept
             .clone()
             .map(|point| before.positions[point])
             .chain(self.new.positions.iter().copied());
-        let colours =
-            kept.map(|point| before.colours[point]).chain(self.new.colours.iter().copied());
-        PointCloud { positions: positions.collect(), colours: colours.collect() }
+        let colors = kept.map(|point| before.colors[point]).chain(self.new.colors.iter().copied());
+        PointCloud { positions: positions.collect(), colors: colors.collect() }
     }
 
     /// Returns the same addition with the paths of its frames changed.
@@ -65,7 +64,7 @@ impl Addition {
 impl SceneBundle {
     /// Returns the report and the frames including all additions.
     #[must_use]
-    pub fn in_all(&self) -> (ImportReport, Vec<FrameRef>) {
+    pub fn combine_additions(&self) -> (ImportReport, Vec<FrameRef>) {
         let (mut report, mut frames) = (self.report.clone(), self.frames.clone());
         for addition in &self.additions {
             report.frames += addition.frames.len() as u32;

@@ -118,7 +118,7 @@ impl Camera {
     ///
     /// `center` and `radius_m` are in meters, world frame (Z up).
     #[must_use]
-    pub fn may_show(&self, center: &Point3<f32>, radius_m: f32) -> bool {
+    pub fn can_show(&self, center: &Point3<f32>, radius_m: f32) -> bool {
         let Intrinsics { width, height, fx, fy, cx, cy } = self.intrinsics;
         let c = self.world_to_own * center;
         // Margin for rounding, which grows with the distance.
@@ -194,10 +194,10 @@ mod tests {
             let center = Point3::from(center);
             let within = Vector3::from(within);
             let point = center + within * (radius_m / within.norm().max(1.0));
-            prop_assert!(camera.project(&point).is_none() || camera.may_show(&center, radius_m));
+            prop_assert!(camera.project(&point).is_none() || camera.can_show(&center, radius_m));
             // A ball well behind or beside the camera is skipped.
-            prop_assert!(!camera.may_show(&Point3::new(0.3, -0.2, 0.4 - radius_m), radius_m * 0.9));
-            prop_assert!(!camera.may_show(&Point3::new(5.0, -0.2, 1.5), 1.0));
+            prop_assert!(!camera.can_show(&Point3::new(0.3, -0.2, 0.4 - radius_m), radius_m * 0.9));
+            prop_assert!(!camera.can_show(&Point3::new(5.0, -0.2, 1.5), 1.0));
         }
 
         #[test]

@@ -24,7 +24,7 @@ impl CellMask {
 
     /// Creates a mask of the cells (column, row) for which `inside` is true.
     #[must_use]
-    pub fn of(columns: u32, rows: u32, inside: impl Fn(u32, u32) -> bool) -> Self {
+    pub fn from_fn(columns: u32, rows: u32, inside: impl Fn(u32, u32) -> bool) -> Self {
         let mut mask = Self::empty(columns, rows);
         for (row, bits) in (0..).zip(&mut mask.rows) {
             *bits = (0..mask.columns)
@@ -49,7 +49,7 @@ impl CellMask {
 
     /// Whether a cell belongs to the mask.
     #[must_use]
-    pub fn has(&self, column: u32, row: u32) -> bool {
+    pub fn is_set(&self, column: u32, row: u32) -> bool {
         column < self.columns
             && self.rows.get(row as usize).is_some_and(|bits| bits >> column & 1 == 1)
     }
@@ -68,7 +68,7 @@ impl CellMask {
 
     /// Returns the union of both masks; `other` must have the same size.
     #[must_use]
-    pub fn joined(&self, other: &Self) -> Self {
+    pub fn union(&self, other: &Self) -> Self {
         Self {
             columns: self.columns,
             rows: self.rows.iter().zip(&other.rows).map(|(a, b)| a | b).collect(),
@@ -78,13 +78,13 @@ impl CellMask {
     /// Whether a position, given as shares of the box, belongs to the mask. Interpolates the
     /// nearest cells, so that the outline has no steps.
     #[must_use]
-    pub fn covers(&self, (x, y): (f32, f32)) -> bool {
+    pub fn contains(&self, (x, y): (f32, f32)) -> bool {
         let (columns, rows) = self.size();
         let (x, y) = (x * columns as f32 - 0.5, y * rows as f32 - 0.5);
         let (left, top) = (x.floor(), y.floor());
         let (right_share, low_share) = (x - left, y - top);
         let at = |column: f32, row: f32| {
-            let known = column >= 0.0 && row >= 0.0 && self.has(column as u32, row as u32);
+            let known = column >= 0.0 && row >= 0.0 && self.is_set(column as u32, row as u32);
             f32::from(u8::from(known))
         };
         let upper = at(left, top) * (1.0 - right_share) + at(left + 1.0, top) * right_share;
@@ -95,8 +95,8 @@ impl CellMask {
 
     /// Closes gaps of a cell or two: grows by one cell all round, then shrinks again.
     #[must_use]
-    pub fn closed(&self) -> Self {
-        let all = self.all();
+    pub fn close_gaps(&self) -> Self {
+        let all = self.full_row();
         let grown = Self { columns: self.columns, rows: grow(&self.rows, all) };
         // The mask does not shrink at the border of the box.
         let outside: Vec<u64> = grown.rows.iter().map(|bits| !bits & all).collect();
@@ -110,8 +110,8 @@ impl CellMask {
 
     /// Fills holes: cells that cannot be reached from the border of the box.
     #[must_use]
-    pub fn filled(&self) -> Self {
-        let all = self.all();
+    pub fn fill_holes(&self) -> Self {
+        let all = self.full_row();
         let free: Vec<u64> = self.rows.iter().map(|bits| !bits & all).collect();
         let last = self.rows.len() - 1;
         let rim =
@@ -123,7 +123,7 @@ impl CellMask {
 
     /// Removes pieces that have less than this share of the cells.
     #[must_use]
-    pub fn without_crumbs(&self, least: f32) -> Self {
+    pub fn without_small_pieces(&self, least: f32) -> Self {
         let least = self.count() as f32 * least;
         let mut left = self.rows.clone();
         let mut rows = vec![0; left.len()];
@@ -142,11 +142,11 @@ impl CellMask {
 
     /// Serializes the mask as a string.
     #[must_use]
-    pub fn packed(&self) -> ViewMask {
+    pub fn to_view_mask(&self) -> ViewMask {
         let (columns, rows) = self.size();
         // Runs go down the columns and begin with cells outside the mask.
         let cells: Vec<bool> = (0..columns)
-            .flat_map(|column| (0..rows).map(move |row| self.has(column, row)))
+            .flat_map(|column| (0..rows).map(move |row| self.is_set(column, row)))
             .collect();
         let mut runs: Vec<i32> =
             cells.chunk_by(|a, b| a == b).map(|run| run.len() as i32).collect();
@@ -169,9 +169,9 @@ impl CellMask {
         ViewMask { size: [rows, columns], counts }
     }
 
-    /// Reads what [`packed`](Self::packed) wrote; `None` for anything else.
+    /// Reads what [`to_view_mask`](Self::to_view_mask) wrote; `None` for anything else.
     #[must_use]
-    pub fn unpacked(written: &ViewMask) -> Option<Self> {
+    pub fn from_view_mask(written: &ViewMask) -> Option<Self> {
         let ViewMask { size: [rows, columns], counts } = written;
         let sizes = 1..=Self::MAX_CELLS;
         if !sizes.contains(rows) || !sizes.contains(columns) {
@@ -200,11 +200,11 @@ impl CellMask {
             .zip(inside)
             .flat_map(|(run, inside)| std::iter::repeat_n(inside, *run as usize))
             .collect();
-        Some(Self::of(*columns, *rows, |column, row| cells[(column * rows + row) as usize]))
+        Some(Self::from_fn(*columns, *rows, |column, row| cells[(column * rows + row) as usize]))
     }
 
     /// A full row.
-    fn all(&self) -> u64 {
+    fn full_row(&self) -> u64 {
         u64::MAX >> (Self::MAX_CELLS - self.columns)
     }
 }
@@ -259,7 +259,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn drawn(rows: &[&str]) -> CellMask {
-        CellMask::of(rows[0].len() as u32, rows.len() as u32, |column, row| {
+        CellMask::from_fn(rows[0].len() as u32, rows.len() as u32, |column, row| {
             rows[row as usize].as_bytes()[column as usize] == b'#'
         })
     }
@@ -267,7 +267,7 @@ mod tests {
     fn any_mask() -> impl Strategy<Value = CellMask> {
         let rows = prop::collection::vec(any::<u64>(), 1..=64);
         (1..=64_u32, rows, any::<u64>()).prop_map(|(columns, rows, thin)| {
-            CellMask::of(columns, rows.len() as u32, |column, row| {
+            CellMask::from_fn(columns, rows.len() as u32, |column, row| {
                 rows[row as usize] & thin.rotate_left(row) | thin >> 3 & 1 << column != 0
             })
         })
@@ -276,20 +276,20 @@ mod tests {
     proptest! {
         #[test]
         fn what_is_written_down_is_read_again(mask in any_mask()) {
-            prop_assert_eq!(CellMask::unpacked(&mask.packed()), Some(mask));
+            prop_assert_eq!(CellMask::from_view_mask(&mask.to_view_mask()), Some(mask));
         }
 
         #[test]
         fn closing_and_filling_take_nothing_away(mask in any_mask()) {
-            let (closed, filled) = (mask.closed(), mask.filled());
-            prop_assert_eq!(&closed.joined(&mask), &closed);
-            prop_assert_eq!(&filled.joined(&mask), &filled);
-            prop_assert_eq!(&filled.filled(), &filled);
+            let (closed, filled) = (mask.close_gaps(), mask.fill_holes());
+            prop_assert_eq!(&closed.union(&mask), &closed);
+            prop_assert_eq!(&filled.union(&mask), &filled);
+            prop_assert_eq!(&filled.fill_holes(), &filled);
         }
 
         #[test]
         fn whatever_is_written_down_can_be_read_or_not(size in prop::array::uniform2(0..70_u32), counts in "[ -~]{0,40}") {
-            if let Some(mask) = CellMask::unpacked(&ViewMask { size, counts }) {
+            if let Some(mask) = CellMask::from_view_mask(&ViewMask { size, counts }) {
                 prop_assert_eq!([mask.size().1, mask.size().0], size);
             }
         }
@@ -299,34 +299,37 @@ mod tests {
     #[test]
     fn the_letters_are_those_of_coco() {
         let mask = drawn(&[".....", ".##..", ".#.#.", "....."]);
-        assert_eq!(mask.packed(), ViewMask { size: [4, 5], counts: "522O201".into() });
-        assert_eq!(drawn(&["#"]).packed().counts, "01");
+        assert_eq!(mask.to_view_mask(), ViewMask { size: [4, 5], counts: "522O201".into() });
+        assert_eq!(drawn(&["#"]).to_view_mask().counts, "01");
     }
 
     #[test]
     fn gaps_close_holes_fill_and_crumbs_go() {
-        assert_eq!(drawn(&["#.##", "#..#", "####"]).closed(), drawn(&["####", "####", "####"]));
+        assert_eq!(drawn(&["#.##", "#..#", "####"]).close_gaps(), drawn(&["####", "####", "####"]));
         assert_eq!(
-            drawn(&["#####", "#...#", "#...#", "#...#", "##.##"]).closed(),
+            drawn(&["#####", "#...#", "#...#", "#...#", "##.##"]).close_gaps(),
             drawn(&["#####", "#...#", "#...#", "#...#", "#####"])
         );
-        assert_eq!(drawn(&["#####", "#...#", "#...#", "#####"]).filled(), drawn(&["#####"; 4]));
+        assert_eq!(drawn(&["#####", "#...#", "#...#", "#####"]).fill_holes(), drawn(&["#####"; 4]));
         assert_eq!(
-            drawn(&["###", "#.#", "#.#"]).filled(),
+            drawn(&["###", "#.#", "#.#"]).fill_holes(),
             drawn(&["###", "#.#", "#.#"]),
             "open below"
         );
-        assert_eq!(drawn(&["###..", "###.#"]).without_crumbs(0.2), drawn(&["###..", "###.."]));
+        assert_eq!(
+            drawn(&["###..", "###.#"]).without_small_pieces(0.2),
+            drawn(&["###..", "###.."])
+        );
     }
 
     #[test]
     fn the_rim_runs_through_the_middle_between_cells() {
         let mask = drawn(&["##..", "##.."]);
         assert!(
-            mask.covers((0.01, 0.5))
-                && mask.covers((0.49, 0.5))
-                && !mask.covers((0.51, 0.5))
-                && !mask.covers((-0.1, 0.5))
+            mask.contains((0.01, 0.5))
+                && mask.contains((0.49, 0.5))
+                && !mask.contains((0.51, 0.5))
+                && !mask.contains((-0.1, 0.5))
         );
     }
 }

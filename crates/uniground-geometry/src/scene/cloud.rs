@@ -9,7 +9,7 @@ pub struct PointCloud {
     /// Coordinates, meters, Z up.
     pub positions: Vec<Point3<f32>>,
     /// 8-bit sRGB.
-    pub colours: Vec<[u8; 3]>,
+    pub colors: Vec<[u8; 3]>,
 }
 
 impl PointCloud {

@@ -11,38 +11,40 @@ pub fn correct(instances: &mut [Instance], corrections: &[Correction]) {
     for Correction { change, made, undone_at, .. } in corrections {
         if undone_at.is_some() {
             // The merged instance stays in the list, so that its id is never reused.
-            with(instances, made, |instance| instance.dismissed = true);
+            modify_instances(instances, made, |instance| instance.dismissed = true);
             continue;
         }
         match change {
             Change::Rename { instance_id, name } => {
-                with(instances, [instance_id], |instance| instance.given_name = Some(name.clone()));
+                modify_instances(instances, [instance_id], |instance| {
+                    instance.given_name = Some(name.clone())
+                });
             }
             Change::Dismiss { instance_ids } => {
-                with(instances, instance_ids, |instance| instance.dismissed = true);
+                modify_instances(instances, instance_ids, |instance| instance.dismissed = true);
             }
             Change::Merge { instance_ids, name } => {
                 // An instance created after the list was read is not in it yet.
                 let Some(made) = made.filter(|made| made.0 as usize <= instances.len()) else {
                     continue;
                 };
-                with(instances, [&made], |instance| {
+                modify_instances(instances, [&made], |instance| {
                     instance.given_name = name.clone().or(instance.given_name.take());
                 });
-                belong_to(instances, instance_ids, &[made]);
-                with(instances, instance_ids, |instance| {
+                reassign_members(instances, instance_ids, &[made]);
+                modify_instances(instances, instance_ids, |instance| {
                     instance.level = Level::Part;
                     instance.things = vec![made];
                 });
             }
             Change::Split { instance_id } => {
                 let parts = parts_of(instances, *instance_id);
-                with(instances, [instance_id], |instance| instance.dismissed = true);
-                with(instances, &parts, |instance| {
+                modify_instances(instances, [instance_id], |instance| instance.dismissed = true);
+                modify_instances(instances, &parts, |instance| {
                     instance.level = Level::Thing;
                     instance.things.clear();
                 });
-                belong_to(instances, &[*instance_id], &parts);
+                reassign_members(instances, &[*instance_id], &parts);
             }
         }
     }
@@ -58,7 +60,7 @@ pub fn parts_of(instances: &[Instance], thing: InstanceId) -> Vec<InstanceId> {
 /// Returns the best views of several instances together, best first. A frame that shows more than
 /// one of them appears once.
 #[must_use]
-pub fn views_of_all(instances: &[&Instance], most: usize) -> Vec<View> {
+pub fn merge_views(instances: &[&Instance], most: usize) -> Vec<View> {
     let mut by_frame: BTreeMap<_, View> = BTreeMap::new();
     for view in instances.iter().flat_map(|instance| &instance.views) {
         by_frame
@@ -82,7 +84,7 @@ pub fn views_of_all(instances: &[&Instance], most: usize) -> Vec<View> {
 }
 
 /// Modifies instances by their ids.
-fn with<'a>(
+fn modify_instances<'a>(
     instances: &mut [Instance],
     ids: impl IntoIterator<Item = &'a InstanceId>,
     mut change: impl FnMut(&mut Instance),
@@ -95,7 +97,7 @@ fn with<'a>(
 }
 
 /// Moves the parts and wholes of `before` to `now`.
-fn belong_to(instances: &mut [Instance], before: &[InstanceId], now: &[InstanceId]) {
+fn reassign_members(instances: &mut [Instance], before: &[InstanceId], now: &[InstanceId]) {
     for compound in
         instances.iter_mut().filter(|i| i.things.iter().any(|thing| before.contains(thing)))
     {
@@ -207,9 +209,9 @@ mod tests {
         let (mut a, mut b) = (room().remove(0), room().remove(1));
         a.views = vec![seen(7, 100, [10, 10, 20, 20]), seen(3, 50, [0, 0, 5, 5])];
         b.views = vec![seen(7, 30, [30, 5, 40, 15])];
-        let views = views_of_all(&[&a, &b], 3);
+        let views = merge_views(&[&a, &b], 3);
         assert_eq!(views[0], seen(7, 130, [10, 5, 40, 20]));
         assert_eq!(views.len(), 2);
-        assert_eq!(views_of_all(&[&a, &b], 1).len(), 1);
+        assert_eq!(merge_views(&[&a, &b], 1).len(), 1);
     }
 }

@@ -68,9 +68,9 @@ mod tests {
         let camera = Intrinsics { width: 2, height: 2, fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 };
         FrameRef {
             index: FrameIndex(index),
-            colour: folder.join("none.jpg"),
+            color: folder.join("none.jpg"),
             depth,
-            colour_intrinsics: camera,
+            color_intrinsics: camera,
             depth_intrinsics: camera,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),

@@ -1,7 +1,7 @@
 //! Reads depth pictures: gray pictures (PNG, PGM, TIFF) of 16 bits, or of 8 bits with a unit that
 //! reaches across a room, and floats (EXR, TIFF; compressed with LZFSE: Record3D).
 
-use super::float_pictures::{PixelValues, SingleChannelImage, read_grey};
+use super::float_pictures::{PixelValues, SingleChannelImage, read_grayscale};
 use super::{DepthImage, FrameError, FrameRef};
 use crate::MAX_COORDINATE_M;
 use camino::Utf8Path;
@@ -28,7 +28,7 @@ pub fn is_compressed_floats(file: &Utf8Path) -> io::Result<bool> {
 /// Reads the picture as stored, meters; 0 where the file has no valid distance. `size` is used for
 /// floats without a size of their own.
 pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, FrameError> {
-    let SingleChannelImage { size: (width, height), numbers } = numbers_of(frame, size)?;
+    let SingleChannelImage { size: (width, height), numbers } = read_numeric_picture(frame, size)?;
     let scale_m = frame.depth_scale_m;
     // Sensors write the largest integer where they measured nothing, or too far (7-Scenes, 3RScan).
     let depth_m = match numbers {
@@ -44,7 +44,10 @@ pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, Fra
             .map(|unit| if unit == u8::MAX { 0.0 } else { f32::from(unit) * scale_m })
             .collect(),
         PixelValues::Bytes(_) => {
-            return Err(not_depth(frame, "8-bit grey in units that do not reach a metre".into()));
+            return Err(not_depth_error(
+                frame,
+                "8-bit grey in units that do not reach a metre".into(),
+            ));
         }
     };
     Ok(DepthImage { width, height, depth_m })
@@ -55,17 +58,20 @@ fn distance_m(z: f32) -> f32 {
     if z > 0.0 && z <= MAX_COORDINATE_M { z } else { 0.0 }
 }
 
-fn numbers_of(frame: &FrameRef, size: (u32, u32)) -> Result<SingleChannelImage, FrameError> {
+fn read_numeric_picture(
+    frame: &FrameRef,
+    size: (u32, u32),
+) -> Result<SingleChannelImage, FrameError> {
     let unreadable = |source| FrameError::Unreadable {
         frame: frame.index,
-        file: super::frame::in_scene(&frame.depth),
+        file: super::frame::relative_name(&frame.depth),
         source,
     };
     if is_compressed_floats(&frame.depth).map_err(unreadable)? {
         let floats = read_floats(&frame.depth, size.0, size.1).map_err(unreadable)?;
         return Ok(SingleChannelImage { size, numbers: PixelValues::Floats(floats) });
     }
-    if let Some(grey) = read_grey(&frame.depth).map_err(unreadable)? {
+    if let Some(grey) = read_grayscale(&frame.depth).map_err(unreadable)? {
         return Ok(grey);
     }
     match frame.read_picture(&frame.depth)? {
@@ -78,12 +84,16 @@ fn numbers_of(frame: &FrameRef, size: (u32, u32)) -> Result<SingleChannelImage, 
             numbers: PixelValues::Bytes(image.into_raw()),
         }),
         // Distances encoded as mixed colors are not supported.
-        other => Err(not_depth(frame, format!("{:?}", other.color()))),
+        other => Err(not_depth_error(frame, format!("{:?}", other.color()))),
     }
 }
 
-fn not_depth(frame: &FrameRef, found: String) -> FrameError {
-    FrameError::NotDepth { frame: frame.index, file: super::frame::in_scene(&frame.depth), found }
+fn not_depth_error(frame: &FrameRef, found: String) -> FrameError {
+    FrameError::NotDepth {
+        frame: frame.index,
+        file: super::frame::relative_name(&frame.depth),
+        found,
+    }
 }
 
 /// Reads row-major floats: exactly as many as the picture has pixels, whatever the file unpacks to.

@@ -46,7 +46,7 @@ impl Embeddings {
 
     /// Returns `count` rows; rows added at the end count as not seen.
     #[must_use]
-    pub fn padded_to(mut self, count: usize) -> Self {
+    pub fn pad_to(mut self, count: usize) -> Self {
         let count = count.max(self.len());
         self.rows.resize(count * self.dim, f16::ZERO);
         self.norms.resize(count, Norms::default());
@@ -56,7 +56,7 @@ impl Embeddings {
     /// Returns a row for each of these indices; `None` gives the row of an instance that was not
     /// seen.
     #[must_use]
-    pub fn rearranged(&self, rows: impl Iterator<Item = Option<usize>>) -> Self {
+    pub fn select_rows(&self, rows: impl Iterator<Item = Option<usize>>) -> Self {
         let (mut rearranged, unseen) = (
             Self { dim: self.dim, rows: Vec::new(), norms: Vec::new() },
             vec![f16::ZERO; self.dim],
@@ -73,7 +73,7 @@ impl Embeddings {
     /// Sets the row at `at` to the mean of other rows: the appearance of several instances that
     /// form one.
     #[must_use]
-    pub fn with_mean(mut self, of: impl IntoIterator<Item = usize>, at: usize) -> Self {
+    pub fn with_mean_row(mut self, of: impl IntoIterator<Item = usize>, at: usize) -> Self {
         let (mut sum, mut norms, mut seen) = (vec![0.0; self.dim], Norms::default(), 0.0);
         for index in of.into_iter().filter(|&index| self.is_seen(index)) {
             let row = &self.rows[index * self.dim..(index + 1) * self.dim];
@@ -168,11 +168,11 @@ impl Embeddings {
             .iter()
             .map(|&[appearance, joint]| Norms { appearance, joint })
             .collect();
-        Ok(Self { norms, ..Self::of_halves(dim, rows) })
+        Ok(Self { norms, ..Self::from_half_bytes(dim, rows) })
     }
 
     /// Rows as bytes of half floats, little-endian.
-    pub(super) fn of_halves(dim: usize, rows: &[u8]) -> Self {
+    pub(super) fn from_half_bytes(dim: usize, rows: &[u8]) -> Self {
         let rows: Vec<f16> =
             rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
         Self { dim, norms: vec![Norms::default(); rows.len() / dim], rows }
@@ -189,7 +189,7 @@ impl Embeddings {
         let mut cosines = vec![0.0; self.len()];
         let tasks =
             cosines.par_chunks_mut(ROWS_PER_TASK).zip(rows.par_chunks(ROWS_PER_TASK * self.dim));
-        tasks.for_each(|(cosines, rows)| dots(rows, query, cosines));
+        tasks.for_each(|(cosines, rows)| dot_products(rows, query, cosines));
         cosines
     }
 }
@@ -197,7 +197,7 @@ impl Embeddings {
 /// Dot products of rows with a query. Lanes are added in one fixed order on every machine, and
 /// nothing is contracted, so the bits are the same everywhere.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "aarch64+neon"))]
-fn dots(rows: &[u16], query: &[f32], sums: &mut [f32]) {
+fn dot_products(rows: &[u16], query: &[f32], sums: &mut [f32]) {
     const LANES: usize = 64;
     for (sum, row) in sums.iter_mut().zip(rows.chunks_exact(query.len())) {
         let (row, row_rest) = row.as_chunks::<LANES>();
@@ -205,18 +205,18 @@ fn dots(rows: &[u16], query: &[f32], sums: &mut [f32]) {
         let mut lanes = [0.0_f32; LANES];
         for (a, b) in row.iter().zip(query) {
             for i in 0..LANES {
-                lanes[i] += widened(a[i]) * b[i];
+                lanes[i] += half_to_float(a[i]) * b[i];
             }
         }
         *sum = lanes.iter().sum::<f32>()
-            + row_rest.iter().zip(query_rest).map(|(a, b)| widened(*a) * b).sum::<f32>();
+            + row_rest.iter().zip(query_rest).map(|(a, b)| half_to_float(*a) * b).sum::<f32>();
     }
 }
 
 /// Converts a finite half float to a float with arithmetic that vectorizes: the exponent is shifted
 /// into place and rebased.
 #[inline]
-fn widened(bits: u16) -> f32 {
+fn half_to_float(bits: u16) -> f32 {
     const REBASE: f32 = f32::from_bits(0x7780_0000);
     f32::from_bits((u32::from(bits) & 0x8000) << 16 | (u32::from(bits) & 0x7fff) << 13) * REBASE
 }
@@ -265,7 +265,7 @@ mod tests {
         fn a_half_is_widened_exactly(value in -70000.0_f32..70000.0) {
             let half = f16::from_f32(value);
             prop_assume!(half.is_finite());
-            prop_assert_eq!(widened(half.to_bits()), half.to_f32());
+            prop_assert_eq!(half_to_float(half.to_bits()), half.to_f32());
         }
     }
 }

@@ -35,7 +35,7 @@ pub fn write_even_points(
     instance_of_point: &[InstanceId],
     out: impl Write,
 ) -> io::Result<()> {
-    let steps = GridStep::over(&cloud.positions);
+    let steps = GridStep::covering(&cloud.positions);
     let GridStep { origin, step } = steps;
     let mut out = io::BufWriter::new(out);
     out.write_all(b"UGP1")?;
@@ -45,11 +45,11 @@ pub fn write_even_points(
     for number in [origin.x, origin.y, origin.z, step] {
         out.write_all(&number.to_le_bytes())?;
     }
-    for point in evenly(&cloud.positions) {
-        for steps in steps.to(&cloud.positions[point]) {
+    for point in evenly_spread_order(&cloud.positions) {
+        for steps in steps.quantize(&cloud.positions[point]) {
             out.write_all(&steps.to_le_bytes())?;
         }
-        out.write_all(&cloud.colours[point])?;
+        out.write_all(&cloud.colors[point])?;
         out.write_all(&instance_of_point[point].0.to_le_bytes()[..3])?;
     }
     out.flush()
@@ -57,12 +57,15 @@ pub fn write_even_points(
 
 /// Returns the indices of all points, in an order of which every prefix is an even sample of the
 /// whole. The order is always the same.
-pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
-    let steps = GridStep::over(positions);
-    let mut along_curve: Vec<(u64, u32)> =
-        positions.par_iter().map(|p| morton(steps.to(p))).zip(0..positions.len() as u32).collect();
+pub fn evenly_spread_order(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
+    let steps = GridStep::covering(positions);
+    let mut along_curve: Vec<(u64, u32)> = positions
+        .par_iter()
+        .map(|p| morton_code(steps.quantize(p)))
+        .zip(0..positions.len() as u32)
+        .collect();
     along_curve.par_sort_unstable();
-    every_nth_first(positions.len()).map(move |place| along_curve[place].1 as usize)
+    bit_reversed_order(positions.len()).map(move |place| along_curve[place].1 as usize)
 }
 
 /// Steps from the minimum corner of a cloud's box.
@@ -73,13 +76,13 @@ struct GridStep {
 }
 
 impl GridStep {
-    fn over(positions: &[Point3<f32>]) -> Self {
+    fn covering(positions: &[Point3<f32>]) -> Self {
         let extent = Aabb::around(positions)
             .unwrap_or(Aabb { center: Point3::origin(), size: crate::Vector3::zeros() });
         Self { origin: extent.min(), step: (extent.size.max() / STEPS).max(SMALLEST_STEP_M) }
     }
 
-    fn to(&self, p: &Point3<f32>) -> [u16; 3] {
+    fn quantize(&self, p: &Point3<f32>) -> [u16; 3] {
         <[f32; 3]>::from((p - self.origin) / self.step)
             .map(|steps| steps.round().clamp(0.0, STEPS) as u16)
     }
@@ -87,7 +90,7 @@ impl GridStep {
 
 /// Position along a space-filling curve: neighbors on it are neighbors in space. Interleaves the
 /// bits of the three numbers.
-fn morton(steps: [u16; 3]) -> u64 {
+fn morton_code(steps: [u16; 3]) -> u64 {
     let spread = |number: u16| {
         let mut bits = u64::from(number);
         for (shift, mask) in
@@ -103,7 +106,7 @@ fn morton(steps: [u16; 3]) -> u64 {
 
 /// Returns `0..count` in an order of which every prefix is spread evenly over the whole: the bits
 /// of a counter, reversed.
-fn every_nth_first(count: usize) -> impl Iterator<Item = usize> {
+fn bit_reversed_order(count: usize) -> impl Iterator<Item = usize> {
     let bits = usize::BITS - count.saturating_sub(1).leading_zeros();
     let reversed = move |counter: usize| {
         if bits == 0 { 0 } else { counter.reverse_bits() >> (usize::BITS - bits) }
@@ -146,7 +149,7 @@ mod tests {
         // A floor of 64 x 64 points, listed row by row.
         let positions: Vec<Point3<f32>> =
             (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
-        let cloud = PointCloud { colours: vec![[1, 2, 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[1, 2, 3]; positions.len()], positions };
         let ids: Vec<InstanceId> = (0..4096).map(InstanceId).collect();
         let points = read(&written(&cloud, &ids));
         for beginning in [64, 300, 1000] {
@@ -171,7 +174,7 @@ mod tests {
         assert_eq!(read(&written(&PointCloud::default(), &[])), []);
         let one = PointCloud {
             positions: vec![Point3::new(1.0, 2.0, 3.0); 3],
-            colours: vec![[9, 8, 7]; 3],
+            colors: vec![[9, 8, 7]; 3],
         };
         let points = read(&written(&one, &[InstanceId(0), InstanceId(70_000), InstanceId(2)]));
         assert!(
@@ -187,7 +190,7 @@ mod tests {
         fn all_points_come_once_and_in_place(positions in prop::collection::vec(prop::array::uniform3(-50.0_f32..50.0), 1..200)) {
             let positions: Vec<Point3<f32>> = positions.into_iter().map(Point3::from).collect();
             let ids: Vec<InstanceId> = (0..positions.len() as u32).map(InstanceId).collect();
-            let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+            let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
             let mut points = read(&written(&cloud, &ids));
             points.sort_by_key(|(.., id)| *id);
             prop_assert_eq!(points.len(), cloud.len());

@@ -9,7 +9,7 @@ use std::io::{self, BufRead, Read, Write};
 /// # Errors
 /// I/O errors of `out`.
 pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
-    write(&[], &cloud.positions, |i| (cloud.colours[i], None), out)
+    write(&[], &cloud.positions, |i| (cloud.colors[i], None), out)
 }
 
 /// Writes the cloud with one color per instance and the id as the property `instance`.
@@ -20,7 +20,7 @@ pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<(
     write(
         &[],
         &scene.cloud.positions,
-        |i| (id_colour(scene.instance_of_point[i].0), Some(scene.instance_of_point[i])),
+        |i| (id_color(scene.instance_of_point[i].0), Some(scene.instance_of_point[i])),
         out,
     )
 }
@@ -38,7 +38,7 @@ pub fn write<'a>(
 ) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
     let positions = positions.into_iter();
-    let labelled = positions.len() > 0 && of_point(0).1.is_some();
+    let labeled = positions.len() > 0 && of_point(0).1.is_some();
     write!(out, "ply\nformat binary_little_endian 1.0\ncomment metres, Z up\n")?;
     comments.iter().try_for_each(|comment| writeln!(out, "comment {comment}"))?;
     writeln!(out, "element vertex {}", positions.len())?;
@@ -46,13 +46,13 @@ pub fn write<'a>(
         out,
         "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
     )?;
-    writeln!(out, "{}end_header", if labelled { "property int instance\n" } else { "" })?;
+    writeln!(out, "{}end_header", if labeled { "property int instance\n" } else { "" })?;
     for (i, p) in positions.enumerate() {
-        let (colour, instance) = of_point(i);
+        let (color, instance) = of_point(i);
         for c in [p.x, p.y, p.z] {
             out.write_all(&c.to_le_bytes())?;
         }
-        out.write_all(&colour)?;
+        out.write_all(&color)?;
         if let Some(InstanceId(id)) = instance {
             out.write_all(&id.to_le_bytes())?;
         }
@@ -78,7 +78,7 @@ pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<Instance
     }
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes)?;
-    let (points, rest) = bytes.as_chunks::<LABELLED_BYTES>();
+    let (points, rest) = bytes.as_chunks::<LABELED_BYTES>();
     if !rest.is_empty() || Some(points.len()) != count {
         return Err(malformed());
     }
@@ -91,11 +91,11 @@ pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<Instance
 /// Maximum length of a header line.
 const LONGEST_LINE: u64 = 200;
 /// Bytes per point: three coordinates, three colors, an id.
-const LABELLED_BYTES: usize = 19;
+const LABELED_BYTES: usize = 19;
 
 /// A color per id: steps of the golden angle around the hue circle, so that consecutive ids differ.
 #[must_use]
-pub fn id_colour(id: u32) -> [u8; 3] {
+pub fn id_color(id: u32) -> [u8; 3] {
     let hue = (id as f32 * 0.618_034).fract() * 6.0;
     let value = if id.is_multiple_of(2) { 0.95 } else { 0.75 };
     [5.0, 3.0, 1.0].map(|n: f32| {
@@ -114,7 +114,7 @@ mod tests {
         let positions: Vec<Point3<f32>> = (0..3).map(|i| Point3::new(i as f32, 0.0, 1.0)).collect();
         let ids = [0, 70_000, 2].map(InstanceId);
         let mut bytes = Vec::new();
-        write(&[], &positions, |i| (id_colour(ids[i].0), Some(ids[i])), &mut bytes).unwrap();
+        write(&[], &positions, |i| (id_color(ids[i].0), Some(ids[i])), &mut bytes).unwrap();
         assert_eq!(read_instance_of_point(&*bytes).unwrap(), ids);
         assert!(
             read_instance_of_point(&bytes[..bytes.len() - 1]).is_err()

@@ -6,10 +6,10 @@ use exr::block::reader::Reader;
 use exr::image::FlatSamples;
 use exr::meta::header::Header;
 use exr::prelude::{MetaData, ReadChannels, ReadLayers, read};
-use std::fs::File;
-use std::io::{self, BufReader, Read};
 use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
+use std::fs::File;
+use std::io::{self, BufReader, Read};
 
 const EXR_MAGIC: &[u8; 4] = b"\x76\x2f\x31\x01";
 const TIFF_MAGICS: [&[u8; 4]; 4] = [b"II\x2a\0", b"MM\0\x2a", b"II\x2b\0", b"MM\0\x2b"];
@@ -44,12 +44,14 @@ enum FloatImageFormat {
 /// # Errors
 /// I/O errors; a header that cannot be read.
 pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
-    Ok(match kind(file)? {
+    Ok(match detect_format(file)? {
         None => None,
         Some(FloatImageFormat::Exr) => Some(exr_size(
-            &MetaData::read_from_buffered(buffered(file)?, false).map_err(damaged)?.headers,
+            &MetaData::read_from_buffered(open_buffered(file)?, false)
+                .map_err(damaged_error)?
+                .headers,
         )?),
-        Some(FloatImageFormat::Tiff) => Some(tiff(file)?.dimensions().map_err(damaged)?),
+        Some(FloatImageFormat::Tiff) => Some(open_tiff(file)?.dimensions().map_err(damaged_error)?),
     })
 }
 
@@ -59,25 +61,26 @@ pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
 /// # Errors
 /// I/O errors; a header that cannot be read.
 pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
-    Ok(match kind(file)? {
+    Ok(match detect_format(file)? {
         None => false,
         Some(FloatImageFormat::Exr) => true,
         Some(FloatImageFormat::Tiff) => {
-            let formats =
-                tiff(file)?.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(damaged)?;
+            let formats = open_tiff(file)?
+                .find_tag_unsigned_vec::<u16>(Tag::SampleFormat)
+                .map_err(damaged_error)?;
             formats.is_some_and(|formats| formats.first() == Some(&IEEE_FLOATS))
         }
     })
 }
 
 /// Reads the picture; `None`: the file is neither EXR nor TIFF.
-pub(super) fn read_grey(file: &Utf8Path) -> io::Result<Option<SingleChannelImage>> {
-    kind(file)?
+pub(super) fn read_grayscale(file: &Utf8Path) -> io::Result<Option<SingleChannelImage>> {
+    detect_format(file)?
         .map(|kind| if kind == FloatImageFormat::Exr { read_exr(file) } else { read_tiff(file) })
         .transpose()
 }
 
-fn kind(file: &Utf8Path) -> io::Result<Option<FloatImageFormat>> {
+fn detect_format(file: &Utf8Path) -> io::Result<Option<FloatImageFormat>> {
     let mut magic = [0; 4];
     if File::open(file)?.read_exact(&mut magic).is_err() {
         return Ok(None);
@@ -89,11 +92,11 @@ fn kind(file: &Utf8Path) -> io::Result<Option<FloatImageFormat>> {
     })
 }
 
-fn buffered(file: &Utf8Path) -> io::Result<BufReader<File>> {
+fn open_buffered(file: &Utf8Path) -> io::Result<BufReader<File>> {
     File::open(file).map(BufReader::new)
 }
 
-fn damaged(reason: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
+fn damaged_error(reason: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, reason)
 }
 
@@ -101,20 +104,20 @@ fn exr_size(headers: &[Header]) -> io::Result<(u32, u32)> {
     let first = headers
         .iter()
         .find(|header| !header.deep)
-        .ok_or_else(|| damaged("all its layers are deep: flatten it"))?;
-    let side = |pixels: usize| u32::try_from(pixels).map_err(damaged);
+        .ok_or_else(|| damaged_error("all its layers are deep: flatten it"))?;
+    let side = |pixels: usize| u32::try_from(pixels).map_err(damaged_error);
     Ok((side(first.layer_size.width())?, side(first.layer_size.height())?))
 }
 
 fn read_exr(file: &Utf8Path) -> io::Result<SingleChannelImage> {
-    let reader = Reader::read_from_buffered(buffered(file)?, false).map_err(damaged)?;
+    let reader = Reader::read_from_buffered(open_buffered(file)?, false).map_err(damaged_error)?;
     let bytes = |header: &Header| {
         let pixels = header.layer_size.width() as u64 * header.layer_size.height() as u64;
         pixels.saturating_mul(header.channels.bytes_per_pixel as u64)
     };
     let bytes = reader.headers().iter().map(bytes).fold(0, u64::saturating_add);
     if bytes > MAX_BYTES {
-        return Err(damaged(format!(
+        return Err(damaged_error(format!(
             "it announces {bytes} bytes of pixels, {MAX_BYTES} are read at most"
         )));
     }
@@ -126,7 +129,8 @@ fn read_exr(file: &Utf8Path) -> io::Result<SingleChannelImage> {
         .first_valid_layer()
         .all_attributes()
         .non_parallel();
-    let mut channels = image.from_chunks(reader).map_err(damaged)?.layer_data.channel_data.list;
+    let mut channels =
+        image.from_chunks(reader).map_err(damaged_error)?.layer_data.channel_data.list;
     // "scene.Z" is the Z channel of a layer.
     let name = |at: usize| {
         channels[at].name.to_string().rsplit('.').next().unwrap_or_default().to_ascii_lowercase()
@@ -134,36 +138,37 @@ fn read_exr(file: &Utf8Path) -> io::Result<SingleChannelImage> {
     let found =
         CHANNELS.iter().find_map(|wanted| (0..channels.len()).find(|at| name(*at) == *wanted));
     let Some(at) = found.or((channels.len() == 1).then_some(0)) else {
-        return Err(damaged("none of its channels is called Z, depth, Y, V or R"));
+        return Err(damaged_error("none of its channels is called Z, depth, Y, V or R"));
     };
     let floats = match channels.swap_remove(at).sample_data {
         FlatSamples::F32(floats) => floats,
         FlatSamples::F16(halves) => halves.into_iter().map(half::f16::to_f32).collect(),
         FlatSamples::U32(units) => units.into_iter().map(|unit| unit as f32).collect(),
     };
-    whole(size, floats.len())?;
+    check_pixel_count(size, floats.len())?;
     Ok(SingleChannelImage { size, numbers: PixelValues::Floats(floats) })
 }
 
-fn tiff(file: &Utf8Path) -> io::Result<Decoder<BufReader<File>>> {
+fn open_tiff(file: &Utf8Path) -> io::Result<Decoder<BufReader<File>>> {
     let mut limits = Limits::default();
     limits.decoding_buffer_size = MAX_BYTES as usize;
     limits.intermediate_buffer_size = MAX_BYTES as usize;
-    Ok(Decoder::new(buffered(file)?).map_err(damaged)?.with_limits(limits))
+    Ok(Decoder::new(open_buffered(file)?).map_err(damaged_error)?.with_limits(limits))
 }
 
 fn read_tiff(file: &Utf8Path) -> io::Result<SingleChannelImage> {
-    let mut tiff = tiff(file)?;
-    let (size, colours) = (tiff.dimensions().map_err(damaged)?, tiff.colortype().map_err(damaged)?);
+    let mut tiff = open_tiff(file)?;
+    let (size, colors) =
+        (tiff.dimensions().map_err(damaged_error)?, tiff.colortype().map_err(damaged_error)?);
     let not_depth = || {
-        damaged(format!(
-            "it is no depth picture: it must be grey, floats or 16 bits, this is {colours:?}"
+        damaged_error(format!(
+            "it is no depth picture: it must be grey, floats or 16 bits, this is {colors:?}"
         ))
     };
-    if !matches!(colours, tiff::ColorType::Gray(_)) {
+    if !matches!(colors, tiff::ColorType::Gray(_)) {
         return Err(not_depth());
     }
-    let (count, numbers) = match tiff.read_image().map_err(damaged)? {
+    let (count, numbers) = match tiff.read_image().map_err(damaged_error)? {
         DecodingResult::F32(floats) => (floats.len(), PixelValues::Floats(floats)),
         DecodingResult::F64(floats) => {
             (floats.len(), PixelValues::Floats(floats.into_iter().map(|z| z as f32).collect()))
@@ -175,13 +180,15 @@ fn read_tiff(file: &Utf8Path) -> io::Result<SingleChannelImage> {
         DecodingResult::U8(bytes) => (bytes.len(), PixelValues::Bytes(bytes)),
         _ => return Err(not_depth()),
     };
-    whole(size, count)?;
+    check_pixel_count(size, count)?;
     Ok(SingleChannelImage { size, numbers })
 }
 
-fn whole((width, height): (u32, u32), count: usize) -> io::Result<()> {
+fn check_pixel_count((width, height): (u32, u32), count: usize) -> io::Result<()> {
     match count as u64 == u64::from(width) * u64::from(height) {
         true => Ok(()),
-        false => Err(damaged(format!("it holds {count} numbers for {width}x{height} pixels"))),
+        false => {
+            Err(damaged_error(format!("it holds {count} numbers for {width}x{height} pixels")))
+        }
     }
 }

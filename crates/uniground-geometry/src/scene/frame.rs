@@ -15,11 +15,11 @@ pub struct FrameRef {
     /// Position in the scan's own list, from 0; skipped frames leave gaps.
     pub index: FrameIndex,
     /// Path of the color picture.
-    pub colour: Utf8PathBuf,
+    pub color: Utf8PathBuf,
     /// Path of the depth picture: 16-bit gray, or floats.
     pub depth: Utf8PathBuf,
     /// At the resolution of the color picture.
-    pub colour_intrinsics: Intrinsics,
+    pub color_intrinsics: Intrinsics,
     /// At the resolution of the depth picture. If the depth camera is beside the color camera:
     /// those of the depth picture reprojected into the color camera.
     pub depth_intrinsics: Intrinsics,
@@ -92,11 +92,11 @@ pub struct Frame {
     /// Position in the scan's own list, from 0; skipped frames leave gaps.
     pub index: FrameIndex,
     /// 8-bit sRGB.
-    pub colour: RgbImage,
-    /// On its own grid, see [`colour_on_depth_grid`](Self::colour_on_depth_grid).
+    pub color: RgbImage,
+    /// On its own grid, see [`color_on_depth_grid`](Self::color_on_depth_grid).
     pub depth: Arc<DepthImage>,
-    /// Projects into pixels of `colour`.
-    pub colour_camera: Camera,
+    /// Projects into pixels of `color`.
+    pub color_camera: Camera,
     /// Projects into pixels of `depth`.
     pub depth_camera: Camera,
 }
@@ -105,7 +105,7 @@ impl FrameRef {
     /// Returns the same frame with the paths of its files changed.
     #[must_use]
     pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
-        self.colour = path(&self.colour);
+        self.color = path(&self.color);
         self.depth = path(&self.depth);
         if let Some(confidence) = &mut self.optics.confidence {
             confidence.file = path(&confidence.file);
@@ -115,8 +115,8 @@ impl FrameRef {
 
     /// The camera that projects world points into pixels of the color picture.
     #[must_use]
-    pub fn colour_camera(&self) -> Camera {
-        Camera::new(self.colour_intrinsics, &self.camera_to_world)
+    pub fn color_camera(&self) -> Camera {
+        Camera::new(self.color_intrinsics, &self.camera_to_world)
     }
 
     /// The camera that projects world points into pixels of the depth picture.
@@ -140,9 +140,9 @@ impl FrameRef {
     pub fn decode_with(&self, depth: Arc<DepthImage>) -> Result<Frame, FrameError> {
         Ok(Frame {
             index: self.index,
-            colour: self.decode_colour()?,
+            color: self.decode_color()?,
             depth,
-            colour_camera: self.colour_camera(),
+            color_camera: self.color_camera(),
             depth_camera: self.depth_camera(),
         })
     }
@@ -151,11 +151,11 @@ impl FrameRef {
     ///
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
-    pub fn decode_colour(&self) -> Result<RgbImage, FrameError> {
-        let image = self.read_picture(&self.colour)?.into_rgb8();
-        self.expect_size(&self.colour, image.dimensions(), &self.colour_intrinsics)?;
-        Ok(match &self.optics.colour_lens {
-            Some(lens) => lens.rectified(&image, &self.colour_intrinsics),
+    pub fn decode_color(&self) -> Result<RgbImage, FrameError> {
+        let image = self.read_picture(&self.color)?.into_rgb8();
+        self.expect_size(&self.color, image.dimensions(), &self.color_intrinsics)?;
+        Ok(match &self.optics.color_lens {
+            Some(lens) => lens.rectify(&image, &self.color_intrinsics),
             None => image,
         })
     }
@@ -166,30 +166,33 @@ impl FrameRef {
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
     pub fn decode_depth(&self) -> Result<DepthImage, FrameError> {
-        let Optics { colour_lens: _, depth_lens, depth_sensor, confidence } = &self.optics;
+        let Optics { color_lens: _, depth_lens, depth_sensor, confidence } = &self.optics;
         let camera = depth_sensor.map_or(self.depth_intrinsics, |sensor| sensor.intrinsics);
         let mut depth = depth_file::read(self, (camera.width, camera.height))?;
         self.expect_size(&self.depth, (depth.width, depth.height), &camera)?;
         if let Some(Confidence { file, at_least }) = confidence {
-            self.leave_out_unsure(&mut depth, file, *at_least)?;
+            self.remove_low_confidence(&mut depth, file, *at_least)?;
         }
         if let Some(lens) = depth_lens {
-            depth = lens.rectified_depth(&depth, &camera);
+            depth = lens.rectify_depth(&depth, &camera);
         }
         Ok(match depth_sensor {
-            Some(sensor) => sensor.registered(&depth, &self.depth_intrinsics),
+            Some(sensor) => sensor.register(&depth, &self.depth_intrinsics),
             None => depth,
         })
     }
 
-    fn leave_out_unsure(
+    fn remove_low_confidence(
         &self,
         depth: &mut DepthImage,
         file: &Utf8Path,
         at_least: u8,
     ) -> Result<(), FrameError> {
-        let unreadable =
-            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let unreadable = |source| FrameError::Unreadable {
+            frame: self.index,
+            file: relative_name(file),
+            source,
+        };
         let sure = if depth_file::is_compressed_floats(file).map_err(unreadable)? {
             // Pixels of the depth picture's own size.
             let bytes =
@@ -218,8 +221,11 @@ impl FrameRef {
     }
 
     pub(super) fn read_picture(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
-        let unreadable =
-            |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let unreadable = |source| FrameError::Unreadable {
+            frame: self.index,
+            file: relative_name(file),
+            source,
+        };
         let mut reader = ImageReader::open(file)
             .map_err(unreadable)?
             .with_guessed_format()
@@ -229,7 +235,7 @@ impl FrameRef {
         reader.limits(limits);
         reader.decode().map_err(|source| FrameError::Undecodable {
             frame: self.index,
-            file: in_scene(file),
+            file: relative_name(file),
             source,
         })
     }
@@ -246,7 +252,7 @@ impl FrameRef {
         }
         Err(FrameError::WrongSize {
             frame: self.index,
-            file: in_scene(file),
+            file: relative_name(file),
             found_width,
             found_height,
             width,
@@ -259,7 +265,7 @@ impl FrameRef {
 const MAX_PICTURE_BYTES: u64 = 256 << 20;
 
 /// The last two path components: the name that the uploader knows, without the server's folders.
-pub(super) fn in_scene(file: &Utf8Path) -> Utf8PathBuf {
+pub(super) fn relative_name(file: &Utf8Path) -> Utf8PathBuf {
     let mut tail: Vec<_> = file.components().rev().take(2).collect();
     tail.reverse();
     tail.into_iter().collect()
@@ -269,33 +275,33 @@ impl Frame {
     /// Where the ray through a depth pixel (column, row) meets the color picture, pixels; may lie
     /// outside.
     #[must_use]
-    pub fn colour_position(&self, u: f32, v: f32) -> (f32, f32) {
-        let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
-        if depth == colour {
+    pub fn color_position(&self, u: f32, v: f32) -> (f32, f32) {
+        let (depth, color) = (&self.depth_camera.intrinsics, &self.color_camera.intrinsics);
+        if depth == color {
             return (u, v);
         }
         (
-            (u - depth.cx) / depth.fx * colour.fx + colour.cx,
-            (v - depth.cy) / depth.fy * colour.fy + colour.cy,
+            (u - depth.cx) / depth.fx * color.fx + color.cx,
+            (v - depth.cy) / depth.fy * color.fy + color.cy,
         )
     }
 
     /// Returns the color of each depth pixel, row-major: the color image resampled (nearest) onto
     /// the depth grid.
     #[must_use]
-    pub fn colour_on_depth_grid(&self) -> Vec<[u8; 3]> {
-        let (depth, colour) = (&self.depth_camera.intrinsics, &self.colour_camera.intrinsics);
-        if depth == colour {
-            return self.colour.pixels().map(|p| p.0).collect();
+    pub fn color_on_depth_grid(&self) -> Vec<[u8; 3]> {
+        let (depth, color) = (&self.depth_camera.intrinsics, &self.color_camera.intrinsics);
+        if depth == color {
+            return self.color.pixels().map(|p| p.0).collect();
         }
         let clamp = |at: f32, len: u32| (at + 0.5).clamp(0.0, len as f32 - 1.0) as u32;
         let columns: Vec<u32> = (0..depth.width)
-            .map(|u| clamp(self.colour_position(u as f32, 0.0).0, colour.width))
+            .map(|u| clamp(self.color_position(u as f32, 0.0).0, color.width))
             .collect();
         (0..depth.height)
             .flat_map(|v| {
-                let row = clamp(self.colour_position(0.0, v as f32).1, colour.height);
-                columns.iter().map(move |&column| self.colour.get_pixel(column, row).0)
+                let row = clamp(self.color_position(0.0, v as f32).1, color.height);
+                columns.iter().map(move |&column| self.color.get_pixel(column, row).0)
             })
             .collect()
     }

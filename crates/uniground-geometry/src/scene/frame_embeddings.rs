@@ -96,7 +96,7 @@ impl FrameEmbeddings {
             .iter()
             .map(|bytes| FrameIndex(u32::from_le_bytes(*bytes)))
             .collect();
-        Ok(Self { of_row, rows: Embeddings::of_halves(dim, rows) })
+        Ok(Self { of_row, rows: Embeddings::from_half_bytes(dim, rows) })
     }
 }
 

@@ -60,7 +60,7 @@ pub fn count_free_space<E: From<FrameError> + Send>(
             let camera = frames[i].depth_camera();
             looks.par_iter_mut().zip(positions).for_each(|(looks, position)| {
                 let Some(pixel) = camera.project(position) else { return };
-                match sight(&depth, pixel.cell(), pixel.z_m) {
+                match classify_pixel(&depth, pixel.cell(), pixel.z_m) {
                     Some(true) => looks.hits += 1,
                     Some(false) => looks.through += 1,
                     None => {}
@@ -74,7 +74,7 @@ pub fn count_free_space<E: From<FrameError> + Send>(
 
 /// `true`: a surface was measured there; `false`: the frame looked through; `None`: hidden or not
 /// measured.
-fn sight(depth: &DepthImage, (column, row): (u32, u32), z_m: f32) -> Option<bool> {
+fn classify_pixel(depth: &DepthImage, (column, row): (u32, u32), z_m: f32) -> Option<bool> {
     let measured_m = depth.at((column, row));
     if measured_m <= 0.0 {
         return None;
@@ -116,21 +116,33 @@ mod tests {
     #[test]
     fn what_lies_well_before_a_surface_is_looked_through() {
         let depth = wall(|_, _| 3.0);
-        assert_eq!(sight(&depth, (16, 12), 3.05), Some(true));
-        assert_eq!(sight(&depth, (16, 12), 2.93), Some(true), "within the noise at three metres");
-        assert_eq!(sight(&depth, (16, 12), 2.0), Some(false));
-        assert_eq!(sight(&depth, (16, 12), 3.5), None, "hidden behind the wall");
-        assert_eq!(sight(&depth, (0, 0), 2.0), Some(false), "at the rim of the picture too");
+        assert_eq!(classify_pixel(&depth, (16, 12), 3.05), Some(true));
+        assert_eq!(
+            classify_pixel(&depth, (16, 12), 2.93),
+            Some(true),
+            "within the noise at three metres"
+        );
+        assert_eq!(classify_pixel(&depth, (16, 12), 2.0), Some(false));
+        assert_eq!(classify_pixel(&depth, (16, 12), 3.5), None, "hidden behind the wall");
+        assert_eq!(
+            classify_pixel(&depth, (0, 0), 2.0),
+            Some(false),
+            "at the rim of the picture too"
+        );
     }
 
     #[test]
     fn beside_a_silhouette_or_in_holes_nothing_is_said() {
         let edge = wall(|u, _| if u < 15 { 2.0 } else { 3.0 });
-        assert_eq!(sight(&edge, (16, 12), 2.0), None, "what stands two pixels beside may be it");
-        assert_eq!(sight(&edge, (18, 12), 2.0), Some(false));
+        assert_eq!(
+            classify_pixel(&edge, (16, 12), 2.0),
+            None,
+            "what stands two pixels beside may be it"
+        );
+        assert_eq!(classify_pixel(&edge, (18, 12), 2.0), Some(false));
         let holes = wall(|u, _| if u % 2 == 0 { 3.0 } else { 0.0 });
-        assert_eq!(sight(&holes, (16, 12), 2.0), None);
-        assert_eq!(sight(&holes, (17, 12), 2.0), None);
+        assert_eq!(classify_pixel(&holes, (16, 12), 2.0), None);
+        assert_eq!(classify_pixel(&holes, (17, 12), 2.0), None);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::{InstanceId, Level, NameGuess, Structure, Support, View};
 use crate::boxes::{Aabb, OrientedBox};
-use crate::colour::ColourHistogram;
+use crate::color::ColorHistogram;
 use serde::{Deserialize, Serialize};
 
 /// One object candidate. Lengths in meters, world frame (Z up).
@@ -28,7 +28,7 @@ pub struct Instance {
     /// Mean 8-bit sRGB.
     pub mean_rgb: [u8; 3],
     /// Shares of the color names among its points.
-    pub colours: ColourHistogram,
+    pub colors: ColorHistogram,
     /// Share of the points within 3 cm of the best plane, `0..=1`.
     pub planarity: f32,
     /// Floor, ceiling or wall; `None` for an object.
@@ -74,7 +74,7 @@ impl Instance {
             oriented_box: OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 },
             point_count: 0,
             mean_rgb: [0; 3],
-            colours: ColourHistogram::default(),
+            colors: ColorHistogram::default(),
             planarity: 0.0,
             structure: None,
             support: Support::Nothing,
@@ -91,7 +91,7 @@ impl Instance {
 
     /// Whether it was created after the parse: for a question, or by merging others.
     #[must_use]
-    pub fn came_later(&self) -> bool {
+    pub fn is_added_after_parse(&self) -> bool {
         self.found_for.is_some() || !self.merged_from.is_empty()
     }
 
@@ -106,7 +106,7 @@ impl Instance {
     pub fn label(&self) -> &str {
         match (&self.given_name, self.structure, self.names.first()) {
             (Some(name), _, _) => name,
-            (None, Some(structure), _) => structure.word(),
+            (None, Some(structure), _) => structure.as_str(),
             (None, None, Some(guess)) => &guess.name,
             (None, None, None) => "object",
         }

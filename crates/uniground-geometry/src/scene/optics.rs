@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
     /// Lens of the color camera; `None`: the picture is rectified.
-    pub colour_lens: Option<Lens>,
+    pub color_lens: Option<Lens>,
     /// Lens of the depth camera; `None`: the picture is rectified.
     pub depth_lens: Option<Lens>,
     /// A depth camera beside the color camera; `None`: both pictures are seen from one place.
@@ -44,7 +44,7 @@ pub struct DepthSensor {
     /// Intrinsics of the depth picture in the file, pixels.
     pub intrinsics: Intrinsics,
     /// Transform from the depth camera's axes to the color camera's (both OpenCV), meters.
-    pub depth_to_colour: Isometry3<f32>,
+    pub depth_to_color: Isometry3<f32>,
 }
 
 /// A confidence picture of a depth picture.
@@ -59,7 +59,7 @@ pub struct Confidence {
 impl Lens {
     /// Returns the lens, unless it has no distortion.
     #[must_use]
-    pub fn or_none(self) -> Option<Self> {
+    pub fn reject_identity(self) -> Option<Self> {
         (self != Self::default()).then_some(self)
     }
 
@@ -84,7 +84,7 @@ impl Lens {
     }
 
     /// Pixel of the distorted picture that corresponds to `(u, v)` of the pinhole picture.
-    fn source(&self, camera: &Intrinsics, u: u32, v: u32) -> (f32, f32) {
+    fn distorted_pixel(&self, camera: &Intrinsics, u: u32, v: u32) -> (f32, f32) {
         let (x, y) =
             self.distort((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy);
         (x * camera.fx + camera.cx, y * camera.fy + camera.cy)
@@ -93,21 +93,21 @@ impl Lens {
     /// Rectifies a color picture with the same intrinsics, bilinear; black where the lens saw
     /// nothing.
     #[must_use]
-    pub fn rectified(&self, picture: &RgbImage, camera: &Intrinsics) -> RgbImage {
+    pub fn rectify(&self, picture: &RgbImage, camera: &Intrinsics) -> RgbImage {
         let (width, height) = picture.dimensions();
         RgbImage::from_fn(width, height, |u, v| {
-            let (x, y) = self.source(camera, u, v);
+            let (x, y) = self.distorted_pixel(camera, u, v);
             image::imageops::interpolate_bilinear(picture, x, y).unwrap_or(image::Rgb([0; 3]))
         })
     }
 
     /// Rectifies a depth picture, nearest pixel: depths of two surfaces must not be mixed.
     #[must_use]
-    pub fn rectified_depth(&self, depth: &DepthImage, camera: &Intrinsics) -> DepthImage {
+    pub fn rectify_depth(&self, depth: &DepthImage, camera: &Intrinsics) -> DepthImage {
         let pixels = (0..depth.height).flat_map(|v| (0..depth.width).map(move |u| (u, v)));
         let depth_m = pixels
             .map(|(u, v)| {
-                let (x, y) = self.source(camera, u, v);
+                let (x, y) = self.distorted_pixel(camera, u, v);
                 let inside = x > -0.5
                     && y > -0.5
                     && x < depth.width as f32 - 0.5
@@ -123,21 +123,21 @@ impl DepthSensor {
     /// Intrinsics of a depth picture seen from the color camera: no finer than the sensor, so that
     /// measurements leave no holes.
     #[must_use]
-    pub fn registered_intrinsics(&self, colour: &Intrinsics) -> Intrinsics {
-        let scale = (self.intrinsics.fx / colour.fx).clamp(1e-3, 1.0);
+    pub fn registered_intrinsics(&self, color: &Intrinsics) -> Intrinsics {
+        let scale = (self.intrinsics.fx / color.fx).clamp(1e-3, 1.0);
         let size = |pixels: u32| ((pixels as f32 * scale).round() as u32).max(1);
-        colour.scaled_to(size(colour.width), size(colour.height))
+        color.scaled_to(size(color.width), size(color.height))
     }
 
     /// Reprojects the depth picture into the color camera. Of several surfaces in a pixel, the
     /// nearest counts.
     #[must_use]
-    pub fn registered(&self, depth: &DepthImage, target: &Intrinsics) -> DepthImage {
+    pub fn register(&self, depth: &DepthImage, target: &Intrinsics) -> DepthImage {
         let mut depth_m = vec![0.0_f32; (target.width * target.height) as usize];
         for (i, &z_m) in depth.depth_m.iter().enumerate().filter(|(_, z)| **z > 0.0) {
             let (u, v) = (i as u32 % depth.width, i as u32 / depth.width);
             let p: Point3<f32> =
-                self.depth_to_colour * self.intrinsics.unproject(u as f32, v as f32, z_m);
+                self.depth_to_color * self.intrinsics.unproject(u as f32, v as f32, z_m);
             let Some(pixel) = target.project(&p) else { continue };
             // Fills the pixels on either side: resampling alone would leave gaps.
             for (column, row) in [(0, 0), (1, 0), (0, 1), (1, 1)]
@@ -185,7 +185,7 @@ mod tests {
             let (a, b) = brightness(a, b);
             image::Rgb([a, b, 0])
         });
-        let rectified = lens.rectified(&bent, &CAMERA);
+        let rectified = lens.rectify(&bent, &CAMERA);
         for (u, v) in [(10, 10), (31, 23), (50, 40), (20, 35)] {
             let (found, expected) = (rectified.get_pixel(u, v).0, straight.get_pixel(u, v).0);
             assert!(
@@ -199,14 +199,13 @@ mod tests {
     fn a_wall_seen_from_beside_stays_a_wall() {
         let sensor = DepthSensor {
             intrinsics: CAMERA,
-            depth_to_colour: Isometry3::translation(0.05, 0.0, 0.1),
+            depth_to_color: Isometry3::translation(0.05, 0.0, 0.1),
         };
         let depth = DepthImage { width: 64, height: 48, depth_m: vec![2.0; 64 * 48] };
-        let colour =
-            Intrinsics { width: 128, height: 96, fx: 120.0, fy: 120.0, cx: 63.5, cy: 47.5 };
-        let target = sensor.registered_intrinsics(&colour);
+        let color = Intrinsics { width: 128, height: 96, fx: 120.0, fy: 120.0, cx: 63.5, cy: 47.5 };
+        let target = sensor.registered_intrinsics(&color);
         assert_eq!((target.width, target.height), (64, 48));
-        let seen = sensor.registered(&depth, &target);
+        let seen = sensor.register(&depth, &target);
         for u in 8..56 {
             for v in 6..42 {
                 assert!((seen.at((u, v)) - 2.1).abs() < 1e-5, "({u}, {v}): {}", seen.at((u, v)));
@@ -218,7 +217,7 @@ mod tests {
         #[test]
         fn a_lens_that_does_nothing_moves_nothing(x in -1.0_f32..1.0, y in -1.0_f32..1.0) {
             prop_assert_eq!(Lens::default().distort(x, y), (x, y));
-            prop_assert_eq!(Lens::default().or_none(), None);
+            prop_assert_eq!(Lens::default().reject_identity(), None);
         }
     }
 }

@@ -19,14 +19,14 @@ pub struct Owners<'a> {
 impl<'a> Owners<'a> {
     /// `instance_of_point` is the result of stage 1; `instances` are the corrected ones.
     #[must_use]
-    pub fn of(instance_of_point: &[InstanceId], instances: &'a [Instance]) -> Self {
+    pub fn new(instance_of_point: &[InstanceId], instances: &'a [Instance]) -> Self {
         let with_members = instances.iter().filter(|instance| !instance.dismissed);
         let merged: BTreeMap<InstanceId, InstanceId> = with_members
             .flat_map(|whole| whole.merged_from.iter().map(|id| (*id, whole.id)))
             .collect();
         let had_points: BTreeSet<InstanceId> = instance_of_point.iter().copied().collect();
         let may_own = |i: &&Instance| {
-            !i.came_later()
+            !i.is_added_after_parse()
                 && !had_points.contains(&i.id)
                 && (i.is_shown() || merged.contains_key(&i.id))
         };
@@ -39,7 +39,7 @@ impl<'a> Owners<'a> {
 
     /// The current owner of a point that stage 1 assigned to a thing; 0: none.
     #[must_use]
-    pub fn of_point(&self, found: InstanceId, position: &Point3<f32>) -> InstanceId {
+    pub fn owner_of(&self, found: InstanceId, position: &Point3<f32>) -> InstanceId {
         let mut id = found;
         if !self.merged.contains_key(&id) && self.instance(id).is_some_and(|thing| thing.dismissed)
         {

@@ -2,7 +2,7 @@
 //! "with the orange seat".
 
 use super::{Assessor, CARRIED, MAX_ANCHORS, unchecked};
-use crate::fit::{colours_fit, most_plausible};
+use crate::fit::{colors_fit, most_plausible};
 use crate::relations;
 use uniground_language::{Phrase, With};
 
@@ -52,7 +52,7 @@ const PARTS: &[(&str, &[&str])] = &[
 /// Factor of a score when the phrase asks for a part that the instance is not known to have.
 const ODD_PART: f32 = 0.4;
 /// The same factor where a part has a color that was not measured on the instance: parts are small.
-const PART_OF_OTHER_COLOUR: f32 = 0.25;
+const PART_OF_OTHER_COLOR: f32 = 0.25;
 
 impl Assessor<'_> {
     /// Multiplies scores by how well each instance has (or lacks) what the phrase says: "with the
@@ -63,7 +63,7 @@ impl Assessor<'_> {
         if let Some((_, of)) = PARTS.iter().find(|(part, _)| singular(part)) {
             let known = |i: usize| of.is_empty() || of.iter().any(|noun| self.is_named(i, noun));
             for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s > 0.0) {
-                let fit = colours_fit(self.scene, phrase, i).max(PART_OF_OTHER_COLOUR)
+                let fit = colors_fit(self.scene, phrase, i).max(PART_OF_OTHER_COLOR)
                     * if known(i) { 1.0 } else { ODD_PART };
                 *score *= match *absent {
                     true if !of.is_empty() && known(i) => ODD_PART,
@@ -134,7 +134,7 @@ mod tests {
     use crate::direction::DirectionConvention;
     use crate::{NameIndex, SceneView};
     use uniground_geometry::boxes::Aabb;
-    use uniground_geometry::colour::{ColourHistogram, ColourName};
+    use uniground_geometry::color::{ColorHistogram, ColorName};
     use uniground_geometry::scene::{Instance, NameGuess, Support};
     use uniground_geometry::{Point3, Vector3};
     use uniground_models::attributes;
@@ -160,9 +160,9 @@ mod tests {
 
     fn red(share: f32, instance: Instance) -> Instance {
         let mut shares = [0.0; 12];
-        shares[ColourName::Red as usize] = share;
-        shares[ColourName::Green as usize] = 1.0 - share;
-        Instance { colours: ColourHistogram(shares), ..instance }
+        shares[ColorName::Red as usize] = share;
+        shares[ColorName::Green as usize] = 1.0 - share;
+        Instance { colors: ColorHistogram(shares), ..instance }
     }
 
     fn with_assessor<T>(instances: &[Instance], of: impl FnOnce(&Assessor) -> T) -> T {
@@ -230,7 +230,7 @@ mod tests {
     fn carried_things_count_as_far_as_they_are_what_is_said() {
         // A lamp that is half red: 0.1 + 0.9 · 0.5.
         let room = [desk(1, 0.0), desk(2, 60.0), red(0.3, lamp(3, 0.0, 1.0))];
-        let phrase = Phrase { colours: vec![ColourName::Red], ..said("lamp") };
+        let phrase = Phrase { colors: vec![ColorName::Red], ..said("lamp") };
         are(&left(&room, &[1.0, 1.0, 0.0], phrase, false), &[0.55, 0.1, 0.0]);
     }
 
@@ -252,7 +252,7 @@ mod tests {
         are(&left(&one, &[1.0, 0.0, 0.0], lamps(Some(1)), false)[..1], &[1.0]);
         // Half red both: each is as good as the best of them, and that fits by a half.
         let two = two.map(|thing| red(0.3, thing));
-        let red_ones = Phrase { colours: vec![ColourName::Red], ..lamps(Some(2)) };
+        let red_ones = Phrase { colors: vec![ColorName::Red], ..lamps(Some(2)) };
         are(&left(&two, &[1.0, 0.0, 0.0, 0.0], red_ones, false)[..1], &[0.55]);
     }
 
@@ -282,9 +282,9 @@ mod tests {
     }
 
     #[test]
-    fn a_part_s_colour_is_looked_for_on_the_thing() {
+    fn a_part_s_color_is_looked_for_on_the_thing() {
         let room = [red(1.0, desk(1, 0.0)), red(0.3, desk(2, 3.0)), red(0.0, desk(3, 6.0))];
-        let seat = |head: &str| Phrase { colours: vec![ColourName::Red], ..said(head) };
+        let seat = |head: &str| Phrase { colors: vec![ColorName::Red], ..said(head) };
         // Parts are small: where it is not seen a quarter is left.
         for head in ["seat", "seats"] {
             are(&left(&room, &[1.0, 0.8, 1.0], seat(head), false), &[1.0, 0.4, 0.25]);
@@ -302,7 +302,7 @@ mod tests {
         // Any thing may have a frame.
         are(&left(&room, &[1.0, 1.0], said("frame"), false), &[1.0, 1.0]);
         are(&left(&room, &[1.0, 1.0], said("frame"), true), &[1.0, 1.0]);
-        let red_drawer = Phrase { colours: vec![ColourName::Red], ..said("drawers") };
+        let red_drawer = Phrase { colors: vec![ColorName::Red], ..said("drawers") };
         let room = [red(0.3, desk(1, 0.0)), red(0.3, lamp(2, 5.0, 0.0))];
         are(&left(&room, &[1.0, 1.0], red_drawer, false), &[0.5, 0.2]);
     }

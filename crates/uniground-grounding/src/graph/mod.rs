@@ -60,7 +60,7 @@ impl Graph {
             !i.dismissed
                 && (levels == Levels::All
                     || i.level == Level::Thing
-                    || levels.lists(i.level, false))
+                    || levels.includes(i.level, false))
         };
         let listed: Vec<&Instance> = scene.instances.iter().filter(is_listed).collect();
         let known: BTreeSet<InstanceId> = listed.iter().map(|i| i.id).collect();

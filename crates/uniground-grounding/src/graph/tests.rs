@@ -68,7 +68,7 @@ fn triples(graph: &Graph) -> Vec<String> {
     graph
         .edges
         .iter()
-        .map(|edge| format!("{} {} {}", edge.from, edge.relation.word(), edge.to))
+        .map(|edge| format!("{} {} {}", edge.from, edge.relation.as_str(), edge.to))
         .collect()
 }
 

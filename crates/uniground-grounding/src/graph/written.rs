@@ -29,7 +29,7 @@ pub fn graphml(graph: &SceneGraph) -> String {
         let _ = write!(
             xml,
             "    <node id=\"{id}\"><data key=\"kind\">{}</data><data key=\"name\">{}</data>",
-            kind.word(),
+            kind.as_str(),
             escaped(name)
         );
         let values = [
@@ -46,7 +46,7 @@ pub fn graphml(graph: &SceneGraph) -> String {
         xml.push_str("</node>\n");
     }
     for edge in &graph.edges {
-        let (from, to, relation) = (&edge.from, &edge.to, edge.relation.word());
+        let (from, to, relation) = (&edge.from, &edge.to, edge.relation.as_str());
         let _ = writeln!(
             xml,
             "    <edge source=\"{from}\" target=\"{to}\"><data key=\"relation\">{relation}</data><data key=\"score\">{}</data>\

@@ -88,7 +88,7 @@ fn room() -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
     Arc::new(SceneAlbum::new(
         extent,
-        RenderScene::of(PointCloud::default()),
+        RenderScene::new(PointCloud::default()),
         None,
         "attributes".into(),
         Vec::new(),
@@ -238,15 +238,15 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
 
 /// The room with a photograph that an encoder embedded, without having embedded the instances.
 fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
-    let colour = folder.join("0.png");
-    RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&colour).unwrap();
+    let color = folder.join("0.png");
+    RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&color).unwrap();
     let intrinsics =
         Intrinsics { width: 1600, height: 1200, fx: 800.0, fy: 800.0, cx: 800.0, cy: 600.0 };
     let frame = FrameRef {
         index: FrameIndex(7),
-        depth: colour.clone(),
-        colour,
-        colour_intrinsics: intrinsics,
+        depth: color.clone(),
+        color,
+        color_intrinsics: intrinsics,
         depth_intrinsics: intrinsics,
         depth_scale_m: 0.001,
         camera_to_world: Isometry3::identity(),
@@ -261,7 +261,7 @@ fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
     let album = SceneAlbum::new(
         extent,
-        RenderScene::of(PointCloud::default()),
+        RenderScene::new(PointCloud::default()),
         seen,
         "tiny".into(),
         vec![frame],

@@ -8,7 +8,7 @@ use super::confidence::{NamesFrom, share_right};
 use super::explanation::{explain, explain_several, explain_tie, relation_words, why_nothing_fits};
 use super::views::{View, views};
 use crate::assess::{Assessment, Assessor};
-use crate::fit::{colours_fit, most_plausible};
+use crate::fit::{colors_fit, most_plausible};
 use crate::kinds::BROADER_NAME;
 use crate::readings::Readings;
 use crate::{NoMatchReason, SceneView, Status};
@@ -23,7 +23,7 @@ const MIN_FIT: f32 = 0.25;
 /// The same for an instance none of whose names is the requested one.
 const MIN_UNNAMED_FIT: f32 = 0.35;
 /// Below this, no likely instance has the requested color.
-const MIN_COLOUR: f32 = 0.42;
+const MIN_COLOR: f32 = 0.42;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
 /// Factor of the belief where words of the question could not be used: they may have distinguished
@@ -74,7 +74,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let reason = if is_unknown { NoMatchReason::NotRecognised } else { NoMatchReason::Absent };
         return no_match(assessment.own.clone(), reason, why_nothing_fits(parsed));
     }
-    if !colours_agree(assessment, &parsed.target, assessor.scene) {
+    if !colors_agree(assessment, &parsed.target, assessor.scene) {
         return no_match(assessment.own.clone(), NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let best = order[0];
@@ -144,11 +144,11 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
 
 /// Returns whether any instance that may be meant has the requested colors. A related color alone
 /// ("orange" for yellow) is not enough.
-fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
+fn colors_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
     let likely = most_plausible(&assessment.nouns, usize::MAX);
-    target.colours.is_empty()
+    target.colors.is_empty()
         || target.roughly
-        || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
+        || likely.iter().any(|&(i, _)| colors_fit(scene, target, i) >= MIN_COLOR)
 }
 
 /// A question, assessed from one view.

@@ -3,7 +3,7 @@
 use crate::SceneView;
 use crate::answer::{described, superlative_words};
 use crate::assess::{Assessment, Assessor};
-use crate::fit::{colours_fit, most_plausible};
+use crate::fit::{colors_fit, most_plausible};
 use crate::readings::Readings;
 use crate::relations::SeenBy;
 use std::fmt::Write;
@@ -41,21 +41,17 @@ pub(super) fn explain(
         },
     };
     let _ = write!(text, " {taken} ({:.2})", read.nouns[best]);
-    for &colour in &phrase.colours {
-        let _ = write!(
-            text,
-            ", is {} ({:.2})",
-            colour.word(),
-            attributes::colour_fit(colour, instance)
-        );
+    for &color in &phrase.colors {
+        let _ =
+            write!(text, ", is {} ({:.2})", color.as_str(), attributes::color_fit(color, instance));
     }
     if !phrase.other_than.is_empty() {
-        let names: Vec<_> = phrase.other_than.iter().map(|c| c.word()).collect();
+        let names: Vec<_> = phrase.other_than.iter().map(|c| c.as_str()).collect();
         let _ = write!(
             text,
             ", is not {} ({:.2})",
             names.join(" or "),
-            colours_fit(assessor.scene, phrase, best)
+            colors_fit(assessor.scene, phrase, best)
         );
     }
     let rivals = || most_plausible(&read.own, usize::MAX).len();

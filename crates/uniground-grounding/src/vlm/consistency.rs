@@ -81,10 +81,10 @@ pub(super) fn to_be_looked_at(
 fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>) -> bool {
     let by_place = !target.relations.is_empty() || target.superlative.is_some();
     let looks: Vec<&str> = target
-        .colours
+        .colors
         .iter()
-        .map(|c| c.word())
-        .chain(target.traits.iter().map(|t| t.word()))
+        .map(|c| c.as_str())
+        .chain(target.traits.iter().map(|t| t.as_str()))
         .collect();
     let by_looks_alone =
         !looks.is_empty() || !target.other_than.is_empty() || !target.with.is_empty();
@@ -107,7 +107,7 @@ mod tests {
     use crate::direction::DirectionConvention;
     use crate::vlm::PromptCandidate;
     use uniground_geometry::boxes::Aabb;
-    use uniground_geometry::colour::ColourName;
+    use uniground_geometry::color::ColorName;
     use uniground_geometry::scene::InstanceId;
     use uniground_geometry::{Point3, Vector3};
     use uniground_language::{Trait, With};
@@ -247,7 +247,7 @@ mod tests {
         let place = || target("the chair by the desk").relations;
         let largest = || target("the largest chair").superlative;
         assert!(place().len() == 1 && largest().is_some());
-        let green = || Phrase { colours: vec![ColourName::Green], ..phrase("chair") };
+        let green = || Phrase { colors: vec![ColorName::Green], ..phrase("chair") };
         let with = || vec![With { phrase: phrase("cushion"), absent: false }];
         let one = ["green chair", "blue chair"];
         let both = ["green chair", "green chair"];
@@ -271,8 +271,8 @@ mod tests {
                 true,
             ),
             // What it is not and what it has, no name says.
-            (Phrase { other_than: vec![ColourName::Blue], ..phrase("chair") }, one, false),
-            (Phrase { other_than: vec![ColourName::Blue], ..green() }, one, false),
+            (Phrase { other_than: vec![ColorName::Blue], ..phrase("chair") }, one, false),
+            (Phrase { other_than: vec![ColorName::Blue], ..green() }, one, false),
             (Phrase { with: with(), ..phrase("chair") }, one, false),
             (Phrase { with: with(), ..green() }, one, false),
             (Phrase { with: with(), relations: place(), ..phrase("chair") }, one, false),

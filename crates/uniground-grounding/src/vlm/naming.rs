@@ -7,7 +7,7 @@ use crate::scene_source::SceneSource;
 use std::collections::BTreeMap;
 use uniground_geometry::scene::InstanceId;
 use uniground_models::chat::{ChatRequest, Part, Picture};
-use uniground_render::{Shot, Tile, mosaic, mosaic_tiles};
+use uniground_render::{Shot, Tile, draw_mosaic, mosaic_tiles};
 
 /// Version of the naming prompt. Raising it makes models name all instances again.
 pub const NAMING_VERSION: u32 = 2;
@@ -82,7 +82,7 @@ fn columns(tiles: usize) -> u32 {
 
 fn sheet(name: String, shots: &[(InstanceId, Shot)]) -> Picture {
     let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot)).collect();
-    encoded(name, &mosaic(&tiles, columns(tiles.len()), TILE_PX))
+    encoded(name, &draw_mosaic(&tiles, columns(tiles.len()), TILE_PX))
 }
 
 /// Returns the request for one sheet.

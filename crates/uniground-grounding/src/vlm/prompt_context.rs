@@ -10,7 +10,7 @@ use uniground_geometry::Vector3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_language::{ParsedQuery, Phrase};
-use uniground_render::{BoxStyle, DirectionWord, LabelledBox, Subjects};
+use uniground_render::{BoxStyle, DirectionWord, LabeledBox, Subjects};
 
 /// A question, and what is known before a model is asked.
 #[derive(Debug, Clone, PartialEq)]
@@ -222,19 +222,19 @@ impl PromptContext {
     #[must_use]
     pub fn subjects(&self) -> Subjects {
         let is_anchor = |id: InstanceId| self.anchors.iter().any(|a| a.id == id);
-        let candidate = |c: &PromptCandidate| LabelledBox {
+        let candidate = |c: &PromptCandidate| LabeledBox {
             aabb: c.aabb,
             label: c.id.to_string(),
             style: if is_anchor(c.id) { BoxStyle::Anchor } else { BoxStyle::Candidate },
         };
-        let anchor = |a: &PromptAnchor| LabelledBox {
+        let anchor = |a: &PromptAnchor| LabeledBox {
             aabb: a.aabb,
             label: format!("{} anchor", a.id),
             style: BoxStyle::Anchor,
         };
         let listed = |id: InstanceId| self.candidates.iter().any(|c| c.id == id);
         let others = self.anchors.iter().filter(|a| !listed(a.id)).map(anchor);
-        let mut boxes: Vec<LabelledBox> =
+        let mut boxes: Vec<LabeledBox> =
             self.candidates.iter().rev().map(candidate).chain(others).collect();
         boxes.sort_by_key(|b| b.style == BoxStyle::Anchor);
         let centers = self.candidates.iter().map(|c| c.aabb.center.coords).sum::<Vector3<f32>>()

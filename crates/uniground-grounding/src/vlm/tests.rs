@@ -165,7 +165,7 @@ fn prompts_are_what_they_were() {
 fn five_candidates_fit_into_the_budget_of_words_and_names_save_pictures() {
     let (_, context) = asked(QUERY, None);
     assert_eq!(context.candidates.len(), 5);
-    let full = Tokens::of(&first_request(&context, Options::default(), BTreeMap::new()));
+    let full = Tokens::estimate(&first_request(&context, Options::default(), BTreeMap::new()));
     assert!(full.text < 1600 && full.pictures > 3000, "{full:?}");
     let names = context
         .candidates

@@ -10,7 +10,9 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{FrameIndex, InstanceId};
 use uniground_models::chat::Picture;
 use uniground_parsing::pointed::PhotographPoint;
-use uniground_render::{Collage, GlobalView, ROOM_VIEW, RenderScene, Shot, jpeg, scene_picture};
+use uniground_render::{
+    Collage, GlobalView, ROOM_VIEW, RenderScene, Shot, draw_scene, encode_jpeg,
+};
 
 /// Pictures for one question. Any may be missing: a scene without points has no render.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -185,9 +187,9 @@ impl VisualEvidence {
             _ => return Ok(None),
         };
         let at = share((picture.width, picture.height));
-        Ok(tiles
-            .iter()
-            .find_map(|tile| Some(PhotographPoint { frame: tile.frame, at: tile.place(at)? })))
+        Ok(tiles.iter().find_map(|tile| {
+            Some(PhotographPoint { frame: tile.frame, at: tile.to_photograph(at)? })
+        }))
     }
 }
 
@@ -203,7 +205,7 @@ fn draw_global(
     }
     let picture = match global {
         Global::Views(view) => view.draw(render_scene, extent, &context.subjects()),
-        Global::Raw => scene_picture(render_scene, extent, &ROOM_VIEW, &[]),
+        Global::Raw => draw_scene(render_scene, extent, &ROOM_VIEW, &[]),
     };
     Some(encoded("global".into(), &picture))
 }
@@ -237,5 +239,5 @@ fn draw_collages(
 
 pub(super) fn encoded(name: String, picture: &RgbImage) -> Picture {
     let (width, height) = picture.dimensions();
-    Picture { name, jpeg: jpeg(picture).into(), width, height }
+    Picture { name, jpeg: encode_jpeg(picture).into(), width, height }
 }

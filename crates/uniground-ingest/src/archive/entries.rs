@@ -58,11 +58,13 @@ pub(super) fn walk(
                 visitor,
             )
         }
-        ArchiveKind::Tar => walk_tar(file, kind, limits.unpacked(packed_bytes), limits, visitor),
+        ArchiveKind::Tar => {
+            walk_tar(file, kind, limits.max_unpacked_bytes(packed_bytes), limits, visitor)
+        }
         ArchiveKind::TarZst => {
             let mut decoder = zstd::Decoder::new(file).map_err(|e| kind.unreadable(e))?;
             decoder.window_log_max(MAX_WINDOW_LOG).map_err(|e| kind.unreadable(e))?;
-            walk_tar(decoder, kind, limits.unpacked(packed_bytes), limits, visitor)
+            walk_tar(decoder, kind, limits.max_unpacked_bytes(packed_bytes), limits, visitor)
         }
     }
 }
@@ -75,14 +77,14 @@ fn walk_zip(
 ) -> Result<(), IngestError> {
     let unreadable = |reason: &dyn ToString| ArchiveKind::Zip.unreadable(reason.to_string());
     let packed_bytes = file.metadata().map_or(0, |m| m.len());
-    if announced_entries(&mut file)
+    if declared_entry_count(&mut file)
         .map_err(|e| unreadable(&e))?
         .is_some_and(|entries| entries > limits.max_entries as u64)
     {
         return Err(limits.too_many_entries());
     }
     // The directory is held in memory as a whole.
-    let allowance = ReadLimit::of(MAX_ZIP_DIRECTORY_BYTES);
+    let allowance = ReadLimit::new(MAX_ZIP_DIRECTORY_BYTES);
     let mut zip = zip::ZipArchive::new(BufReader::new(LimitedReader::new(file, &allowance)))
         .map_err(|e| match allowance.is_spent() {
             true => limits.too_many_entries(),
@@ -91,8 +93,8 @@ fn walk_zip(
     if zip.len() > limits.max_entries {
         return Err(limits.too_many_entries());
     }
-    allowance.renew(u64::MAX);
-    let unpacked = ReadLimit::of(limits.unpacked(packed_bytes));
+    allowance.reset(u64::MAX);
+    let unpacked = ReadLimit::new(limits.max_unpacked_bytes(packed_bytes));
     for i in 0..zip.len() {
         let entry = if with_content { zip.by_index(i) } else { zip.by_index_raw(i) };
         let mut entry = entry.map_err(|e| unreadable(&e))?;
@@ -116,7 +118,7 @@ fn walk_zip(
 /// Returns the number of entries from the record at the end of a zip, or `None` if there is none.
 /// It is checked before the directory is read, because the directory is held in memory as a whole.
 /// Afterwards the file is at its start again.
-fn announced_entries(file: &mut File) -> io::Result<Option<u64>> {
+fn declared_entry_count(file: &mut File) -> io::Result<Option<u64>> {
     // The record, the longest comment after it, and the record of large archives (zip64) before it.
     const RECORD: usize = 22;
     const LOCATOR: usize = 20;
@@ -157,7 +159,7 @@ fn walk_tar(
 ) -> Result<(), IngestError> {
     // Headers count too: otherwise, a tar could consist of any number of headers.
     let allowance =
-        ReadLimit::of(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
+        ReadLimit::new(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
     let mut tar = tar::Archive::new(LimitedReader::new(source, &allowance));
     let walked = tar
         .entries()

@@ -23,7 +23,7 @@ pub enum ArchiveKind {
 impl ArchiveKind {
     /// Returns the kind by file name.
     #[must_use]
-    pub fn of_file_name(name: &str) -> Option<Self> {
+    pub fn from_file_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         [
             (".zip", Self::Zip),
@@ -38,7 +38,7 @@ impl ArchiveKind {
 
     /// Returns the kind by the first bytes of a file.
     #[must_use]
-    pub fn of_head(head: &[u8]) -> Option<Self> {
+    pub fn from_head(head: &[u8]) -> Option<Self> {
         match head {
             [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Some(Self::Zip),
             [0x28, 0xb5, 0x2f, 0xfd, ..] => Some(Self::TarZst),
@@ -109,7 +109,7 @@ impl Default for UnpackLimits {
 
 impl UnpackLimits {
     /// Returns the number of bytes that an archive of this size may unpack to.
-    fn unpacked(&self, packed_bytes: u64) -> u64 {
+    fn max_unpacked_bytes(&self, packed_bytes: u64) -> u64 {
         // Small archives may compress very well. The ratio only matters above a minimum size.
         self.max_bytes.min(packed_bytes.max(1 << 20).saturating_mul(self.max_ratio))
     }
@@ -140,7 +140,7 @@ pub fn unpack(
     walk(archive, kind, limits, false, &mut ArchiveCheck::new(limits))?;
     walk(archive, kind, limits, true, &mut ArchiveExtractor::new(target))?;
     // ScanNet's own container: its frames are unpacked next to it, within the same limits.
-    match sens::lone(target)? {
+    match sens::find_single_file(target)? {
         Some(file) => {
             sens::unpack(&file, file.parent().unwrap_or(target), limits.max_bytes).map(drop)
         }

@@ -2,7 +2,7 @@
 //! transformed into the file's own frame.
 
 use super::gathered::{CloudBounds, GREY};
-use super::{CloudBuilder, guarded};
+use super::{CloudBuilder, catch_panics};
 use crate::IngestError;
 use ::e57::{CartesianCoordinate, E57Reader};
 use camino::Utf8Path;
@@ -23,7 +23,7 @@ pub(super) fn check(
     file: &Utf8Path,
     bounds: &CloudBounds,
 ) -> Result<(), IngestError> {
-    guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop)))
+    catch_panics(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop)))
 }
 
 pub(super) fn read(
@@ -36,7 +36,7 @@ pub(super) fn read(
         let (mut reader, points) = open(root, file, &CloudBounds::OWN)?;
         gathered.expect(file, usize::try_from(points).unwrap_or(usize::MAX))?;
         let clouds = reader.pointclouds();
-        gathered.coloured(clouds.iter().any(::e57::PointCloud::has_color));
+        gathered.set_has_color(clouds.iter().any(::e57::PointCloud::has_color));
         for cloud in clouds {
             let mut points = reader.pointcloud_simple(&cloud).map_err(malformed)?;
             points.apply_pose(true);
@@ -46,15 +46,15 @@ pub(super) fn read(
             for point in points {
                 let point = point.map_err(malformed)?;
                 let CartesianCoordinate::Valid { x, y, z } = point.cartesian else { continue };
-                let colour = point
+                let color = point
                     .color
                     .map_or(GREY, |c| [c.red, c.green, c.blue].map(|c| (c * 255.0).round() as u8));
-                gathered.push([x, y, z], colour);
+                gathered.push([x, y, z], color);
             }
         }
         Ok(gathered)
     });
-    guarded(file, read)
+    catch_panics(file, read)
 }
 
 fn open(

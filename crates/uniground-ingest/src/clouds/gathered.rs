@@ -16,8 +16,8 @@ pub struct LoadedCloud {
     /// Points left out because their coordinates are not finite.
     pub dropped: usize,
     /// Number of points whose color is not a number and was replaced by gray.
-    pub without_colour: usize,
-    pub has_colour: bool,
+    pub without_color: usize,
+    pub has_color: bool,
     /// The cloud was thinned out: one of this many points was kept.
     pub thinned: usize,
 }
@@ -59,8 +59,8 @@ impl CloudBuilder {
             cloud: PointCloud::default(),
             offset: [0.0; 3],
             dropped: 0,
-            without_colour: 0,
-            has_colour: false,
+            without_color: 0,
+            has_color: false,
             thinned: 1,
         };
         let origin = match origin {
@@ -76,31 +76,31 @@ impl CloudBuilder {
         self.loaded.thinned = points.div_ceil(self.bounds.kept).max(1);
         let kept = points.div_ceil(self.loaded.thinned);
         self.loaded.cloud.positions.reserve_exact(kept);
-        self.loaded.cloud.colours.reserve_exact(kept);
+        self.loaded.cloud.colors.reserve_exact(kept);
         Ok(())
     }
 
     /// Sets whether the file contains color.
-    pub fn coloured(&mut self, has_colour: bool) {
-        self.loaded.has_colour = has_colour;
+    pub fn set_has_color(&mut self, has_color: bool) {
+        self.loaded.has_color = has_color;
     }
 
     /// Declares single precision. Such coordinates get no offset: far from the origin they are
     /// coarse already.
-    pub fn single_precision(&mut self) {
+    pub fn set_single_precision(&mut self) {
         self.origin.get_or_insert([0.0; 3]);
     }
 
     /// Adds one point, in the file's units.
     #[inline]
-    pub fn push(&mut self, [x, y, z]: [f64; 3], colour: [u8; 3]) {
+    pub fn push(&mut self, [x, y, z]: [f64; 3], color: [u8; 3]) {
         self.seen += 1;
         if self.loaded.thinned > 1 && !(self.seen - 1).is_multiple_of(self.loaded.thinned) {
             return;
         }
         let o = match self.origin {
             Some(o) => o,
-            None if x.is_finite() && y.is_finite() && z.is_finite() => self.settle([x, y, z]),
+            None if x.is_finite() && y.is_finite() && z.is_finite() => self.to_local([x, y, z]),
             None => [0.0; 3],
         };
         let p = Point3::new((x - o[0]) as f32, (y - o[1]) as f32, (z - o[2]) as f32);
@@ -109,14 +109,14 @@ impl CloudBuilder {
             return;
         }
         self.loaded.cloud.positions.push(p);
-        self.loaded.cloud.colours.push(colour);
+        self.loaded.cloud.colors.push(color);
     }
 
     /// Adds a point whose color is not a number.
-    pub fn push_discoloured(&mut self, position: [f64; 3], colour: [u8; 3]) {
+    pub fn push_without_valid_color(&mut self, position: [f64; 3], color: [u8; 3]) {
         let before = self.loaded.cloud.len();
-        self.push(position, colour);
-        self.loaded.without_colour += self.loaded.cloud.len() - before;
+        self.push(position, color);
+        self.loaded.without_color += self.loaded.cloud.len() - before;
     }
 
     /// Returns the number of points kept so far.
@@ -125,7 +125,7 @@ impl CloudBuilder {
     }
 
     /// Returns the points in file order if all of them are kept: none thinned out, none dropped.
-    pub fn complete(&self) -> Option<&PointCloud> {
+    pub fn as_complete(&self) -> Option<&PointCloud> {
         (self.loaded.cloud.len() == self.seen).then_some(&self.loaded.cloud)
     }
 
@@ -135,20 +135,20 @@ impl CloudBuilder {
     }
 
     /// Sets the colors of the kept points, for formats where they are known only at the end.
-    pub fn recolour(&mut self, colours: impl Iterator<Item = [u8; 3]>) {
-        for (own, colour) in self.loaded.cloud.colours.iter_mut().zip(colours) {
-            *own = colour;
+    pub fn set_colors(&mut self, colors: impl Iterator<Item = [u8; 3]>) {
+        for (own, color) in self.loaded.cloud.colors.iter_mut().zip(colors) {
+            *own = color;
         }
     }
 
     /// Returns the number of points so far, including those that were thinned out.
-    pub fn seen(&self) -> usize {
+    pub fn points_read(&self) -> usize {
         self.seen
     }
 
     /// Makes room for files that do not announce their number of points: when twice the limit is
     /// reached, every other point is dropped.
-    pub fn make_room(&mut self, file: &Utf8Path) -> Result<(), IngestError> {
+    pub fn thin_if_full(&mut self, file: &Utf8Path) -> Result<(), IngestError> {
         self.bounds.check(file, self.seen as u64)?;
         if self.loaded.cloud.len() < self.bounds.kept.saturating_mul(2) {
             return Ok(());
@@ -159,12 +159,12 @@ impl CloudBuilder {
         };
         let (mut i, mut j) = (0, 0);
         self.loaded.cloud.positions.retain(|_| every_other(&mut i));
-        self.loaded.cloud.colours.retain(|_| every_other(&mut j));
+        self.loaded.cloud.colors.retain(|_| every_other(&mut j));
         self.loaded.thinned *= 2;
         Ok(())
     }
 
-    fn settle(&mut self, first: [f64; 3]) -> [f64; 3] {
+    fn to_local(&mut self, first: [f64; 3]) -> [f64; 3] {
         let far = first.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M));
         // A round number, because people who compare coordinates will see it.
         let origin = if far { first.map(|c| (c / 100.0).round() * 100.0) } else { [0.0; 3] };

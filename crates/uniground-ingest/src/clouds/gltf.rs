@@ -46,7 +46,7 @@ pub(super) fn read(
 ) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (document, binary) = open(root, file)?;
-    let blob = binary.map(|part| part_of(root, file, part)).transpose()?;
+    let blob = binary.map(|part| read_range(root, file, part)).transpose()?;
     let buffers = Buffers::load(&document, blob, root, file)?;
     let mut mesh = Mesh::default();
     let mut textures: Vec<Option<u32>> = vec![None; document.textures.len()];
@@ -62,7 +62,7 @@ pub(super) fn read(
             .nodes
             .get(node)
             .ok_or_else(|| malformed(format!("node {node} is not there")))?;
-        let to_world = parent * node.transform();
+        let to_world = parent * node.to_matrix();
         left.extend(node.children.iter().map(|child| (*child, to_world, depth + 1)));
         let Some(number) = node.mesh else { continue };
         let parts = document
@@ -70,9 +70,9 @@ pub(super) fn read(
             .get(number)
             .ok_or_else(|| malformed(format!("mesh {number} is not there")))?;
         for primitive in &parts.primitives {
-            let texture = texture_of(&document, &buffers, primitive, &mut textures, &mut mesh)
+            let texture = load_texture(&document, &buffers, primitive, &mut textures, &mut mesh)
                 .map_err(malformed)?;
-            add(&buffers, primitive, &document, &to_world, texture, &mut mesh)
+            add_primitive(&buffers, primitive, &document, &to_world, texture, &mut mesh)
                 .map_err(malformed)?;
         }
     }
@@ -94,7 +94,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), Inge
     }
     let mut magic = [0; 4];
     let (text, binary) = match source.read_exact(&mut magic) {
-        Ok(()) if &magic == b"glTF" => chunks(&mut source, bytes)
+        Ok(()) if &magic == b"glTF" => read_chunks(&mut source, bytes)
             .map_err(reading)?
             .ok_or_else(|| malformed("not a whole GLB file of version 2".into()))?,
         _ => (read_text(root, file, MAX_JSON_BYTES)?.into_bytes(), None),
@@ -113,7 +113,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), Inge
 /// Reads the JSON of a GLB of `bytes` bytes, which has been read up to its magic, and the range of
 /// its binary chunk. Lengths are compared with the file's size before anything is read. `None`: the
 /// file is incomplete.
-fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPart)>> {
+fn read_chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPart)>> {
     let mut head = [0; 16];
     source.read_exact(&mut head)?;
     let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| head[at + i]));
@@ -138,7 +138,7 @@ fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPa
 }
 
 /// Reads a part of a file. The part must lie within the file.
-fn part_of(root: &Utf8Path, file: &Utf8Path, part: Range<u64>) -> Result<Vec<u8>, IngestError> {
+fn read_range(root: &Utf8Path, file: &Utf8Path, part: Range<u64>) -> Result<Vec<u8>, IngestError> {
     let read = || {
         let mut source = File::open(root.join(file))?;
         source.seek(SeekFrom::Start(part.start))?;
@@ -150,7 +150,7 @@ fn part_of(root: &Utf8Path, file: &Utf8Path, part: Range<u64>) -> Result<Vec<u8>
 }
 
 impl document::Node {
-    fn transform(&self) -> Matrix4<f64> {
+    fn to_matrix(&self) -> Matrix4<f64> {
         if let Some(columns) = self.matrix {
             return Matrix4::from_column_slice(&columns);
         }
@@ -164,7 +164,7 @@ impl document::Node {
 }
 
 /// Returns the texture of a primitive's material, decoded once.
-fn texture_of(
+fn load_texture(
     document: &Document,
     buffers: &Buffers,
     primitive: &Primitive,
@@ -172,7 +172,7 @@ fn texture_of(
     mesh: &mut Mesh,
 ) -> Result<Option<u32>, String> {
     let material = primitive.material.and_then(|m| document.materials.get(m));
-    let Some(number) = material.and_then(|m| m.pbr.base_colour_texture.as_ref()).map(|t| t.index)
+    let Some(number) = material.and_then(|m| m.pbr.base_color_texture.as_ref()).map(|t| t.index)
     else {
         return Ok(None);
     };
@@ -181,7 +181,7 @@ fn texture_of(
     };
     if slot.is_none() {
         let Some(image) = document.textures[number].source else { return Ok(None) };
-        let bytes = buffers.image(document, image)?;
+        let bytes = buffers.read_image(document, image)?;
         let texture = Texture::decode(&bytes)
             .map_err(|e| format!("image {image} is not a readable picture: {e}"))?;
         *slot = Some(mesh.textures.len() as u32);
@@ -190,7 +190,7 @@ fn texture_of(
     Ok(*slot)
 }
 
-fn add(
+fn add_primitive(
     buffers: &Buffers,
     primitive: &Primitive,
     document: &Document,
@@ -203,38 +203,38 @@ fn add(
     else {
         return Ok(());
     };
-    let positions = buffers.accessor(document, *position, 3)?;
-    let colours = primitive
+    let positions = buffers.read_accessor(document, *position, 3)?;
+    let colors = primitive
         .attributes
         .get("COLOR_0")
-        .map(|a| buffers.accessor(document, *a, 3))
+        .map(|a| buffers.read_accessor(document, *a, 3))
         .transpose()?;
     let places = primitive
         .attributes
         .get("TEXCOORD_0")
-        .map(|a| buffers.accessor(document, *a, 2))
+        .map(|a| buffers.read_accessor(document, *a, 2))
         .transpose()?;
     let factor = primitive
         .material
         .and_then(|m| document.materials.get(m))
-        .and_then(|m| m.pbr.base_colour_factor);
-    mesh.has_colour |= colours.is_some() || texture.is_some() || factor.is_some();
+        .and_then(|m| m.pbr.base_color_factor);
+    mesh.has_color |= colors.is_some() || texture.is_some() || factor.is_some();
     let factor = factor.map_or([1.0; 3], |f| [f[0], f[1], f[2]]);
     let corner = |i: usize| -> Result<MeshVertex, String> {
         let p = positions.get(i).ok_or_else(|| format!("vertex {i} is not there"))?;
         let p = to_world.transform_point(&nalgebra::Point3::new(p[0], p[1], p[2]));
-        let own = colours
+        let own = colors
             .as_ref()
             .and_then(|c| c.get(i))
             .map_or([1.0; 3], |c| [c[0] as f32, c[1] as f32, c[2] as f32]);
         // Factors and vertex colors are linear, pictures are sRGB.
-        let tint = std::array::from_fn(|k| srgb(own[k] * factor[k]));
+        let tint = std::array::from_fn(|k| linear_to_srgb(own[k] * factor[k]));
         let uv =
             places.as_ref().and_then(|places| places.get(i)).map(|uv| [uv[0] as f32, uv[1] as f32]);
         Ok(MeshVertex { at: [p.x, p.y, p.z], tint, uv })
     };
     let indices =
-        primitive.indices.map(|indices| buffers.accessor(document, indices, 1)).transpose()?;
+        primitive.indices.map(|indices| buffers.read_accessor(document, indices, 1)).transpose()?;
     let count = indices.as_ref().map_or(positions.len(), AccessorRows::len);
     let vertex = |i: usize| match &indices {
         Some(indices) => indices.get(i).map_or(usize::MAX, |index| index[0] as usize),
@@ -259,12 +259,12 @@ fn add(
             }
         }
         POINTS => {
-            let coloured = colours.is_some();
+            let colored = colors.is_some();
             for i in 0..count {
                 let corner = corner(vertex(i))?;
                 mesh.points.push((
                     corner.at,
-                    coloured.then(|| corner.tint.map(|c| (c * 255.0).round() as u8)),
+                    colored.then(|| corner.tint.map(|c| (c * 255.0).round() as u8)),
                 ));
             }
         }
@@ -278,7 +278,7 @@ fn add(
 }
 
 /// Converts linear light to sRGB, both `0..=1`.
-fn srgb(linear: f32) -> f32 {
+fn linear_to_srgb(linear: f32) -> f32 {
     let c = linear.clamp(0.0, 1.0);
     if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 }
 }
@@ -337,7 +337,7 @@ mod tests {
         let (json, blob) = triangle();
         let loaded = read_bytes(&glb(&json, &blob)).unwrap();
         assert_eq!(loaded.cloud.len(), 5000);
-        assert!(loaded.has_colour && loaded.cloud.colours.iter().all(|c| *c == [255, 0, 0]));
+        assert!(loaded.has_color && loaded.cloud.colors.iter().all(|c| *c == [255, 0, 0]));
         assert!(
             loaded
                 .cloud

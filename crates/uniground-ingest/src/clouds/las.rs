@@ -5,7 +5,7 @@ mod lengths;
 mod records;
 
 use super::gathered::{CloudBounds, GREY};
-use super::{CloudBuilder, guarded};
+use super::{CloudBuilder, catch_panics};
 use crate::IngestError;
 use camino::Utf8Path;
 use std::fs::File;
@@ -22,7 +22,7 @@ pub(super) fn check(
 ) -> Result<(), IngestError> {
     match records::LasRecords::open(root, file)? {
         Some(records) => records.check(file, bounds),
-        None => guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop))),
+        None => catch_panics(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop))),
     }
 }
 
@@ -45,39 +45,39 @@ fn read_compressed(
     let read = AssertUnwindSafe(move || {
         let mut reader = open(root, file, &CloudBounds::OWN)?;
         let header = reader.header();
-        let (points, coloured) = (header.number_of_points(), header.point_format().has_color);
+        let (points, colored) = (header.number_of_points(), header.point_format().has_color);
         gathered.expect(file, usize::try_from(points).unwrap_or(usize::MAX))?;
-        gathered.coloured(coloured);
+        gathered.set_has_color(colored);
         let mut wide: Vec<[u16; 3]> = Vec::new();
         for (row, point) in reader.points().enumerate() {
             let point =
                 point.map_err(|e| IngestError::malformed(file, format!("point {row}: {e}")))?;
-            let colour = point.color.map(|c| [c.red, c.green, c.blue]);
+            let color = point.color.map(|c| [c.red, c.green, c.blue]);
             let before = gathered.len();
             gathered.push([point.x, point.y, point.z], GREY);
-            if coloured && gathered.len() > before {
-                wide.push(colour.unwrap_or_default());
+            if colored && gathered.len() > before {
+                wide.push(color.unwrap_or_default());
             }
         }
-        if (gathered.seen() as u64) < points {
+        if (gathered.points_read() as u64) < points {
             return Err(IngestError::malformed(
                 file,
-                format!("truncated: {} of {points} points", gathered.seen()),
+                format!("truncated: {} of {points} points", gathered.points_read()),
             ));
         }
-        if coloured {
-            recolour(&mut gathered, &wide);
+        if colored {
+            set_colors(&mut gathered, &wide);
         }
         Ok(gathered)
     });
-    guarded(file, read)
+    catch_panics(file, read)
 }
 
 /// Sets the colors. The standard requires 16 bits, but many writers store 8-bit values unscaled.
 /// The largest value tells which it is.
-fn recolour(gathered: &mut CloudBuilder, wide: &[[u16; 3]]) {
+fn set_colors(gathered: &mut CloudBuilder, wide: &[[u16; 3]]) {
     let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
-    gathered.recolour(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));
+    gathered.set_colors(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));
 }
 
 fn open(

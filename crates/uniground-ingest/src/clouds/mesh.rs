@@ -38,7 +38,7 @@ pub(super) struct Mesh {
     pub textures: Vec<Texture>,
     /// Vertices without faces, with color where `Some`.
     pub points: Vec<([f64; 3], Option<[u8; 3]>)>,
-    pub has_colour: bool,
+    pub has_color: bool,
 }
 
 impl Triangle {
@@ -50,7 +50,7 @@ impl Triangle {
     }
 
     /// Returns the point with these weights of its corners.
-    fn at(&self, weights: [f64; 3], textures: &[Texture]) -> ([f64; 3], [u8; 3]) {
+    fn interpolate(&self, weights: [f64; 3], textures: &[Texture]) -> ([f64; 3], [u8; 3]) {
         let mix = |of: &dyn Fn(&MeshVertex) -> f64| {
             self.corners.iter().zip(weights).map(|(corner, w)| of(corner) * w).sum::<f64>()
         };
@@ -62,7 +62,7 @@ impl Triangle {
             .filter(|_| self.corners.iter().all(|c| c.uv.is_some()));
         let base = texture.map_or([255; 3], |texture| {
             let uv = |i: usize| mix(&|c| f64::from(c.uv.unwrap_or_default()[i])) as f32;
-            texture.at(uv(0), uv(1))
+            texture.interpolate(uv(0), uv(1))
         });
         (position, std::array::from_fn(|i| (f64::from(base[i]) * tint[i]).round() as u8))
     }
@@ -77,19 +77,19 @@ impl Mesh {
         metres_per_unit: f64,
         gathered: &mut CloudBuilder,
     ) -> Result<(), IngestError> {
-        gathered.coloured(self.has_colour);
-        for (position, colour) in &self.points {
-            gathered.push(*position, colour.unwrap_or(GREY));
+        gathered.set_has_color(self.has_color);
+        for (position, color) in &self.points {
+            gathered.push(*position, color.unwrap_or(GREY));
         }
         if self.triangles.is_empty() {
             return Ok(());
         }
         let area = self.triangles.iter().map(Triangle::area).sum();
-        let mut sampling = MeshSampler::of(area, metres_per_unit)
+        let mut sampling = MeshSampler::for_area(area, metres_per_unit)
             .ok_or_else(|| IngestError::malformed(file, "the faces of the mesh have no area"))?;
         for triangle in &self.triangles {
-            sampling.points(triangle, &self.textures, |position, colour| {
-                gathered.push(position, if self.has_colour { colour } else { GREY });
+            sampling.sample_triangle(triangle, &self.textures, |position, color| {
+                gathered.push(position, if self.has_color { color } else { GREY });
             });
         }
         Ok(())
@@ -106,7 +106,7 @@ pub(super) struct MeshSampler {
 
 impl MeshSampler {
     /// Creates a sampler for triangles of this total area. Returns `None` if there is none.
-    pub fn of(area: f64, metres_per_unit: f64) -> Option<Self> {
+    pub fn for_area(area: f64, metres_per_unit: f64) -> Option<Self> {
         let most = area * (metres_per_unit / SPACING_M).powi(2);
         (area.is_finite() && area > 0.0).then(|| Self {
             per_area: most.min(MAX_POINTS) / area,
@@ -116,7 +116,7 @@ impl MeshSampler {
     }
 
     /// Returns the points of the next triangle, with their colors.
-    pub fn points(
+    pub fn sample_triangle(
         &mut self,
         triangle: &Triangle,
         textures: &[Texture],
@@ -125,15 +125,15 @@ impl MeshSampler {
         self.owed += triangle.area() * self.per_area;
         while self.owed >= 1.0 {
             self.owed -= 1.0;
-            let (position, colour) = triangle.at(weights(self.drawn), textures);
-            hand(position, colour);
+            let (position, color) = triangle.interpolate(nth_weights(self.drawn), textures);
+            hand(position, color);
             self.drawn = self.drawn.wrapping_add(1);
         }
     }
 }
 
 /// Returns the next item of a sequence that fills a triangle evenly (Roberts' R2, folded).
-fn weights(drawn: u32) -> [f64; 3] {
+fn nth_weights(drawn: u32) -> [f64; 3] {
     const A: f64 = 0.754_877_666_246_692_7;
     const B: f64 = 0.569_840_290_998_053_2;
     let (mut u, mut v) =

@@ -42,14 +42,14 @@ const HEAD_BYTES: u64 = 4096;
 impl CloudKind {
     /// Detects the format by a file's first bytes. If those are only numbers, its extension
     /// decides. `None`: not a supported cloud.
-    pub fn of(file: &Utf8Path) -> Option<Self> {
+    pub fn detect(file: &Utf8Path) -> Option<Self> {
         let mut head = Vec::new();
         File::open(file).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
-        Self::of_head(&head, file.extension().unwrap_or_default())
+        Self::from_head(&head, file.extension().unwrap_or_default())
     }
 
     /// Detects the format by first bytes. If those are only numbers, the extension decides.
-    pub fn of_head(head: &[u8], extension: &str) -> Option<Self> {
+    pub fn from_head(head: &[u8], extension: &str) -> Option<Self> {
         if head.starts_with(b"ply") {
             return Some(Self::Ply);
         }
@@ -74,7 +74,7 @@ impl CloudKind {
             "gltf" if is_text => Some(Self::Gltf),
             "obj" if is_text => Some(Self::Obj),
             "xyz" | "xyzn" | "xyzrgb" | "pts" | "txt" | "csv" | "asc"
-                if is_text && text::recognises(head) =>
+                if is_text && text::can_read(head) =>
             {
                 Some(Self::Text)
             }
@@ -83,7 +83,7 @@ impl CloudKind {
     }
 
     /// Returns the up axis that the format defines.
-    pub fn up(self) -> Option<UpAxis> {
+    pub fn up_axis(self) -> Option<UpAxis> {
         match self {
             Self::Gltf => Some(UpAxis::Y),
             // Surveying formats: heights are z.
@@ -122,7 +122,7 @@ pub(super) fn check(
     file: &Utf8Path,
     bounds: &CloudBounds,
 ) -> Result<(), IngestError> {
-    match kind_of(root, file)? {
+    match detect_kind(root, file)? {
         CloudKind::Ply => ply::check(root, file, bounds),
         CloudKind::Pcd => pcd::check(root, file, bounds),
         CloudKind::Las => las::check(root, file, bounds),
@@ -144,7 +144,7 @@ pub(super) fn read(
     bounds: &CloudBounds,
     origin: CoordinateOrigin,
 ) -> Result<LoadedCloud, IngestError> {
-    let kind = kind_of(root, file)?;
+    let kind = detect_kind(root, file)?;
     let gathered = CloudBuilder::new(kind, bounds, origin);
     let gathered = match kind {
         CloudKind::Ply => ply::read(root, file, gathered),
@@ -158,12 +158,12 @@ pub(super) fn read(
     gathered?.finish(file)
 }
 
-fn kind_of(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
+fn detect_kind(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
     let path = root.join(file);
     if !path.is_file() {
         return Err(IngestError::MissingFile { file: file.to_owned() });
     }
-    match CloudKind::of(&path) {
+    match CloudKind::detect(&path) {
         Some(kind) => Ok(kind),
         // A file named `.ply` is always read as PLY, so that its reader reports what is wrong with
         // it.
@@ -176,7 +176,7 @@ fn kind_of(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
 }
 
 /// Runs a third-party reader. Converts its panics on damaged files to errors.
-fn guarded<T>(
+fn catch_panics<T>(
     file: &Utf8Path,
     read: impl FnOnce() -> Result<T, IngestError> + std::panic::UnwindSafe,
 ) -> Result<T, IngestError> {

@@ -46,11 +46,11 @@ pub(super) fn read(
         let text = String::from_utf8_lossy(&line);
         let mut words = text.split_ascii_whitespace();
         match words.next() {
-            Some("v") => reading.vertex(words).map_err(at)?,
-            Some("vt") => reading.texture_place(words).map_err(at)?,
-            Some("f") => reading.face(words).map_err(at)?,
+            Some("v") => reading.parse_vertex(words).map_err(at)?,
+            Some("vt") => reading.parse_texture_coordinates(words).map_err(at)?,
+            Some("f") => reading.parse_face(words).map_err(at)?,
             Some("mtllib") => {
-                reading.materials_of(root, file, text.trim_start()["mtllib".len()..].trim())?;
+                reading.read_materials(root, file, text.trim_start()["mtllib".len()..].trim())?;
             }
             Some("usemtl") => {
                 reading.current =
@@ -68,17 +68,17 @@ pub(super) fn read(
         }
     }
     let ObjReader { positions, tints, mut mesh, .. } = reading;
-    mesh.has_colour |= !tints.is_empty();
+    mesh.has_color |= !tints.is_empty();
     if mesh.triangles.is_empty() {
-        let colour = |i: usize| tints.get(i).map(|t| t.map(|c| (c * 255.0).round() as u8));
-        mesh.points = positions.iter().enumerate().map(|(i, p)| (*p, colour(i))).collect();
+        let color = |i: usize| tints.get(i).map(|t| t.map(|c| (c * 255.0).round() as u8));
+        mesh.points = positions.iter().enumerate().map(|(i, p)| (*p, color(i))).collect();
     }
     mesh.sample(file, 1.0, &mut gathered)?;
     Ok(gathered)
 }
 
 impl ObjReader {
-    fn vertex<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
+    fn parse_vertex<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let values: Vec<f64> = words
             .take(8)
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
@@ -97,7 +97,10 @@ impl ObjReader {
         Ok(())
     }
 
-    fn texture_place<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
+    fn parse_texture_coordinates<'a>(
+        &mut self,
+        words: impl Iterator<Item = &'a str>,
+    ) -> Result<(), String> {
         let values: Vec<f32> = words
             .take(2)
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
@@ -112,7 +115,7 @@ impl ObjReader {
 
     /// Parses `f v`, `f v/vt`, `f v/vt/vn` or `f v//vn`. Indices count from 1, or backwards from
     /// the last. Polygons are split into fans.
-    fn face<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
+    fn parse_face<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
         let mut corners = Vec::new();
         for word in words.take(256) {
             let mut parts = word.split('/');
@@ -144,13 +147,13 @@ impl ObjReader {
         Ok(())
     }
 
-    fn materials_of(
+    fn read_materials(
         &mut self,
         root: &Utf8Path,
         file: &Utf8Path,
         name: &str,
     ) -> Result<(), IngestError> {
-        let Some(library) = beside(file, name) else { return Ok(()) };
+        let Some(library) = sibling_path(file, name) else { return Ok(()) };
         // Without its material file, a mesh is read without color.
         if !root.join(&library).is_file() {
             return Ok(());
@@ -173,7 +176,8 @@ impl ObjReader {
                         format!("more than {MAX_TEXTURES} textures"),
                     ));
                 }
-                let Some(picture) = beside(&library, picture).filter(|p| root.join(p).is_file())
+                let Some(picture) =
+                    sibling_path(&library, picture).filter(|p| root.join(p).is_file())
                 else {
                     continue;
                 };
@@ -186,7 +190,7 @@ impl ObjReader {
                 })?;
                 self.materials.insert(material.clone(), self.mesh.textures.len() as u32);
                 self.mesh.textures.push(texture);
-                self.mesh.has_colour = true;
+                self.mesh.has_color = true;
             }
         }
         Ok(())
@@ -194,7 +198,7 @@ impl ObjReader {
 }
 
 /// Returns the path of a file that another one names, if it stays inside the upload.
-pub(super) fn beside(file: &Utf8Path, name: &str) -> Option<Utf8PathBuf> {
+pub(super) fn sibling_path(file: &Utf8Path, name: &str) -> Option<Utf8PathBuf> {
     let name = Utf8Path::new(name);
     let plain =
         name.components().all(|c| matches!(c, Utf8Component::Normal(_) | Utf8Component::CurDir));
@@ -225,7 +229,7 @@ mod tests {
     #[test]
     fn a_square_metre_is_ten_thousand_points_evenly_spread() {
         let loaded = read_files(&[("a.obj", format!("{SQUARE}f 1 2 3 4\n").as_bytes())]).unwrap();
-        assert_eq!((loaded.cloud.len(), loaded.has_colour), (10_000, false));
+        assert_eq!((loaded.cloud.len(), loaded.has_color), (10_000, false));
         for corner in 0..4 {
             let inside = |p: &&uniground_geometry::Point3<f32>| {
                 (p.x > 0.5) == (corner % 2 == 1) && (p.y > 0.5) == (corner / 2 == 1)
@@ -236,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn textures_give_colour() {
+    fn textures_give_color() {
         let mut png = std::io::Cursor::new(Vec::new());
         let picture = image::RgbImage::from_fn(2, 2, |x, y| {
             if (x, y) == (0, 0) { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 0, 255]) }
@@ -249,7 +253,7 @@ mod tests {
             ("t.png", png.get_ref()),
         ])
         .unwrap();
-        for (p, c) in loaded.cloud.positions.iter().zip(&loaded.cloud.colours) {
+        for (p, c) in loaded.cloud.positions.iter().zip(&loaded.cloud.colors) {
             // The picture's first row is at the top: high y.
             assert_eq!(*c, if p.x < 0.5 && p.y > 0.5 { [255, 0, 0] } else { [0, 0, 255] }, "{p}");
         }

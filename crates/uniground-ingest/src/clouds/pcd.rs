@@ -40,25 +40,25 @@ struct Field {
 }
 
 impl Field {
-    fn bytes(&self) -> usize {
+    fn size_bytes(&self) -> usize {
         self.size * self.count
     }
 
-    fn number(&self, bytes: &[u8]) -> f64 {
-        fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
+    fn read_number(&self, bytes: &[u8]) -> f64 {
+        fn first_bytes<const N: usize>(bytes: &[u8]) -> [u8; N] {
             std::array::from_fn(|i| bytes[i])
         }
         match (self.kind, self.size) {
-            (PcdFieldType::Float, 4) => f64::from(f32::from_le_bytes(first(bytes))),
-            (PcdFieldType::Float, _) => f64::from_le_bytes(first(bytes)),
+            (PcdFieldType::Float, 4) => f64::from(f32::from_le_bytes(first_bytes(bytes))),
+            (PcdFieldType::Float, _) => f64::from_le_bytes(first_bytes(bytes)),
             (PcdFieldType::Signed, 1) => f64::from(bytes[0].cast_signed()),
-            (PcdFieldType::Signed, 2) => f64::from(i16::from_le_bytes(first(bytes))),
-            (PcdFieldType::Signed, 4) => f64::from(i32::from_le_bytes(first(bytes))),
-            (PcdFieldType::Signed, _) => i64::from_le_bytes(first(bytes)) as f64,
+            (PcdFieldType::Signed, 2) => f64::from(i16::from_le_bytes(first_bytes(bytes))),
+            (PcdFieldType::Signed, 4) => f64::from(i32::from_le_bytes(first_bytes(bytes))),
+            (PcdFieldType::Signed, _) => i64::from_le_bytes(first_bytes(bytes)) as f64,
             (PcdFieldType::Unsigned, 1) => f64::from(bytes[0]),
-            (PcdFieldType::Unsigned, 2) => f64::from(u16::from_le_bytes(first(bytes))),
-            (PcdFieldType::Unsigned, 4) => f64::from(u32::from_le_bytes(first(bytes))),
-            (PcdFieldType::Unsigned, _) => u64::from_le_bytes(first(bytes)) as f64,
+            (PcdFieldType::Unsigned, 2) => f64::from(u16::from_le_bytes(first_bytes(bytes))),
+            (PcdFieldType::Unsigned, 4) => f64::from(u32::from_le_bytes(first_bytes(bytes))),
+            (PcdFieldType::Unsigned, _) => u64::from_le_bytes(first_bytes(bytes)) as f64,
         }
     }
 }
@@ -83,7 +83,7 @@ impl Header {
     }
 
     /// Returns the fields x, y, z and the packed color.
-    fn wanted(&self) -> Option<([&Field; 3], Option<&Field>)> {
+    fn position_and_color(&self) -> Option<([&Field; 3], Option<&Field>)> {
         let xyz = [self.field("x")?, self.field("y")?, self.field("z")?];
         let packed =
             self.field("rgb").or_else(|| self.field("rgba")).filter(|field| field.size == 4);
@@ -108,11 +108,12 @@ pub(super) fn read(
 ) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (header, mut source) = open(root, file)?;
-    let (xyz, packed) =
-        header.wanted().ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
-    gathered.coloured(packed.is_some());
+    let (xyz, packed) = header
+        .position_and_color()
+        .ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
+    gathered.set_has_color(packed.is_some());
     if header.data != PcdEncoding::Ascii && xyz.iter().all(|field| field.size < 8) {
-        gathered.single_precision();
+        gathered.set_single_precision();
     }
     gathered.expect(file, header.points)?;
     match header.data {
@@ -181,8 +182,8 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
                     Some(&"binary_compressed") => PcdEncoding::Compressed,
                     other => return Err(format!("DATA is {other:?}")),
                 };
-                let fields = fields(names, &sizes, &kinds, &counts)?;
-                let row_bytes = fields.iter().map(Field::bytes).sum();
+                let fields = parse_fields(names, &sizes, &kinds, &counts)?;
+                let row_bytes = fields.iter().map(Field::size_bytes).sum();
                 let points = points.unwrap_or(width.saturating_mul(height));
                 let points =
                     usize::try_from(points).ok().filter(|n| n.checked_mul(row_bytes).is_some());
@@ -199,7 +200,7 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
     Err("its header does not end".into())
 }
 
-fn fields(
+fn parse_fields(
     names: Vec<String>,
     sizes: &[u64],
     kinds: &[String],
@@ -226,14 +227,14 @@ fn fields(
             return Err(format!("{name} has {count} numbers a point"));
         }
         let field = Field { name, size, kind, count: count as usize, offset };
-        offset += field.bytes();
+        offset += field.size_bytes();
         fields.push(field);
     }
     Ok(fields)
 }
 
 /// Unpacks blue, green, red: the order of the packed bytes.
-fn unpacked([b, g, r, _]: [u8; 4]) -> [u8; 3] {
+fn unpack_bgr([b, g, r, _]: [u8; 4]) -> [u8; 3] {
     [r, g, b]
 }
 
@@ -242,7 +243,7 @@ fn read_ascii(
     source: &mut impl BufRead,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
+    let Some((xyz, packed)) = header.position_and_color() else { return Ok(()) };
     // Column numbers. Fields of several numbers may precede them.
     let column = |field: &Field| {
         header.fields.iter().take_while(|f| f.name != field.name).map(|f| f.count).sum::<usize>()
@@ -255,7 +256,7 @@ fn read_ascii(
             return Err(format!("truncated: {row} of {} points", header.points));
         }
         let text = std::str::from_utf8(&line).map_err(|_| format!("point {row}: not text"))?;
-        let (mut position, mut colour, mut found) = ([f64::NAN; 3], GREY, 0);
+        let (mut position, mut color, mut found) = ([f64::NAN; 3], GREY, 0);
         for (i, word) in text.split_ascii_whitespace().enumerate().take(most + 1) {
             found = i;
             let number = || {
@@ -271,13 +272,13 @@ fn read_ascii(
                     (_, Ok(bits)) => bits,
                     (_, Err(_)) => number()? as u32,
                 };
-                colour = unpacked(bits.to_le_bytes());
+                color = unpack_bgr(bits.to_le_bytes());
             }
         }
         if found < most {
             return Err(format!("point {row} has {} values, {} at least", found + 1, most + 1));
         }
-        gathered.push(position, colour);
+        gathered.push(position, color);
     }
     Ok(())
 }
@@ -287,7 +288,7 @@ fn read_binary(
     source: &mut impl Read,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
+    let Some((xyz, packed)) = header.position_and_color() else { return Ok(()) };
     let per_block = (BLOCK_BYTES / header.row_bytes).max(1);
     let mut block = vec![0; per_block * header.row_bytes];
     let mut left = header.points;
@@ -296,11 +297,11 @@ fn read_binary(
         let block = &mut block[..rows * header.row_bytes];
         source.read_exact(block).map_err(|e| format!("truncated: {e}"))?;
         for row in block.chunks_exact(header.row_bytes) {
-            let position = xyz.map(|field| field.number(&row[field.offset..]));
-            let colour = packed.map_or(GREY, |f| {
-                unpacked([row[f.offset], row[f.offset + 1], row[f.offset + 2], 0])
+            let position = xyz.map(|field| field.read_number(&row[field.offset..]));
+            let color = packed.map_or(GREY, |f| {
+                unpack_bgr([row[f.offset], row[f.offset + 1], row[f.offset + 2], 0])
             });
-            gathered.push(position, colour);
+            gathered.push(position, color);
         }
         left -= rows;
     }
@@ -313,7 +314,7 @@ fn read_compressed(
     source: &mut impl Read,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some((xyz, packed)) = header.wanted() else { return Ok(()) };
+    let Some((xyz, packed)) = header.position_and_color() else { return Ok(()) };
     let mut sizes = [0; 8];
     source.read_exact(&mut sizes).map_err(|e| format!("truncated: {e}"))?;
     let size = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| sizes[at + i])) as usize;
@@ -330,22 +331,24 @@ fn read_compressed(
     if packed_bytes.len() != compressed {
         return Err(format!("truncated: {} of {compressed} bytes", packed_bytes.len()));
     }
-    let bytes = lzf(&packed_bytes, unpacked_bytes)?;
-    let column =
-        |field: &Field| &bytes[field.offset * header.points..][..field.bytes() * header.points];
+    let bytes = decompress_lzf(&packed_bytes, unpacked_bytes)?;
+    let column = |field: &Field| {
+        &bytes[field.offset * header.points..][..field.size_bytes() * header.points]
+    };
     let (xyz, packed) = (xyz.map(|field| (field, column(field))), packed.map(column));
     for i in 0..header.points {
-        let position = xyz.map(|(field, column)| field.number(&column[i * field.bytes()..]));
-        let colour = packed.map_or(GREY, |column| {
-            unpacked([column[i * 4], column[i * 4 + 1], column[i * 4 + 2], 0])
+        let position =
+            xyz.map(|(field, column)| field.read_number(&column[i * field.size_bytes()..]));
+        let color = packed.map_or(GREY, |column| {
+            unpack_bgr([column[i * 4], column[i * 4 + 1], column[i * 4 + 2], 0])
         });
-        gathered.push(position, colour);
+        gathered.push(position, color);
     }
     Ok(())
 }
 
 /// Decompresses LibLZF: runs of literals, and copies of earlier output.
-fn lzf(source: &[u8], expected: usize) -> Result<Vec<u8>, String> {
+fn decompress_lzf(source: &[u8], expected: usize) -> Result<Vec<u8>, String> {
     let damaged = || "its compressed points are damaged".to_owned();
     let mut out: Vec<u8> = Vec::with_capacity(expected);
     let mut at = 0;
@@ -413,7 +416,8 @@ mod tests {
             (header(2, "ascii"), header(2, "binary"), Vec::new());
         for (c, p) in points {
             ascii.extend(
-                format!("{:e} {} {} {}\n", f32::from_bits(packed(c)), p[0], p[1], p[2]).bytes(),
+                format!("{:e} {} {} {}\n", f32::from_bits(packed(c)), p[0], p[1], p[2])
+                    .bytes(),
             );
             binary.extend(packed(c).to_le_bytes());
             p.iter().for_each(|v| binary.extend(v.to_le_bytes()));
@@ -435,7 +439,7 @@ mod tests {
         for bytes in [ascii, binary, compressed] {
             let loaded = read_bytes(&bytes).unwrap();
             assert_eq!(
-                (loaded.cloud.positions, loaded.cloud.colours, loaded.dropped),
+                (loaded.cloud.positions, loaded.cloud.colors, loaded.dropped),
                 (vec![Point3::new(1.0, 2.0, 3.0)], vec![[10, 20, 30]], 1)
             );
         }
@@ -444,9 +448,15 @@ mod tests {
     #[test]
     fn copies_repeat_what_came_before() {
         // "ab", then nine bytes copied from two bytes back.
-        assert_eq!(lzf(&[1, b'a', b'b', 0b111_00000, 0, 1], 11).unwrap(), b"abababababa");
-        assert!(lzf(&[0b111_00000, 0, 1], 9).is_err(), "nothing to copy from");
-        assert!(lzf(&[1, b'a', b'b', 0b111_00000, 255, 1], 11).is_err(), "longer than announced");
+        assert_eq!(
+            decompress_lzf(&[1, b'a', b'b', 0b111_00000, 0, 1], 11).unwrap(),
+            b"abababababa"
+        );
+        assert!(decompress_lzf(&[0b111_00000, 0, 1], 9).is_err(), "nothing to copy from");
+        assert!(
+            decompress_lzf(&[1, b'a', b'b', 0b111_00000, 255, 1], 11).is_err(),
+            "longer than announced"
+        );
     }
 
     #[test]
@@ -470,7 +480,7 @@ mod tests {
             for data in ["ascii", "binary", "binary_compressed"] {
                 let _ = read_bytes(&[header(count, data), bytes.clone()].concat());
             }
-            let _ = lzf(&bytes, count * 16);
+            let _ = decompress_lzf(&bytes, count * 16);
         }
     }
 }

@@ -44,7 +44,7 @@ pub fn read(
     let (header, mut source) = open(root, file)?;
     let mut has_vertices = false;
     for element in header.elements.values() {
-        let rows = PlyRows::of(element, &header.encoding);
+        let rows = PlyRows::new(element, &header.encoding);
         let named = |e: String| malformed(format!("{}: {e}", element.name));
         if has_vertices && rows.has_corners() && element.count > 0 {
             faces::sample_if_sparse(&rows, &mut source, element.count, &mut gathered)
@@ -55,11 +55,12 @@ pub fn read(
             rows.skip(&mut source, element.count).map_err(named)?;
             continue;
         }
-        gathered
-            .coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
+        gathered.set_has_color(
+            ["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)),
+        );
         let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
         if !["x", "y", "z"].iter().any(in_doubles) {
-            gathered.single_precision();
+            gathered.set_single_precision();
         }
         gathered.expect(file, element.count)?;
         rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
@@ -67,7 +68,7 @@ pub fn read(
         if !header
             .elements
             .values()
-            .any(|element| PlyRows::of(element, &header.encoding).has_corners())
+            .any(|element| PlyRows::new(element, &header.encoding).has_corners())
         {
             break;
         }
@@ -142,10 +143,10 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
 }
 
 impl Vertex {
-    fn hand_to(&self, gathered: &mut CloudBuilder) {
-        match self.nan_colour {
-            false => gathered.push(self.position, self.colour),
-            true => gathered.push_discoloured(self.position, self.colour),
+    fn push_to(&self, gathered: &mut CloudBuilder) {
+        match self.nan_color {
+            false => gathered.push(self.position, self.color),
+            true => gathered.push_without_valid_color(self.position, self.color),
         }
     }
 }
@@ -154,9 +155,9 @@ impl Vertex {
 #[derive(Clone, Copy)]
 struct Vertex {
     position: [f64; 3],
-    colour: [u8; 3],
+    color: [u8; 3],
     /// Whether a color channel was NaN.
-    nan_colour: bool,
+    nan_color: bool,
 }
 
 /// A property that is used.
@@ -167,7 +168,7 @@ enum Field {
 }
 
 impl Field {
-    fn of(name: &str) -> Option<Self> {
+    fn from_name(name: &str) -> Option<Self> {
         let at = |names: [&str; 3]| names.iter().position(|known| *known == name);
         at(["x", "y", "z"])
             .map(Self::Coordinate)
@@ -177,7 +178,7 @@ impl Field {
 
 impl Vertex {
     fn new() -> Self {
-        Self { position: [f64::NAN; 3], colour: GREY, nan_colour: false }
+        Self { position: [f64::NAN; 3], color: GREY, nan_color: false }
     }
 
     /// Sets a color channel. Bytes are used unchanged, 16-bit values are divided by 257, floats are
@@ -186,7 +187,7 @@ impl Vertex {
     fn set(&mut self, field: Field, value: f64, scalar: &ScalarType) {
         match field {
             Field::Coordinate(axis) => self.position[axis] = value,
-            Field::Channel(_) if value.is_nan() => self.nan_colour = true,
+            Field::Channel(_) if value.is_nan() => self.nan_color = true,
             Field::Channel(channel) => {
                 let level = match scalar {
                     ScalarType::UShort | ScalarType::Short => (value * (1.0 / 257.0)).round(),
@@ -194,7 +195,7 @@ impl Vertex {
                     _ => value,
                 };
                 // Out-of-range channels saturate: `as` clamps.
-                self.colour[channel] = level as u8;
+                self.color[channel] = level as u8;
             }
         }
     }
@@ -244,7 +245,7 @@ mod tests {
         for bytes in [ascii, little, big] {
             let loaded = read_bytes(&bytes).unwrap();
             assert_eq!(loaded.cloud.positions, points.map(|(p, _)| Point3::from(p)));
-            assert_eq!(loaded.cloud.colours, points.map(|(_, c)| c));
+            assert_eq!(loaded.cloud.colors, points.map(|(_, c)| c));
         }
     }
 
@@ -263,7 +264,7 @@ mod tests {
         bytes.extend([1, 2]);
         let loaded = read_bytes(&bytes).unwrap();
         assert_eq!(
-            (loaded.cloud.positions[0], loaded.cloud.colours[0]),
+            (loaded.cloud.positions[0], loaded.cloud.colors[0]),
             (Point3::new(1.0, 2.0, 3.0), [1, 2, 3])
         );
     }
@@ -277,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_that_are_not_numbers_are_grey_and_counted() {
+    fn colors_that_are_not_numbers_are_grey_and_counted() {
         let mut bytes = header(
             "ascii",
             2,
@@ -285,8 +286,8 @@ mod tests {
         );
         bytes.extend(b"1 2 3 nan 0.5 1\n1 1 1 0 0 0\n");
         let loaded = read_bytes(&bytes).unwrap();
-        assert_eq!((loaded.cloud.len(), loaded.without_colour), (2, 1));
-        assert_eq!(loaded.cloud.colours, [[128, 128, 255], [0; 3]]);
+        assert_eq!((loaded.cloud.len(), loaded.without_color), (2, 1));
+        assert_eq!(loaded.cloud.colors, [[128, 128, 255], [0; 3]]);
     }
 
     /// Lists among the vertices, and faces before them, are skipped in all encodings.
@@ -320,7 +321,7 @@ mod tests {
                 loaded.cloud.positions,
                 [Point3::new(1.0, 2.0, 3.0), Point3::new(4.0, 5.0, 6.0)]
             );
-            assert!(!loaded.has_colour);
+            assert!(!loaded.has_color);
         }
     }
 

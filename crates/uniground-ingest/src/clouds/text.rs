@@ -28,12 +28,12 @@ enum ColorScale {
 struct Columns {
     /// The columns of x, y and z.
     position: [usize; 3],
-    colour: Option<([usize; 3], ColorScale)>,
+    color: Option<([usize; 3], ColorScale)>,
 }
 
 /// Returns whether a file begins with lines of at least three numbers, after at most a heading or a
 /// count.
-pub(super) fn recognises(head: &[u8]) -> bool {
+pub(super) fn can_read(head: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(
         &head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)],
     ) else {
@@ -45,7 +45,7 @@ pub(super) fn recognises(head: &[u8]) -> bool {
     }
     let (mut rows, mut others) = (0, 0);
     for line in lines {
-        match numbers(line) {
+        match parse_numbers(line) {
             Some(values) if values.len() >= 3 => rows += 1,
             _ => others += 1,
         }
@@ -53,12 +53,12 @@ pub(super) fn recognises(head: &[u8]) -> bool {
     rows > 0 && others <= 3
 }
 
-fn words(line: &str) -> impl Iterator<Item = &str> {
+fn split_words(line: &str) -> impl Iterator<Item = &str> {
     line.split([' ', '\t', ',', ';', '\r']).filter(|word| !word.is_empty()).take(MAX_COLUMNS)
 }
 
-fn numbers(line: &str) -> Option<Vec<f64>> {
-    words(line).map(|word| word.parse().ok()).collect()
+fn parse_numbers(line: &str) -> Option<Vec<f64>> {
+    split_words(line).map(|word| word.parse().ok()).collect()
 }
 
 pub(super) fn read(
@@ -67,8 +67,8 @@ pub(super) fn read(
     mut gathered: CloudBuilder,
 ) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
-    let columns = columns(root, file)?;
-    gathered.coloured(columns.colour.is_some());
+    let columns = detect_columns(root, file)?;
+    gathered.set_has_color(columns.color.is_some());
     let mut source = open(root, file)?;
     let mut line = Vec::new();
     let (mut number, mut skipped) = (0_usize, 0_usize);
@@ -80,7 +80,7 @@ pub(super) fn read(
         let text = std::str::from_utf8(&line)
             .map_err(|_| malformed(format!("line {number}: not text")))?;
         let (mut found, mut readable) = (0, true);
-        for (value, word) in values.iter_mut().zip(words(text)) {
+        for (value, word) in values.iter_mut().zip(split_words(text)) {
             match word.parse() {
                 Ok(v) => *value = v,
                 Err(_) => readable = false,
@@ -97,18 +97,18 @@ pub(super) fn read(
             }
             continue;
         }
-        let colour = columns.colour.map_or(GREY, |(at, scale)| {
+        let color = columns.color.map_or(GREY, |(at, scale)| {
             at.map(|i| match scale {
                 ColorScale::Bytes => values[i].round() as u8,
                 ColorScale::Shares => (values[i] * 255.0).round() as u8,
             })
         });
-        gathered.push(columns.position.map(|i| values[i]), colour);
+        gathered.push(columns.position.map(|i| values[i]), color);
         if number.is_multiple_of(1 << 16) {
-            gathered.make_room(file)?;
+            gathered.thin_if_full(file)?;
         }
     }
-    gathered.make_room(file)?;
+    gathered.thin_if_full(file)?;
     Ok(gathered)
 }
 
@@ -118,14 +118,14 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<BufReader<File>, IngestError
     Ok(BufReader::with_capacity(1 << 20, source))
 }
 
-fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
+fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
     let mut source = open(root, file)?.take_lines();
     let mut heading = None;
     let mut rows: Vec<Vec<f64>> = Vec::new();
     while let Some(line) = source.next_line(file)? {
-        match numbers(&line) {
+        match parse_numbers(&line) {
             Some(values) if values.len() >= 3 => rows.push(values),
-            _ if rows.is_empty() && heading.is_none() => heading = by_heading(&line),
+            _ if rows.is_empty() && heading.is_none() => heading = columns_from_heading(&line),
             _ => {}
         }
         if rows.len() == LOOKED_AT {
@@ -141,8 +141,8 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
             .all(|row| at.iter().all(|i| row.get(*i).is_none_or(|v| (0.0..=1.0).contains(v))));
         if shares { ColorScale::Shares } else { ColorScale::Bytes }
     };
-    if let Some((position, colour)) = heading {
-        return Ok(Columns { position, colour: colour.map(|at| (at, scale(at))) });
+    if let Some((position, color)) = heading {
+        return Ok(Columns { position, color: color.map(|at| (at, scale(at))) });
     }
     let count = rows.iter().map(Vec::len).min().unwrap_or(3);
     // `x y z intensity r g b` (PTS), `x y z r g b`, or normals instead of colors.
@@ -152,24 +152,24 @@ fn columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
         n if n >= 9 => &[3, 6],
         _ => &[],
     };
-    let is_colour = |first: &usize| {
+    let is_color = |first: &usize| {
         let triples = || rows.iter().map(|row| [row[*first], row[first + 1], row[first + 2]]);
         let bytes = triples().flatten().all(|v| (0.0..=255.0).contains(&v) && v.fract() == 0.0);
         let shares = triples().flatten().all(|v| (0.0..=1.0).contains(&v));
         let unit = triples().all(|t| (t.iter().map(|v| v * v).sum::<f64>() - 1.0).abs() < 0.02);
         (bytes || shares) && !unit
     };
-    let first = candidates.iter().find(|first| is_colour(first));
+    let first = candidates.iter().find(|first| is_color(first));
     Ok(Columns {
         position: [0, 1, 2],
-        colour: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))),
+        color: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))),
     })
 }
 
 /// Finds columns by names as CloudCompare and most tables write them.
-fn by_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
+fn columns_from_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
     let line = line.trim_start_matches(['#', '/', '\u{feff}']).to_ascii_lowercase();
-    let names: Vec<&str> = words(&line).map(|word| word.trim_matches('"')).collect();
+    let names: Vec<&str> = split_words(&line).map(|word| word.trim_matches('"')).collect();
     let of = |wanted: [&[&str]; 3]| -> Option<[usize; 3]> {
         let at: Vec<usize> = wanted
             .iter()
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn columns_are_told_apart() {
         let (p, c) = (Point3::new(1.0, 2.0, 3.0), [10, 20, 255]);
-        for (name, text, colour) in [
+        for (name, text, color) in [
             ("a.xyz", "1 2 3\n", GREY),
             ("a.xyz", "1 2 3 10 20 255\n", c),
             ("a.txt", "1,2,3,0.0392,0.0784,0.502\n", [10, 20, 128]),
@@ -240,8 +240,8 @@ mod tests {
         ] {
             let loaded = read_text(name, text.as_bytes()).unwrap();
             assert_eq!(
-                (loaded.cloud.positions, loaded.cloud.colours),
-                (vec![p], vec![colour]),
+                (loaded.cloud.positions, loaded.cloud.colors),
+                (vec![p], vec![color]),
                 "{text}"
             );
         }

@@ -27,7 +27,7 @@ impl Texture {
     }
 
     /// Returns the pixel at a position, repeated outside `0..1`.
-    pub fn at(&self, u: f32, v: f32) -> [u8; 3] {
+    pub fn interpolate(&self, u: f32, v: f32) -> [u8; 3] {
         let pixel = |at: f32, size: u32| {
             let at = at - at.floor();
             let at = if at.is_finite() { at } else { 0.0 };

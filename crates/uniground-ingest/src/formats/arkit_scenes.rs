@@ -5,7 +5,7 @@
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::parse;
-use super::{entry, incomplete, intrinsics, pairing};
+use super::{entry_path, incomplete, intrinsics, pairing};
 use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
@@ -16,7 +16,7 @@ use uniground_geometry::up_axis::UpAxis;
 
 const LOOKS_LIKE: &str = "an ARKitScenes scan";
 const TRAJECTORY: &str = "lowres_wide.traj";
-const COLOUR: &str = "lowres_wide";
+const COLOR: &str = "lowres_wide";
 const DEPTH: &str = "lowres_depth";
 const CAMERAS: &str = "lowres_wide_intrinsics";
 const MAX_TRAJECTORY_BYTES: u64 = 32 << 20;
@@ -26,9 +26,9 @@ const POSE_WITHIN_S: f64 = 0.005;
 const NAME_WITHIN_S: f64 = 0.0015;
 
 /// Returns the folder of the frames: this one, or the only one named `*_frames`.
-fn frames_in(folder: &FolderListing) -> Option<String> {
+fn find_frames_folder(folder: &FolderListing) -> Option<String> {
     let has = |inner: &str| {
-        [TRAJECTORY, COLOUR].iter().any(|name| folder.root.join(inner).join(name).exists())
+        [TRAJECTORY, COLOR].iter().any(|name| folder.root.join(inner).join(name).exists())
     };
     if has("") {
         return Some(String::new());
@@ -36,16 +36,16 @@ fn frames_in(folder: &FolderListing) -> Option<String> {
     folder.folders().find(|name| name.ends_with("_frames") && has(name)).map(str::to_owned)
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
-    frames_in(folder).is_some()
+pub(super) fn can_read(folder: &FolderListing) -> bool {
+    find_frames_folder(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
-    let inner = Utf8PathBuf::from(frames_in(folder).unwrap_or_default());
+    let inner = Utf8PathBuf::from(find_frames_folder(folder).unwrap_or_default());
     let root = &folder.root;
     for (name, what) in [
         (TRAJECTORY, "the poses"),
-        (COLOUR, "the pictures"),
+        (COLOR, "the pictures"),
         (DEPTH, "the depth"),
         (CAMERAS, "the cameras"),
     ] {
@@ -57,19 +57,21 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         }
     }
     let trajectory = inner.join(TRAJECTORY);
-    let mut poses = poses(root, &trajectory)?;
+    let mut poses = read_poses(root, &trajectory)?;
     poses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let list = |name: &str, endings: &[&str]| match root.join(&inner).join(name).is_dir() {
         true => folder.files(inner.join(name).as_str(), endings),
         false => Ok(Vec::new()),
     };
-    let (colour, depth, confidence) =
-        (list(COLOUR, PICTURES)?, list(DEPTH, DEPTHS)?, list("confidence", &["png"])?);
+    let (color, depth, confidence) =
+        (list(COLOR, PICTURES)?, list(DEPTH, DEPTHS)?, list("confidence", &["png"])?);
     let cameras = list(CAMERAS, &["pincam"])?;
-    let times =
-        |files: &[Utf8PathBuf]| files.iter().map(|file| pairing::seconds(file)).collect::<Vec<_>>();
-    let own = times(&colour);
-    let partner = |files: &[Utf8PathBuf]| pairing::nearest(&own, &times(files), NAME_WITHIN_S);
+    let times = |files: &[Utf8PathBuf]| {
+        files.iter().map(|file| pairing::parse_seconds(file)).collect::<Vec<_>>()
+    };
+    let own = times(&color);
+    let partner =
+        |files: &[Utf8PathBuf]| pairing::match_nearest_times(&own, &times(files), NAME_WITHIN_S);
     let (depth_of, camera_of, confidence_of) =
         (partner(&depth), partner(&cameras), partner(&confidence));
     let mut scan = Scan::new(root, "arkit-scenes");
@@ -77,8 +79,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     (scan.up, scan.by_gravity) = (Some(UpAxis::Z), true);
     let mut last_camera: Option<(usize, Intrinsics)> = None;
     let mut left_out = 0;
-    for (i, picture) in colour.iter().enumerate() {
-        let pose = own[i].and_then(|time| super::trajectory::at(&poses, time, POSE_WITHIN_S));
+    for (i, picture) in color.iter().enumerate() {
+        let pose = own[i].and_then(|time| super::trajectory::pose_at(&poses, time, POSE_WITHIN_S));
         let (Some(pose), Some(depth_at), Some(camera_at)) = (pose, depth_of[i], camera_of[i])
         else {
             left_out += 1;
@@ -86,16 +88,16 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         };
         let camera = match last_camera.filter(|(at, _)| *at == camera_at) {
             Some((_, camera)) => Ok(camera),
-            None => intrinsics::of_pincam(root, &cameras[camera_at]),
+            None => intrinsics::read_pincam(root, &cameras[camera_at]),
         };
         last_camera = camera.as_ref().ok().map(|camera| (camera_at, *camera));
         scan.add(camera.map(|camera| RawFrame {
             index: FrameIndex(0),
-            colour: picture.clone(),
+            color: picture.clone(),
             depth: depth[depth_at].clone(),
-            pose_file: entry(&trajectory, picture),
+            pose_file: entry_path(&trajectory, picture),
             pose,
-            colour_intrinsics: camera,
+            color_intrinsics: camera,
             depth_intrinsics: camera,
             optics: Optics {
                 confidence: confidence_of[i].map(|at| Confidence {
@@ -115,7 +117,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if left_out > 0 {
         scan.warnings.push(format!(
             "{left_out} of {} pictures left out: no depth, camera or pose at their time",
-            colour.len()
+            color.len()
         ));
     }
     scan.cloud =
@@ -124,7 +126,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Reads lines of time, rotation (axis times angle) and translation.
-fn poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<(f64, Matrix4<f64>)>, IngestError> {
+fn read_poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<(f64, Matrix4<f64>)>, IngestError> {
     let text = read_text(root, file, MAX_TRAJECTORY_BYTES)?;
     let mut poses = Vec::new();
     for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {

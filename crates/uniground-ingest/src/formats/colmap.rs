@@ -9,7 +9,7 @@ use crate::scan::Scan;
 const LOOKS_LIKE: &str = "a COLMAP reconstruction";
 const CLOUDS: &[&str] = &["fused.ply", "dense/fused.ply", "dense/0/fused.ply"];
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     ["", "sparse/", "sparse/0/"].iter().any(|at| {
         ["cameras.bin", "cameras.txt"].iter().any(|name| folder.has_file(&format!("{at}{name}")))
     })

@@ -5,13 +5,13 @@
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::read_pose;
 use super::trajectory::{self, Trajectory};
-use super::{entry, intrinsics, pairing};
+use super::{entry_path, intrinsics, pairing};
 use crate::IngestError;
 use crate::scan::{RawFrame, Scan, usual_depth_scale_m};
 use camino::Utf8PathBuf;
 use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
 
-const COLOUR: &[&str] = &["color", "colour", "rgb", "image", "images"];
+const COLOR: &[&str] = &["color", "colour", "rgb", "image", "images"];
 const DEPTH: &[&str] = &["depth", "depths"];
 const POSE: &[&str] = &["pose", "poses"];
 const CONFIDENCE: &[&str] = &["confidence", "conf"];
@@ -21,24 +21,24 @@ const TRAJECTORIES: &[&str] =
 pub(super) const CLOUD: &[&str] =
     &["cloud.", "pointcloud.", "point_cloud.", "points.", "mesh.", "scene."];
 
-pub(super) fn recognises_posed(folder: &FolderListing) -> bool {
-    folder.first_folder(COLOUR).is_some()
+pub(super) fn can_read_posed(folder: &FolderListing) -> bool {
+    folder.first_folder(COLOR).is_some()
         && folder.first_folder(DEPTH).is_some()
         && (folder.first_folder(POSE).is_some() || folder.first_file(TRAJECTORIES).is_some())
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name))
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let mut scan = Scan::new(&folder.root, "color-depth-pose");
-    scan.cloud = own_cloud(folder);
+    scan.cloud = find_cloud(folder);
     let list = |names: &[&'static str], endings: &[&str]| {
         folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings))
     };
     let pictures = ScanImages {
-        colour: list(COLOUR, PICTURES)?,
+        color: list(COLOR, PICTURES)?,
         depth: list(DEPTH, DEPTHS)?,
         confidence: list(CONFIDENCE, &["png"])?,
     };
@@ -50,25 +50,25 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             None => PoseFiles::Files(Vec::new()),
         },
     };
-    let Some(first) = pictures.colour.first() else {
+    let Some(first) = pictures.color.first() else {
         return match pictures.depth.first() {
-            Some(depth) => Err(pictures.mismatch(&poses, depth.clone())),
+            Some(depth) => Err(pictures.count_mismatch_error(&poses, depth.clone())),
             None => Ok(scan),
         };
     };
-    let colour = intrinsics::of_colour(folder, first)?;
+    let color = intrinsics::read_color_intrinsics(folder, first)?;
     add_frames(
         &mut scan,
         &pictures,
         &poses,
-        &FrameCameras { colour, depth: None },
+        &FrameCameras { color, depth: None },
         UnmatchedImages::Damaged,
     )?;
     Ok(scan)
 }
 
 /// Returns the cloud next to posed pictures, found by its name.
-pub(super) fn own_cloud(folder: &FolderListing) -> Option<Utf8PathBuf> {
+pub(super) fn find_cloud(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder
         .clouds(CLOUD)
         .into_iter()
@@ -77,7 +77,7 @@ pub(super) fn own_cloud(folder: &FolderListing) -> Option<Utf8PathBuf> {
 
 /// Pictures of a scan, each list in natural order.
 pub(super) struct ScanImages {
-    pub colour: Vec<Utf8PathBuf>,
+    pub color: Vec<Utf8PathBuf>,
     pub depth: Vec<Utf8PathBuf>,
     /// Confidence of the depth pictures. Frames without it are accepted.
     pub confidence: Vec<Utf8PathBuf>,
@@ -93,7 +93,7 @@ pub(super) enum PoseFiles {
 
 /// Cameras of all frames. If there is no separate depth camera, the color camera is used for depth.
 pub(super) struct FrameCameras {
-    pub colour: Intrinsics,
+    pub color: Intrinsics,
     pub depth: Option<Intrinsics>,
 }
 
@@ -110,14 +110,14 @@ pub(super) enum UnmatchedImages {
 pub(super) const LEAST_CONFIDENCE: u8 = 1;
 
 impl ScanImages {
-    fn mismatch(&self, poses: &PoseFiles, first: Utf8PathBuf) -> IngestError {
+    fn count_mismatch_error(&self, poses: &PoseFiles, first: Utf8PathBuf) -> IngestError {
         let pose = match poses {
             PoseFiles::Files(files) => files.len(),
             PoseFiles::List(Trajectory::Ordered(poses), _) => poses.len(),
             PoseFiles::List(Trajectory::Timed(poses), _) => poses.len(),
         };
         IngestError::FrameCountMismatch {
-            colour: self.colour.len(),
+            color: self.color.len(),
             depth: self.depth.len(),
             pose,
             first,
@@ -134,12 +134,12 @@ pub(super) fn add_frames(
     cameras: &FrameCameras,
     unmatched: UnmatchedImages,
 ) -> Result<(), IngestError> {
-    let ScanImages { colour, depth, confidence } = pictures;
-    let depth_of = pairing::partners(colour, depth);
-    let pose_of = pose_of_each(colour, poses)?;
-    let confidence_of = pairing::partners(colour, confidence);
+    let ScanImages { color, depth, confidence } = pictures;
+    let depth_of = pairing::match_files(color, depth);
+    let pose_of = match_poses(color, poses)?;
+    let confidence_of = pairing::match_files(color, confidence);
     let mut alone: Vec<Utf8PathBuf> = Vec::new();
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let (Some(depth_at), Some(pose)) = (depth_of[i], &pose_of[i]) else {
             alone.push(picture.clone());
             continue;
@@ -154,12 +154,12 @@ pub(super) fn add_frames(
                 .map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE });
             Ok(RawFrame {
                 index: FrameIndex(0),
-                colour: picture.clone(),
+                color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file,
                 pose,
-                colour_intrinsics: cameras.colour,
-                depth_intrinsics: cameras.depth.unwrap_or(cameras.colour),
+                color_intrinsics: cameras.color,
+                depth_intrinsics: cameras.depth.unwrap_or(cameras.color),
                 optics: Optics { confidence, ..Optics::default() },
             })
         };
@@ -182,15 +182,15 @@ pub(super) fn add_frames(
         UnmatchedImages::Damaged => {
             // Each moment counts once, however many of its files exist.
             let mut moments: Vec<_> =
-                alone.into_iter().map(|file| (pairing::natural(&file), file)).collect();
+                alone.into_iter().map(|file| (pairing::natural_sort_key(&file), file)).collect();
             moments.dedup_by(|a, b| a.0 == b.0);
             for (_, file) in moments {
-                scan.damage.note(pictures.mismatch(poses, file))?;
+                scan.damage.record(pictures.count_mismatch_error(poses, file))?;
             }
         }
         UnmatchedImages::LeftOut if scan.frames.is_empty() => {
             let first = alone.into_iter().next().unwrap_or_default();
-            return Err(pictures.mismatch(poses, first));
+            return Err(pictures.count_mismatch_error(poses, first));
         }
         UnmatchedImages::LeftOut if !alone.is_empty() => {
             scan.warnings.push(format!(
@@ -210,37 +210,39 @@ enum PoseSource {
     At(nalgebra::Matrix4<f64>, Utf8PathBuf),
 }
 
-fn pose_of_each(
-    colour: &[Utf8PathBuf],
+fn match_poses(
+    color: &[Utf8PathBuf],
     poses: &PoseFiles,
 ) -> Result<Vec<Option<PoseSource>>, IngestError> {
     Ok(match poses {
         PoseFiles::Files(files) => {
-            let at = pairing::partners(colour, files);
+            let at = pairing::match_files(color, files);
             at.into_iter().map(|at| at.map(|at| PoseSource::File(files[at].clone()))).collect()
         }
         PoseFiles::List(Trajectory::Ordered(poses), file) => {
-            if poses.len() != colour.len() {
+            if poses.len() != color.len() {
                 return Err(IngestError::malformed(
                     file,
-                    format!("it holds {} poses for {} colour pictures", poses.len(), colour.len()),
+                    format!("it holds {} poses for {} colour pictures", poses.len(), color.len()),
                 ));
             }
             poses
                 .iter()
                 .enumerate()
-                .map(|(i, pose)| Some(PoseSource::At(*pose, entry(file, format_args!("pose {i}")))))
+                .map(|(i, pose)| {
+                    Some(PoseSource::At(*pose, entry_path(file, format_args!("pose {i}"))))
+                })
                 .collect()
         }
         PoseFiles::List(Trajectory::Timed(poses), file) => {
             let mut poses = poses.clone();
             poses.sort_by(|a, b| a.0.total_cmp(&b.0));
             let at = |picture: &Utf8PathBuf| {
-                let time = pairing::seconds(picture)?;
-                let pose = trajectory::at(&poses, time, pairing::SAME_MOMENT_S)?;
-                Some(PoseSource::At(pose, entry(file, format_args!("time {time}"))))
+                let time = pairing::parse_seconds(picture)?;
+                let pose = trajectory::pose_at(&poses, time, pairing::SAME_MOMENT_S)?;
+                Some(PoseSource::At(pose, entry_path(file, format_args!("time {time}"))))
             };
-            colour.iter().map(at).collect()
+            color.iter().map(at).collect()
         }
     })
 }

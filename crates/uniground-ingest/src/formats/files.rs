@@ -25,7 +25,7 @@ const CLOUDS: &[&str] = &[
 
 impl FolderListing {
     pub fn open(root: &Utf8Path) -> Result<Self, IngestError> {
-        Ok(Self { root: root.to_owned(), names: names(root)? })
+        Ok(Self { root: root.to_owned(), names: list_names(root)? })
     }
 
     pub fn names(&self) -> &[String] {
@@ -66,13 +66,17 @@ impl FolderListing {
     /// Returns the files of a folder below this one (`""`: this one) with one of these extensions,
     /// in natural order. Fails when there are far too many.
     pub fn files(&self, folder: &str, endings: &[&str]) -> Result<Vec<Utf8PathBuf>, IngestError> {
-        let names =
-            if folder.is_empty() { self.names.clone() } else { names(&self.root.join(folder))? };
-        let wanted = |name: &&String| ending(name).is_some_and(|e| endings.contains(&e.as_str()));
+        let names = if folder.is_empty() {
+            self.names.clone()
+        } else {
+            list_names(&self.root.join(folder))?
+        };
+        let wanted =
+            |name: &&String| extension_of(name).is_some_and(|e| endings.contains(&e.as_str()));
         let mut files: Vec<Utf8PathBuf> =
             names.iter().filter(wanted).map(|name| Utf8Path::new(folder).join(name)).collect();
         check_frames(folder, files.len())?;
-        files.sort_by_cached_key(|file| super::pairing::natural(file));
+        files.sort_by_cached_key(|file| super::pairing::natural_sort_key(file));
         Ok(files)
     }
 
@@ -82,15 +86,16 @@ impl FolderListing {
         let mut found: Vec<(usize, u64, &String)> = Vec::new();
         for name in &self.names {
             let path = self.root.join(name);
-            if !ending(name).is_some_and(|e| CLOUDS.contains(&e.as_str())) || !path.is_file() {
+            if !extension_of(name).is_some_and(|e| CLOUDS.contains(&e.as_str())) || !path.is_file()
+            {
                 continue;
             }
-            if is_something_else(name, &path) {
+            if is_ignored(name, &path) {
                 continue;
             }
             // A file named `.ply` is always read as PLY, so that the reader can report what is
             // wrong with it.
-            if ending(name).as_deref() != Some("ply") && CloudKind::of(&path).is_none() {
+            if extension_of(name).as_deref() != Some("ply") && CloudKind::detect(&path).is_none() {
                 continue;
             }
             let rank = preferred
@@ -147,20 +152,20 @@ const NO_CLOUDS: [&str; 12] = [
 /// Minimum size of a text cloud, bytes.
 const LEAST_TEXT_BYTES: u64 = 1000;
 
-fn is_something_else(name: &str, path: &Utf8Path) -> bool {
-    let is_text = ending(name).is_some_and(|e| ["txt", "csv", "asc"].contains(&e.as_str()));
+fn is_ignored(name: &str, path: &Utf8Path) -> bool {
+    let is_text = extension_of(name).is_some_and(|e| ["txt", "csv", "asc"].contains(&e.as_str()));
     let lower = name.to_ascii_lowercase();
     let is_named = lower.starts_with(|c: char| c.is_ascii_digit())
         || NO_CLOUDS.iter().any(|other| lower.contains(other));
     is_text && (is_named || path.metadata().is_ok_and(|m| m.len() < LEAST_TEXT_BYTES))
 }
 
-fn ending(name: &str) -> Option<String> {
+fn extension_of(name: &str) -> Option<String> {
     Utf8Path::new(name).extension().map(str::to_ascii_lowercase)
 }
 
 /// Returns the names in a folder, sorted, without hidden files and `__MACOSX`.
-fn names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
+fn list_names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
     let io =
         |source| IngestError::Io { file: folder.file_name().unwrap_or("archive").into(), source };
     let mut names = Vec::new();
@@ -175,7 +180,7 @@ fn names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
 }
 
 /// Checks that a manifest only names files of its own archive.
-pub(super) fn inside(path: &Utf8Path, manifest: &'static str) -> Result<(), IngestError> {
+pub(super) fn check_inside(path: &Utf8Path, manifest: &'static str) -> Result<(), IngestError> {
     let plain =
         path.components().all(|c| matches!(c, Utf8Component::Normal(_) | Utf8Component::CurDir));
     if plain && !path.as_str().is_empty() {

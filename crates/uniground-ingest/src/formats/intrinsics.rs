@@ -35,24 +35,24 @@ struct Open3d {
 }
 
 /// Returns the file with the color camera's matrix.
-pub(super) fn colour_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
+pub(super) fn find_color_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder.first_file(&NAMES)
 }
 
 /// Reads the color camera. Matrices without a size apply to the size of the first color picture.
-pub(super) fn of_colour(
+pub(super) fn read_color_intrinsics(
     folder: &FolderListing,
-    first_colour: &Utf8Path,
+    first_color: &Utf8Path,
 ) -> Result<Intrinsics, IngestError> {
-    match colour_file(folder) {
-        Some(file) => of_file(&folder.root, &file, first_colour),
+    match find_color_file(folder) {
+        Some(file) => read_intrinsics(&folder.root, &file, first_color),
         None => Err(IngestError::MissingIntrinsics { file: NAMES[0].into() }),
     }
 }
 
 /// Reads a 3x3 or 4x4 matrix, four numbers `fx fy cx cy`, or Open3D's JSON. Without a size of its
 /// own, the picture's size is used.
-pub(super) fn of_file(
+pub(super) fn read_intrinsics(
     root: &Utf8Path,
     file: &Utf8Path,
     picture: &Utf8Path,
@@ -71,11 +71,11 @@ pub(super) fn of_file(
         };
     }
     let values = read_numbers(root, file)?;
-    of_values(root, file, &values, picture)
+    intrinsics_from_values(root, file, &values, picture)
 }
 
 /// Builds the same from given numbers.
-pub(super) fn of_values(
+pub(super) fn intrinsics_from_values(
     root: &Utf8Path,
     file: &Utf8Path,
     values: &[f64],
@@ -99,7 +99,7 @@ pub(super) fn of_values(
 }
 
 /// Reads `width height fx fy cx cy`, the format of ARKitScenes.
-pub(super) fn of_pincam(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
+pub(super) fn read_pincam(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
     let text = read_text(root, file, MAX_JSON_BYTES)?;
     let values = parse(&text)
         .map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))?;

@@ -7,7 +7,7 @@ use std::marker::PhantomData;
 
 /// Deserializes a list with one entry per frame. Stops with an error at the maximum number of
 /// frames, before the rest takes memory.
-pub(super) fn frames<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+pub(super) fn deserialize_frames<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
     deserializer: D,
 ) -> Result<Vec<T>, D::Error> {
     deserializer.deserialize_seq(BoundedFrameList(PhantomData))
@@ -42,7 +42,7 @@ mod tests {
 
     #[derive(serde::Deserialize)]
     struct Listing {
-        #[serde(deserialize_with = "frames")]
+        #[serde(deserialize_with = "deserialize_frames")]
         frames: Vec<u32>,
     }
 

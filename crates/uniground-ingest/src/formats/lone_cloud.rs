@@ -6,7 +6,7 @@ use crate::IngestError;
 use crate::clouds::CloudKind;
 use crate::scan::Scan;
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     let posed = ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name));
     !posed && !folder.clouds(&[]).is_empty()
 }
@@ -17,7 +17,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let Some(cloud) = clouds.first() else { return Err(IngestError::EmptyScene) };
     let mut scan = Scan::new(
         &folder.root,
-        CloudKind::of(&folder.root.join(cloud)).map_or("ply", CloudKind::name),
+        CloudKind::detect(&folder.root.join(cloud)).map_or("ply", CloudKind::name),
     );
     if clouds.len() > 1 {
         scan.warnings.push(format!(

@@ -33,30 +33,30 @@ use files::FolderListing;
 
 /// A layout of a scan's files.
 struct Layout {
-    recognises: fn(&FolderListing) -> bool,
+    can_read: fn(&FolderListing) -> bool,
     read: fn(&FolderListing) -> Result<Scan, IngestError>,
 }
 
 /// All layouts, in the order in which they are tried.
 const LAYOUTS: [Layout; 18] = [
-    Layout { recognises: neutral::recognises, read: neutral::read },
-    Layout { recognises: nerfstudio::recognises, read: nerfstudio::read },
-    Layout { recognises: polycam::recognises, read: polycam::read },
-    Layout { recognises: record3d::recognises, read: record3d::read },
-    Layout { recognises: arkit_scenes::recognises, read: arkit_scenes::read },
-    Layout { recognises: stray_scanner::recognises, read: stray_scanner::read },
-    Layout { recognises: tum::recognises, read: tum::read },
-    Layout { recognises: replica::recognises, read: replica::read },
-    Layout { recognises: scanner_app::recognises, read: scanner_app::read },
-    Layout { recognises: seven_scenes::recognises, read: seven_scenes::read },
-    Layout { recognises: task_folder::recognises, read: task_folder::read },
-    Layout { recognises: scannet::recognises, read: scannet::read },
-    Layout { recognises: open3d_log::recognises, read: open3d_log::read },
-    Layout { recognises: rtabmap::recognises, read: rtabmap::read },
-    Layout { recognises: color_depth_pose::recognises_posed, read: color_depth_pose::read },
-    Layout { recognises: colmap::recognises, read: colmap::read },
-    Layout { recognises: lone_cloud::recognises, read: lone_cloud::read },
-    Layout { recognises: color_depth_pose::recognises, read: color_depth_pose::read },
+    Layout { can_read: neutral::can_read, read: neutral::read },
+    Layout { can_read: nerfstudio::can_read, read: nerfstudio::read },
+    Layout { can_read: polycam::can_read, read: polycam::read },
+    Layout { can_read: record3d::can_read, read: record3d::read },
+    Layout { can_read: arkit_scenes::can_read, read: arkit_scenes::read },
+    Layout { can_read: stray_scanner::can_read, read: stray_scanner::read },
+    Layout { can_read: tum::can_read, read: tum::read },
+    Layout { can_read: replica::can_read, read: replica::read },
+    Layout { can_read: scanner_app::can_read, read: scanner_app::read },
+    Layout { can_read: seven_scenes::can_read, read: seven_scenes::read },
+    Layout { can_read: task_folder::can_read, read: task_folder::read },
+    Layout { can_read: scannet::can_read, read: scannet::read },
+    Layout { can_read: open3d_log::can_read, read: open3d_log::read },
+    Layout { can_read: rtabmap::can_read, read: rtabmap::read },
+    Layout { can_read: color_depth_pose::can_read_posed, read: color_depth_pose::read },
+    Layout { can_read: colmap::can_read, read: colmap::read },
+    Layout { can_read: lone_cloud::can_read, read: lone_cloud::read },
+    Layout { can_read: color_depth_pose::can_read, read: color_depth_pose::read },
 ];
 
 /// Maximum number of nested folders that are entered.
@@ -69,7 +69,7 @@ const MAX_STEPS: usize = 6;
 pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let mut folder = FolderListing::open(folder)?;
     for _ in 0..MAX_STEPS {
-        if let Some(layout) = LAYOUTS.iter().find(|layout| (layout.recognises)(&folder)) {
+        if let Some(layout) = LAYOUTS.iter().find(|layout| (layout.can_read)(&folder)) {
             let scan = (layout.read)(&folder)?;
             check_frames(scan.format, scan.frames.len())?;
             return Ok(scan);
@@ -100,6 +100,6 @@ fn incomplete(looks_like: &'static str, missing: impl Into<String>) -> IngestErr
 }
 
 /// Builds the path of a frame in a list: a file, followed by a line or an entry of that file.
-fn entry(file: &Utf8Path, entry: impl std::fmt::Display) -> Utf8PathBuf {
+fn entry_path(file: &Utf8Path, entry: impl std::fmt::Display) -> Utf8PathBuf {
     format!("{file}, {entry}").into()
 }

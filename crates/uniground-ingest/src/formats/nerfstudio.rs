@@ -2,9 +2,9 @@
 //! with lens distortion. Depth is optional in this format and required here. Without it, only the
 //! cloud that the file names is read.
 
-use super::files::{FolderListing, inside};
-use super::numbers::matrix;
-use super::{entry, incomplete};
+use super::files::{FolderListing, check_inside};
+use super::numbers::matrix_from_values;
+use super::{entry_path, incomplete};
 use crate::IngestError;
 use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan, picture_size, usual_depth_scale_m};
@@ -25,7 +25,7 @@ struct Transforms {
     /// Meters per unit of depth (instant-ngp).
     integer_depth_scale: Option<f32>,
     ply_file_path: Option<Utf8PathBuf>,
-    #[serde(default, deserialize_with = "super::listed::frames")]
+    #[serde(default, deserialize_with = "super::listed::deserialize_frames")]
     frames: Vec<Frame>,
 }
 
@@ -100,11 +100,12 @@ impl Camera {
         let or_zero = |k: Option<f32>| k.unwrap_or(0.0);
         // Here, k4 is in the denominator. Only fisheye lenses use it otherwise.
         let (k1, k2, k3) = (or_zero(self.k1), or_zero(self.k2), or_zero(self.k3));
-        Lens { k1, k2, k3, p1: or_zero(self.p1), p2: or_zero(self.p2), ..Lens::default() }.or_none()
+        Lens { k1, k2, k3, p1: or_zero(self.p1), p2: or_zero(self.p2), ..Lens::default() }
+            .reject_identity()
     }
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_file(FILE)
 }
 
@@ -129,10 +130,10 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     scan.cloud = transforms
         .ply_file_path
         .clone()
-        .map(|cloud| inside(&cloud, NAMED).map(|()| cloud))
+        .map(|cloud| check_inside(&cloud, NAMED).map(|()| cloud))
         .transpose()?;
     if scan.cloud.is_none() {
-        scan.cloud = super::color_depth_pose::own_cloud(folder);
+        scan.cloud = super::color_depth_pose::find_cloud(folder);
     }
     let with_depth =
         transforms.frames.iter().filter(|frame| frame.depth_file_path.is_some()).count();
@@ -155,7 +156,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         scan.depth_scale_m = scale;
     }
     for (i, frame) in transforms.frames.iter().enumerate() {
-        scan.add(raw_frame(root, i, frame, transforms.camera))?;
+        scan.add(to_raw_frame(root, i, frame, transforms.camera))?;
     }
     // The scale applies to integer depth only.
     if usual_depth_scale_m(root, scan.frames.iter().map(|frame| &frame.depth)) == 1.0 {
@@ -164,39 +165,39 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-fn raw_frame(
+fn to_raw_frame(
     root: &Utf8Path,
     number: usize,
     frame: &Frame,
     all: Camera,
 ) -> Result<RawFrame, IngestError> {
-    let pose_file = entry(Utf8Path::new(FILE), format_args!("frame {number}"));
-    let colour = picture(root, &frame.file_path)?;
+    let pose_file = entry_path(Utf8Path::new(FILE), format_args!("frame {number}"));
+    let color = find_picture(root, &frame.file_path)?;
     let depth = frame
         .depth_file_path
         .as_ref()
         .ok_or_else(|| IngestError::malformed(&pose_file, "it has no depth_file_path"))?;
-    let depth = picture(root, depth)?;
+    let depth = find_picture(root, depth)?;
     let camera = frame.camera.or(all);
-    let intrinsics = camera.intrinsics(root, &colour)?;
-    let pose = matrix(&frame.transform_matrix.concat())
+    let intrinsics = camera.intrinsics(root, &color)?;
+    let pose = matrix_from_values(&frame.transform_matrix.concat())
         .ok_or_else(|| IngestError::malformed(&pose_file, "its transform_matrix is not 4x4"))?;
     let lens = camera.lens();
     Ok(RawFrame {
         index: FrameIndex(0),
-        colour,
+        color,
         depth,
         pose_file,
         pose,
-        colour_intrinsics: intrinsics,
+        color_intrinsics: intrinsics,
         depth_intrinsics: intrinsics,
-        optics: Optics { colour_lens: lens, depth_lens: lens, ..Optics::default() },
+        optics: Optics { color_lens: lens, depth_lens: lens, ..Optics::default() },
     })
 }
 
 /// Finds a picture. Paths may lack their extension and begin with `./`.
-fn picture(root: &Utf8Path, path: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
-    inside(path, NAMED)?;
+fn find_picture(root: &Utf8Path, path: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
+    check_inside(path, NAMED)?;
     let with_ending = ["png", "jpg"].map(|ending| Utf8PathBuf::from(format!("{path}.{ending}")));
     let found =
         std::iter::once(path.to_owned()).chain(with_ending).find(|p| root.join(p).is_file());

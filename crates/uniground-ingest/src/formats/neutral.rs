@@ -1,7 +1,7 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{FolderListing, inside};
+use super::files::{FolderListing, check_inside};
 use super::numbers::read_pose;
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -46,7 +46,7 @@ struct Manifest {
     depth_to_color: Option<Vec<f64>>,
     /// The layout that this one was converted from.
     source: Option<String>,
-    #[serde(default, deserialize_with = "super::listed::frames")]
+    #[serde(default, deserialize_with = "super::listed::deserialize_frames")]
     frames: Vec<ManifestFrame>,
 }
 
@@ -70,7 +70,7 @@ fn camera_to_world() -> PoseConvention {
     PoseConvention::CameraToWorld
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_file(FILE)
 }
 
@@ -91,7 +91,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
                 .into_iter()
                 .flatten()
         {
-            inside(path, NAMED)?;
+            check_inside(path, NAMED)?;
         }
     }
     let usual = || usual_depth_scale_m(root, manifest.frames.iter().map(|frame| &frame.depth));
@@ -104,20 +104,21 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     let mut scan =
         Scan::new(root, if manifest.source.as_deref() == Some(SENS) { SENS } else { FORMAT });
-    let depth_to_colour = manifest.depth_to_color.as_deref().map(depth_to_colour).transpose()?;
+    let depth_to_color =
+        manifest.depth_to_color.as_deref().map(parse_depth_to_color).transpose()?;
     for (i, frame) in manifest.frames.iter().enumerate() {
-        let colour_intrinsics = frame.intrinsics.or(manifest.intrinsics).ok_or_else(|| {
+        let color_intrinsics = frame.intrinsics.or(manifest.intrinsics).ok_or_else(|| {
             IngestError::MissingIntrinsics { file: format!("scene.json, frame {i}").into() }
         })?;
         let depth_intrinsics = frame.depth_intrinsics.or(manifest.depth_intrinsics);
         // Depth without its own camera uses the color camera's lens.
         let shared = if depth_intrinsics.is_none() { manifest.distortion } else { None };
         let optics = Optics {
-            colour_lens: manifest.distortion.and_then(Lens::or_none),
-            depth_lens: manifest.depth_distortion.or(shared).and_then(Lens::or_none),
-            depth_sensor: depth_to_colour.map(|depth_to_colour| DepthSensor {
-                intrinsics: depth_intrinsics.unwrap_or(colour_intrinsics),
-                depth_to_colour,
+            color_lens: manifest.distortion.and_then(Lens::reject_identity),
+            depth_lens: manifest.depth_distortion.or(shared).and_then(Lens::reject_identity),
+            depth_sensor: depth_to_color.map(|depth_to_color| DepthSensor {
+                intrinsics: depth_intrinsics.unwrap_or(color_intrinsics),
+                depth_to_color,
             }),
             confidence: frame
                 .confidence
@@ -127,22 +128,22 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         scan.add(read_pose(root, &frame.pose).map(|pose: Matrix4<f64>| RawFrame {
             index: FrameIndex(0),
             pose,
-            colour: frame.color.clone(),
+            color: frame.color.clone(),
             depth: frame.depth.clone(),
             pose_file: frame.pose.clone(),
-            colour_intrinsics,
-            depth_intrinsics: depth_intrinsics.unwrap_or(colour_intrinsics),
+            color_intrinsics,
+            depth_intrinsics: depth_intrinsics.unwrap_or(color_intrinsics),
             optics,
         }))?;
     }
-    manifest.cloud.as_deref().map(|cloud| inside(cloud, NAMED)).transpose()?;
+    manifest.cloud.as_deref().map(|cloud| check_inside(cloud, NAMED)).transpose()?;
     let Manifest { name, up, cloud, camera_axes, pose, .. } = manifest;
     Ok(Scan { name, cloud, up, camera_axes, pose, depth_scale_m, ..scan })
 }
 
-fn depth_to_colour(values: &[f64]) -> Result<uniground_geometry::Isometry3<f32>, IngestError> {
+fn parse_depth_to_color(values: &[f64]) -> Result<uniground_geometry::Isometry3<f32>, IngestError> {
     let bad = |reason: String| IngestError::malformed(FILE, format!("depth_to_color: {reason}"));
-    let matrix = super::numbers::matrix(values)
+    let matrix = super::numbers::matrix_from_values(values)
         .ok_or_else(|| bad(format!("it has {} numbers, 16 are expected", values.len())))?;
     uniground_geometry::pose::rigid(&matrix.cast()).map_err(|e| bad(e.to_string()))
 }

@@ -23,7 +23,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<f64>, &str> {
 /// Reads a row-major 4x4 pose. A 3x4 matrix without the last row is accepted.
 pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>, IngestError> {
     let values = read_numbers(root, file)?;
-    matrix(&values).ok_or_else(|| {
+    matrix_from_values(&values).ok_or_else(|| {
         IngestError::malformed(
             file,
             format!("a pose has 16 numbers (4x4), this file has {}", values.len()),
@@ -32,7 +32,7 @@ pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>
 }
 
 /// Builds a matrix from 16 or 12 numbers, row-major.
-pub(super) fn matrix(values: &[f64]) -> Option<Matrix4<f64>> {
+pub(super) fn matrix_from_values(values: &[f64]) -> Option<Matrix4<f64>> {
     match values.len() {
         16 => Some(Matrix4::from_row_slice(values)),
         12 => Some(Matrix4::from_row_slice(&[values, &[0.0, 0.0, 0.0, 1.0]].concat())),
@@ -42,7 +42,10 @@ pub(super) fn matrix(values: &[f64]) -> Option<Matrix4<f64>> {
 
 /// Builds a pose from a position and a quaternion `x y z w`. Returns NaN for a quaternion of length
 /// zero: a later check reports it with the frame's name.
-pub(super) fn pose_of([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Matrix4<f64> {
+pub(super) fn pose_from_quaternion(
+    [x, y, z]: [f64; 3],
+    [qx, qy, qz, qw]: [f64; 4],
+) -> Matrix4<f64> {
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     if !(quaternion.norm() > 0.1 && quaternion.norm() < 10.0) {
         return Matrix4::from_element(f64::NAN);
@@ -52,7 +55,7 @@ pub(super) fn pose_of([x, y, z]: [f64; 3], [qx, qy, qz, qw]: [f64; 4]) -> Matrix
 }
 
 /// Returns the values of `key` in `key = values` lines, as ScanNet and 3RScan write them.
-pub(super) fn values_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+pub(super) fn find_values<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     text.lines().find_map(|line| {
         let (name, value) = line.split_once('=')?;
         (name.trim() == key).then(|| value.trim())

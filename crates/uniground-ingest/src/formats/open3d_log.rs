@@ -3,7 +3,7 @@
 //! camera, a PrimeSense sensor is assumed, as in Open3D's own examples.
 
 use super::color_depth_pose::{
-    FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames, own_cloud,
+    FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames, find_cloud,
 };
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{incomplete, intrinsics, trajectory};
@@ -13,13 +13,13 @@ use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::Intrinsics;
 
 const LOOKS_LIKE: &str = "an Open3D scene with a trajectory log";
-const COLOUR: &[&str] = &["color", "image", "rgb"];
+const COLOR: &[&str] = &["color", "image", "rgb"];
 const LOGS: &[&str] =
     &["trajectory.log", "scene/trajectory.log", "scene/integrated.log", "odometry.log"];
 const PRIMESENSE: Intrinsics =
     Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
 
-fn log(folder: &FolderListing) -> Option<Utf8PathBuf> {
+fn find_log(folder: &FolderListing) -> Option<Utf8PathBuf> {
     let other = || {
         folder
             .names()
@@ -30,23 +30,23 @@ fn log(folder: &FolderListing) -> Option<Utf8PathBuf> {
     folder.first_file(LOGS).or_else(other)
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("depth")
-        && folder.first_folder(COLOUR).is_some()
+        && folder.first_folder(COLOR).is_some()
         && !folder.has_folder("pose")
-        && log(folder).is_some()
+        && find_log(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
-    let colour = folder.files(folder.first_folder(COLOUR).unwrap_or("color"), PICTURES)?;
+    let color = folder.files(folder.first_folder(COLOR).unwrap_or("color"), PICTURES)?;
     let pictures =
-        ScanImages { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
-    let Some(first) = pictures.colour.first() else {
+        ScanImages { color, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
+    let Some(first) = pictures.color.first() else {
         return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing"));
     };
     let mut scan = Scan::new(&folder.root, "open3d-log");
-    let colour = if intrinsics::colour_file(folder).is_some() {
-        intrinsics::of_colour(folder, first)?
+    let color = if intrinsics::find_color_file(folder).is_some() {
+        intrinsics::read_color_intrinsics(folder, first)?
     } else {
         scan.warnings.push(
             "nothing says which camera it was: taken as a PrimeSense (525 525 319.5 239.5); intrinsic.txt or camera_intrinsic.json says better"
@@ -54,15 +54,15 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         );
         PRIMESENSE
     };
-    let file = log(folder).unwrap_or_else(|| LOGS[0].into());
+    let file = find_log(folder).unwrap_or_else(|| LOGS[0].into());
     let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);
     add_frames(
         &mut scan,
         &pictures,
         &poses,
-        &FrameCameras { colour, depth: None },
+        &FrameCameras { color, depth: None },
         UnmatchedImages::Damaged,
     )?;
-    scan.cloud = own_cloud(folder);
+    scan.cloud = find_cloud(folder);
     Ok(scan)
 }

@@ -10,14 +10,14 @@ const ROLES: [&str; 10] =
     ["color", "colour", "rgb", "depth", "pose", "image", "img", "conf", "confidence", "cam"];
 
 /// Sort key that puts `10` after `9`: the number first, then the name.
-pub(super) fn natural(file: &Utf8Path) -> (Option<u64>, String) {
+pub(super) fn natural_sort_key(file: &Utf8Path) -> (Option<u64>, String) {
     let stem = file.file_stem().unwrap_or_default();
     let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
     (digits.parse().ok(), stem.to_owned())
 }
 
 /// Returns the last number of a name.
-pub(super) fn number(file: &Utf8Path) -> Option<u64> {
+pub(super) fn last_number(file: &Utf8Path) -> Option<u64> {
     let stem = file.file_stem()?;
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = stem[..end].rfind(|c: char| !c.is_ascii_digit()).map_or(0, |at| at + 1);
@@ -26,7 +26,7 @@ pub(super) fn number(file: &Utf8Path) -> Option<u64> {
 
 /// Returns the time in a name, seconds: `1305031102.175304`, or nanoseconds, microseconds or
 /// milliseconds since 1970.
-pub(super) fn seconds(file: &Utf8Path) -> Option<f64> {
+pub(super) fn parse_seconds(file: &Utf8Path) -> Option<f64> {
     let stem = file.file_stem()?;
     let text = stem.trim_matches(|c: char| !c.is_ascii_digit());
     let text = text.rsplit(['_', '-']).next()?;
@@ -40,7 +40,7 @@ pub(super) fn seconds(file: &Utf8Path) -> Option<f64> {
 }
 
 /// Returns the name without the parts that state its role.
-fn moment(file: &Utf8Path) -> String {
+fn without_role(file: &Utf8Path) -> String {
     let mut stem = file.file_stem().unwrap_or_default().to_ascii_lowercase();
     for role in ROLES {
         stem = stem.replace(role, "");
@@ -50,12 +50,14 @@ fn moment(file: &Utf8Path) -> String {
 
 /// Finds for each file of `first` its match in `second`: by name, number or time, whichever gives
 /// the most matches.
-pub(super) fn partners(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Option<usize>> {
-    let by_name = same(first, second, |file| Some(moment(file)).filter(|m| !m.is_empty()));
-    let by_number = same(first, second, number);
-    let times =
-        |files: &[Utf8PathBuf]| -> Vec<Option<f64>> { files.iter().map(|f| seconds(f)).collect() };
-    let by_time = nearest(&times(first), &times(second), SAME_MOMENT_S);
+pub(super) fn match_files(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Option<usize>> {
+    let by_name =
+        match_by_key(first, second, |file| Some(without_role(file)).filter(|m| !m.is_empty()));
+    let by_number = match_by_key(first, second, last_number);
+    let times = |files: &[Utf8PathBuf]| -> Vec<Option<f64>> {
+        files.iter().map(|f| parse_seconds(f)).collect()
+    };
+    let by_time = match_nearest_times(&times(first), &times(second), SAME_MOMENT_S);
     let found = |pairs: &Vec<Option<usize>>| pairs.iter().flatten().count();
     let mut best = by_name;
     for other in [by_number, by_time] {
@@ -66,7 +68,7 @@ pub(super) fn partners(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Opt
     best
 }
 
-fn same<K: Ord>(
+fn match_by_key<K: Ord>(
     first: &[Utf8PathBuf],
     second: &[Utf8PathBuf],
     key: impl Fn(&Utf8Path) -> Option<K>,
@@ -87,7 +89,7 @@ fn same<K: Ord>(
 }
 
 /// Finds for each of the first times the nearest of the second within reach. Uses none twice.
-pub(super) fn nearest(
+pub(super) fn match_nearest_times(
     first: &[Option<f64>],
     second: &[Option<f64>],
     within_s: f64,
@@ -154,7 +156,11 @@ mod tests {
                 [Some(0), None],
             ),
         ] {
-            assert_eq!(partners(&paths(&first), &paths(&second)), expected, "{first:?} {second:?}");
+            assert_eq!(
+                match_files(&paths(&first), &paths(&second)),
+                expected,
+                "{first:?} {second:?}"
+            );
         }
     }
 
@@ -162,7 +168,7 @@ mod tests {
         #[test]
         fn nobody_has_two_partners(a in prop::collection::vec(0.0_f64..3.0, 0..30), b in prop::collection::vec(0.0_f64..3.0, 0..30)) {
             let some = |times: &[f64]| times.iter().copied().map(Some).collect::<Vec<_>>();
-            let found = nearest(&some(&a), &some(&b), 0.1);
+            let found = match_nearest_times(&some(&a), &some(&b), 0.1);
             let mut partners: Vec<usize> = found.iter().flatten().copied().collect();
             partners.sort_unstable();
             let all = partners.len();

@@ -53,7 +53,7 @@ impl Camera {
     }
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("keyframes")
 }
 
@@ -73,24 +73,24 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         true => folder.files(&format!("keyframes/{name}"), endings),
         false => Ok(Vec::new()),
     };
-    let (colour, cameras, depth, confidence) = (
+    let (color, cameras, depth, confidence) = (
         list(images, PICTURES)?,
         list(cameras, &["json"])?,
         list("depth", DEPTHS)?,
         list("confidence", &["png"])?,
     );
     let (camera_of, depth_of, confidence_of) = (
-        pairing::partners(&colour, &cameras),
-        pairing::partners(&colour, &depth),
-        pairing::partners(&colour, &confidence),
+        pairing::match_files(&color, &cameras),
+        pairing::match_files(&color, &depth),
+        pairing::match_files(&color, &confidence),
     );
     let mut scan = Scan::new(&folder.root, "polycam");
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let (Some(camera_at), Some(depth_at)) = (camera_of[i], depth_of[i]) else {
-            scan.damage.note(IngestError::FrameCountMismatch {
-                colour: colour.len(),
+            scan.damage.record(IngestError::FrameCountMismatch {
+                color: color.len(),
                 depth: depth.len(),
                 pose: cameras.len(),
                 first: picture.clone(),
@@ -98,13 +98,13 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             continue;
         };
         let file = &cameras[camera_at];
-        let frame = camera(&folder.root, file).map(|camera| RawFrame {
+        let frame = read_camera(&folder.root, file).map(|camera| RawFrame {
             index: FrameIndex(0),
-            colour: picture.clone(),
+            color: picture.clone(),
             depth: depth[depth_at].clone(),
             pose_file: file.clone(),
             pose: camera.pose(),
-            colour_intrinsics: camera.intrinsics(),
+            color_intrinsics: camera.intrinsics(),
             depth_intrinsics: camera.intrinsics(),
             optics: Optics {
                 confidence: confidence_of[i].map(|at| Confidence {
@@ -116,13 +116,13 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         });
         scan.add(frame)?;
     }
-    match colour.is_empty() {
+    match color.is_empty() {
         true => Err(incomplete(LOOKS_LIKE, format!("keyframes/{images}/ is empty"))),
         false => Ok(scan),
     }
 }
 
-fn camera(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
+fn read_camera(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
     serde_json::from_str(&read_text(root, file, MAX_CAMERA_BYTES)?)
         .map_err(|e| IngestError::malformed(file, e))
 }

@@ -3,8 +3,8 @@
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::FolderListing;
-use super::numbers::pose_of;
-use super::{entry, incomplete};
+use super::numbers::pose_from_quaternion;
+use super::{entry_path, incomplete};
 use crate::IngestError;
 use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan};
@@ -28,18 +28,18 @@ struct Metadata {
     #[serde(rename = "K")]
     k: Vec<f32>,
     /// Quaternion x y z w, then the position.
-    #[serde(deserialize_with = "super::listed::frames")]
+    #[serde(deserialize_with = "super::listed::deserialize_frames")]
     poses: Vec<[f64; 7]>,
     /// `fx fy cx cy` of each frame, if the intrinsics vary.
     #[serde(
         rename = "perFrameIntrinsicCoeffs",
         default,
-        deserialize_with = "super::listed::frames"
+        deserialize_with = "super::listed::deserialize_frames"
     )]
     each: Vec<Vec<f32>>,
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("rgbd")
         && (folder.has_file(FILE)
             || folder.files("rgbd", &["depth"]).is_ok_and(|files| !files.is_empty()))
@@ -78,23 +78,23 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             }
             _ => whole,
         };
-        let [colour, depth, confidence] =
+        let [color, depth, confidence] =
             ["jpg", "depth", "conf"].map(|ending| Utf8PathBuf::from(format!("rgbd/{i}.{ending}")));
         let confidence = folder
             .root
             .join(&confidence)
             .is_file()
             .then_some(Confidence { file: confidence, at_least: LEAST_CONFIDENCE });
-        let missing = [&colour, &depth].into_iter().find(|file| !folder.root.join(file).is_file());
+        let missing = [&color, &depth].into_iter().find(|file| !folder.root.join(file).is_file());
         let frame = match missing {
             Some(file) => Err(IngestError::MissingFile { file: file.clone() }),
             None => Ok(RawFrame {
                 index: FrameIndex(0),
-                colour,
+                color,
                 depth,
-                pose_file: entry(file, format_args!("pose {i}")),
-                pose: pose_of([x, y, z], [qx, qy, qz, qw]),
-                colour_intrinsics: camera,
+                pose_file: entry_path(file, format_args!("pose {i}")),
+                pose: pose_from_quaternion([x, y, z], [qx, qy, qz, qw]),
+                color_intrinsics: camera,
                 depth_intrinsics: camera.scaled_to(dw, dh),
                 optics: Optics { confidence, ..Optics::default() },
             }),

@@ -36,7 +36,7 @@ const USUAL: Camera =
     Camera { w: 1200, h: 680, fx: 600.0, fy: 600.0, cx: 599.5, cy: 339.5, scale: 6553.5 };
 
 /// Returns the folder of the room: this one, or the only one next to the camera's parameters.
-fn room(folder: &FolderListing) -> Option<String> {
+fn find_room_folder(folder: &FolderListing) -> Option<String> {
     if folder.has_folder("results") {
         return Some(String::new());
     }
@@ -45,12 +45,12 @@ fn room(folder: &FolderListing) -> Option<String> {
     room.filter(|_| folder.has_file(CAMERA) && rooms.next().is_none())
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
-    room(folder).is_some()
+pub(super) fn can_read(folder: &FolderListing) -> bool {
+    find_room_folder(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
-    let room = Utf8PathBuf::from(room(folder).unwrap_or_default());
+    let room = Utf8PathBuf::from(find_room_folder(folder).unwrap_or_default());
     let traj = room.join("traj.txt");
     if !folder.root.join(&traj).is_file() {
         return Err(incomplete(LOOKS_LIKE, "traj.txt is missing"));
@@ -64,11 +64,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             .collect())
     };
     let pictures = ScanImages {
-        colour: named("frame", PICTURES)?,
+        color: named("frame", PICTURES)?,
         depth: named("depth", DEPTHS)?,
         confidence: Vec::new(),
     };
-    if pictures.colour.is_empty() || pictures.depth.is_empty() {
+    if pictures.color.is_empty() || pictures.depth.is_empty() {
         return Err(incomplete(LOOKS_LIKE, "results/ holds no frame* and depth* pictures"));
     }
     let mut scan = Scan::new(&folder.root, "replica");
@@ -76,7 +76,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         .into_iter()
         .find(|file| folder.root.join(file).is_file());
     let camera = if let Some(file) = file {
-        parameters(&folder.root, &file)?
+        read_parameters(&folder.root, &file)?
     } else {
         scan.warnings.push(format!(
             "{CAMERA} is missing: taken as 1200x680, focal length 600, depth in 1/6553.5 m"
@@ -91,14 +91,13 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         ));
     }
     scan.depth_scale_m = 1.0 / scale;
-    let cameras =
-        FrameCameras { colour: Intrinsics { width, height, fx, fy, cx, cy }, depth: None };
+    let cameras = FrameCameras { color: Intrinsics { width, height, fx, fy, cx, cy }, depth: None };
     let poses = PoseFiles::List(trajectory::read(&folder.root, &traj)?, traj);
     add_frames(&mut scan, &pictures, &poses, &cameras, UnmatchedImages::Damaged)?;
     Ok(scan)
 }
 
-fn parameters(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
+fn read_parameters(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
     let text = read_text(root, file, MAX_JSON_BYTES)?;
     Ok(serde_json::from_str::<Parameters>(&text)
         .map_err(|e| IngestError::malformed(file, e))?

@@ -14,33 +14,33 @@ const LOOKS_LIKE: &str = "an RTAB-Map export";
 const MAX_CALIBRATION_BYTES: u64 = 64 << 10;
 
 /// Returns the folder with this name, alone or after the database's name.
-fn part(folder: &FolderListing, name: &str) -> Option<String> {
+fn find_folder(folder: &FolderListing, name: &str) -> Option<String> {
     let is = |other: &&str| *other == name || other.ends_with(&format!("_{name}"));
     folder.folders().find(is).map(str::to_owned)
 }
 
 /// Returns the file of the camera's poses if it exists. The poses of the robot's base differ.
-fn poses_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
+fn find_poses_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
     let ends = |ending: &str| {
         folder.names().iter().find(|name| name.ends_with(ending)).map(Utf8PathBuf::from)
     };
     ends("camera_poses.txt").or_else(|| ends("poses.txt"))
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
-    part(folder, "calib").is_some() && part(folder, "rgb").is_some()
+pub(super) fn can_read(folder: &FolderListing) -> bool {
+    find_folder(folder, "calib").is_some() && find_folder(folder, "rgb").is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let missing = |what: &str| incomplete(LOOKS_LIKE, format!("{what} is missing"));
-    let [rgb, depth, calibration] =
-        ["rgb", "depth", "calib"].map(|name| part(folder, name).ok_or_else(|| missing(name)));
+    let [rgb, depth, calibration] = ["rgb", "depth", "calib"]
+        .map(|name| find_folder(folder, name).ok_or_else(|| missing(name)));
     let (rgb, depth, calibration) = (rgb?, depth?, calibration?);
-    let file = poses_file(folder).ok_or_else(|| {
+    let file = find_poses_file(folder).ok_or_else(|| {
         missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 1)")
     })?;
     let pictures = ScanImages {
-        colour: folder.files(&rgb, PICTURES)?,
+        color: folder.files(&rgb, PICTURES)?,
         depth: folder.files(&depth, DEPTHS)?,
         confidence: Vec::new(),
     };
@@ -52,7 +52,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         scan.warnings
             .push(format!("{file} is taken for the camera's poses; those of a robot's base would need its mounting taken off"));
     }
-    let cameras = FrameCameras { colour: camera(&folder.root, first)?, depth: None };
+    let cameras = FrameCameras { color: read_camera(&folder.root, first)?, depth: None };
     let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);
     add_frames(&mut scan, &pictures, &poses, &cameras, UnmatchedImages::LeftOut)?;
     scan.cloud = folder
@@ -64,7 +64,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 
 /// Reads OpenCV's YAML: `image_width`, `image_height`, and the projection matrix, which is that of
 /// the rectified picture.
-fn camera(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
+fn read_camera(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
     let text = read_text(root, file, MAX_CALIBRATION_BYTES)?;
     let missing =
         |key: &str| IngestError::malformed(file, format!("{key} is missing or no number"));

@@ -3,7 +3,7 @@
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
-use super::numbers::matrix;
+use super::numbers::matrix_from_values;
 use super::{incomplete, intrinsics, pairing};
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -24,7 +24,7 @@ struct ScannerAppFrame {
     intrinsics: Vec<f64>,
 }
 
-fn files(
+fn list_files(
     folder: &FolderListing,
     start: &str,
     endings: &[&str],
@@ -36,20 +36,21 @@ fn files(
         .collect())
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     let some = |start: &str, ending: &str| {
-        files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty())
+        list_files(folder, start, &[ending]).is_ok_and(|files| !files.is_empty())
     };
     some("frame_", "json") || (some("frame_", "jpg") && some("depth_", "png"))
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
-    let (colour, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
+    let (color, depth) =
+        (list_files(folder, "frame_", PICTURES)?, list_files(folder, "depth_", DEPTHS)?);
     let (taken, confidence) =
-        (files(folder, "frame_", &["json"])?, files(folder, "conf_", &["png"])?);
+        (list_files(folder, "frame_", &["json"])?, list_files(folder, "conf_", &["png"])?);
     for (list, what) in [
-        (&colour, "the pictures frame_*.jpg are"),
+        (&color, "the pictures frame_*.jpg are"),
         (&depth, "the depth pictures depth_*.png are"),
         (&taken, "the poses frame_*.json are"),
     ] {
@@ -59,18 +60,18 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     // The app writes more poses than pictures. Depth exists only for pictures.
     let (depth_of, taken_of, confidence_of) = (
-        pairing::partners(&colour, &depth),
-        pairing::partners(&colour, &taken),
-        pairing::partners(&colour, &confidence),
+        pairing::match_files(&color, &depth),
+        pairing::match_files(&color, &taken),
+        pairing::match_files(&color, &confidence),
     );
     let mut scan = Scan::new(root, "3d-scanner-app");
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
-    for (i, picture) in colour.iter().enumerate() {
+    for (i, picture) in color.iter().enumerate() {
         let frame = || {
             let (Some(depth_at), Some(taken_at)) = (depth_of[i], taken_of[i]) else {
                 return Err(IngestError::FrameCountMismatch {
-                    colour: colour.len(),
+                    color: color.len(),
                     depth: depth.len(),
                     pose: taken.len(),
                     first: picture.clone(),
@@ -79,17 +80,18 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             let file: &Utf8Path = &taken[taken_at];
             let taken: ScannerAppFrame = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
                 .map_err(|e| IngestError::malformed(file, e))?;
-            let pose = matrix(&taken.pose).ok_or_else(|| {
+            let pose = matrix_from_values(&taken.pose).ok_or_else(|| {
                 IngestError::malformed(file, "cameraPoseARFrame has not 16 numbers")
             })?;
-            let camera = intrinsics::of_values(root, file, &taken.intrinsics, picture)?;
+            let camera =
+                intrinsics::intrinsics_from_values(root, file, &taken.intrinsics, picture)?;
             Ok(RawFrame {
                 index: FrameIndex(0),
-                colour: picture.clone(),
+                color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file: file.to_owned(),
                 pose,
-                colour_intrinsics: camera,
+                color_intrinsics: camera,
                 depth_intrinsics: camera,
                 optics: Optics {
                     confidence: confidence_of[i].map(|at| Confidence {

@@ -4,7 +4,7 @@
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
 use super::files::{DEPTHS, FolderListing, PICTURES};
-use super::numbers::{matrix, parse, values_of};
+use super::numbers::{find_values, matrix_from_values, parse};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -14,11 +14,11 @@ use nalgebra::Matrix4;
 
 const LOOKS_LIKE: &str = "a ScanNet export";
 const MAX_META_BYTES: u64 = 1 << 20;
-const COLOUR_CAMERA: &str = "intrinsic/intrinsic_color.txt";
+const COLOR_CAMERA: &str = "intrinsic/intrinsic_color.txt";
 const DEPTH_CAMERA: &str = "intrinsic/intrinsic_depth.txt";
 const MESHES: &[&str] = &["_vh_clean_2.ply", "_vh_clean.ply", ".aligned.ply"];
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("intrinsic") && (folder.has_folder("color") || folder.has_folder("pose"))
         || is_flat(folder)
 }
@@ -31,7 +31,7 @@ fn is_flat(folder: &FolderListing) -> bool {
             .iter()
             .any(|name| name.ends_with(ending) && name.starts_with(|c: char| c.is_ascii_digit()))
     };
-    has(".jpg") && has(".png") && has(".txt") && intrinsics::colour_file(folder).is_some()
+    has(".jpg") && has(".png") && has(".txt") && intrinsics::find_color_file(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
@@ -47,25 +47,25 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         (false, true) => folder.files(name, endings),
         (false, false) => Err(incomplete(LOOKS_LIKE, format!("{name}/ is missing"))),
     };
-    let colour_endings = if flat { &["jpg", "jpeg"] } else { PICTURES };
+    let color_endings = if flat { &["jpg", "jpeg"] } else { PICTURES };
     let pictures = ScanImages {
-        colour: list("color", colour_endings)?,
+        color: list("color", color_endings)?,
         depth: list("depth", DEPTHS)?,
         confidence: Vec::new(),
     };
     let poses = list("pose", &["txt"])?;
-    let (Some(colour), Some(depth)) = (pictures.colour.first(), pictures.depth.first()) else {
+    let (Some(color), Some(depth)) = (pictures.color.first(), pictures.depth.first()) else {
         return Err(incomplete(LOOKS_LIKE, "its pictures are missing"));
     };
-    let cameras = if flat || !folder.has_file(COLOUR_CAMERA) {
-        FrameCameras { colour: intrinsics::of_colour(folder, colour)?, depth: None }
+    let cameras = if flat || !folder.has_file(COLOR_CAMERA) {
+        FrameCameras { color: intrinsics::read_color_intrinsics(folder, color)?, depth: None }
     } else {
         let depth_camera = folder
             .has_file(DEPTH_CAMERA)
-            .then(|| intrinsics::of_file(root, Utf8Path::new(DEPTH_CAMERA), depth))
+            .then(|| intrinsics::read_intrinsics(root, Utf8Path::new(DEPTH_CAMERA), depth))
             .transpose()?;
         FrameCameras {
-            colour: intrinsics::of_file(root, Utf8Path::new(COLOUR_CAMERA), colour)?,
+            color: intrinsics::read_intrinsics(root, Utf8Path::new(COLOR_CAMERA), color)?,
             depth: depth_camera,
         }
     };
@@ -75,8 +75,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         .clouds(MESHES)
         .into_iter()
         .find(is_mesh)
-        .or_else(|| super::color_depth_pose::own_cloud(folder));
-    if let Some((alignment, file)) = alignment(folder)? {
+        .or_else(|| super::color_depth_pose::find_cloud(folder));
+    if let Some((alignment, file)) = read_alignment(folder)? {
         scan.warnings.push(format!("{file}: its axis alignment is applied to poses and cloud"));
         scan.alignment = Some(alignment);
     }
@@ -84,7 +84,9 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Returns `axisAlignment` of the scene's own text file, unless it is the identity.
-fn alignment(folder: &FolderListing) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
+fn read_alignment(
+    folder: &FolderListing,
+) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
     for name in folder
         .names()
         .iter()
@@ -92,11 +94,11 @@ fn alignment(folder: &FolderListing) -> Result<Option<(Matrix4<f64>, Utf8PathBuf
     {
         let file = Utf8Path::new(name);
         let text = read_text(&folder.root, file, MAX_META_BYTES)?;
-        let Some(values) = values_of(&text, "axisAlignment") else { continue };
+        let Some(values) = find_values(&text, "axisAlignment") else { continue };
         let values = parse(values).map_err(|word| {
             IngestError::malformed(file, format!("axisAlignment: {word:?} is not a number"))
         })?;
-        let matrix = matrix(&values).filter(|_| values.len() == 16);
+        let matrix = matrix_from_values(&values).filter(|_| values.len() == 16);
         let matrix = matrix.ok_or_else(|| {
             IngestError::malformed(
                 file,

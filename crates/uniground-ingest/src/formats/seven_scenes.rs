@@ -4,7 +4,7 @@
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
 use super::files::{DEPTHS, FolderListing, PICTURES};
-use super::numbers::{parse, values_of};
+use super::numbers::{find_values, parse};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -22,7 +22,7 @@ const CLOUDS: &[&str] =
     &["labels.instances.annotated.v2.ply", "mesh.refined.v2.obj", "mesh.refined.obj", "cloud.ply"];
 
 /// Returns the folder of the frames, below the one that was opened.
-fn frames_in(folder: &FolderListing) -> Option<&'static str> {
+fn find_frames_folder(folder: &FolderListing) -> Option<&'static str> {
     let has = |names: &[String]| {
         names.iter().any(|name| {
             name.starts_with("frame-") && name.ends_with(".pose.txt") || name.contains(".color.")
@@ -36,12 +36,12 @@ fn frames_in(folder: &FolderListing) -> Option<&'static str> {
     })
 }
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
-    frames_in(folder).is_some()
+pub(super) fn can_read(folder: &FolderListing) -> bool {
+    find_frames_folder(folder).is_some()
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
-    let inner = frames_in(folder).unwrap_or_default();
+    let inner = find_frames_folder(folder).unwrap_or_default();
     let root = &folder.root;
     let named = |part: &str, endings: &[&str]| -> Result<Vec<Utf8PathBuf>, IngestError> {
         Ok(folder
@@ -51,12 +51,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             .collect())
     };
     let pictures = ScanImages {
-        colour: named(".color.", PICTURES)?,
+        color: named(".color.", PICTURES)?,
         depth: named(".depth.", DEPTHS)?,
         confidence: Vec::new(),
     };
     let poses = named(".pose.", &["txt"])?;
-    let Some(first) = pictures.colour.first() else {
+    let Some(first) = pictures.color.first() else {
         return Err(incomplete(LOOKS_LIKE, "its .color pictures are missing"));
     };
     if pictures.depth.is_empty() {
@@ -73,22 +73,22 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let cameras = match info {
         Some(info) => {
             let text = read_text(root, &info, MAX_INFO_BYTES)?;
-            if let Some(shift) = values_of(&text, "m_depthShift")
+            if let Some(shift) = find_values(&text, "m_depthShift")
                 .and_then(|v| v.parse::<f32>().ok())
                 .filter(|s| *s > 0.0)
             {
                 scan.depth_scale_m = 1.0 / shift;
             }
-            let colour = camera(&info, &text, "Color")?;
-            FrameCameras { colour, depth: camera(&info, &text, "Depth").ok() }
+            let color = parse_camera(&info, &text, "Color")?;
+            FrameCameras { color, depth: parse_camera(&info, &text, "Depth").ok() }
         }
-        None if intrinsics::colour_file(folder).is_some() => {
-            FrameCameras { colour: intrinsics::of_colour(folder, first)?, depth: None }
+        None if intrinsics::find_color_file(folder).is_some() => {
+            FrameCameras { color: intrinsics::read_color_intrinsics(folder, first)?, depth: None }
         }
         None => {
             scan.warnings
                 .push("cameras are taken as the Kinect of 7-Scenes (585 585 320 240); intrinsic.txt says better".into());
-            FrameCameras { colour: KINECT, depth: None }
+            FrameCameras { color: KINECT, depth: None }
         }
     };
     add_frames(&mut scan, &pictures, &PoseFiles::Files(poses), &cameras, UnmatchedImages::Damaged)?;
@@ -98,16 +98,16 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 
 /// Reads `m_colorWidth`, `m_colorHeight` and `m_calibrationColorIntrinsic`, or the same values of
 /// the depth camera.
-fn camera(info: &Utf8Path, text: &str, which: &str) -> Result<Intrinsics, IngestError> {
+fn parse_camera(info: &Utf8Path, text: &str, which: &str) -> Result<Intrinsics, IngestError> {
     let lower = which.to_ascii_lowercase();
     let missing =
         |key: &str| IngestError::malformed(info, format!("{key} is missing or no number"));
     let size = |side: &str| {
         let key = format!("m_{lower}{side}");
-        values_of(text, &key).and_then(|v| v.parse::<u32>().ok()).ok_or_else(|| missing(&key))
+        find_values(text, &key).and_then(|v| v.parse::<u32>().ok()).ok_or_else(|| missing(&key))
     };
     let key = format!("m_calibration{which}Intrinsic");
-    let values = values_of(text, &key)
+    let values = find_values(text, &key)
         .and_then(|v| parse(v).ok())
         .filter(|v| v.len() == 16)
         .ok_or_else(|| missing(&key))?;

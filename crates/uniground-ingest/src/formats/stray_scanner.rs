@@ -3,8 +3,8 @@
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
-use super::numbers::{parse, pose_of};
-use super::{entry, incomplete, intrinsics, pairing};
+use super::numbers::{parse, pose_from_quaternion};
+use super::{entry_path, incomplete, intrinsics, pairing};
 use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
@@ -18,7 +18,7 @@ const ODOMETRY: &str = "odometry.csv";
 const CAMERA: &str = "camera_matrix.csv";
 const MAX_BYTES: u64 = 64 << 20;
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_file(ODOMETRY) && (folder.has_file(CAMERA) || folder.has_folder("depth"))
 }
 
@@ -30,14 +30,14 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if !folder.has_folder("depth") {
         return Err(incomplete(LOOKS_LIKE, "depth/ is missing"));
     }
-    let colour = if folder.has_folder("rgb") { folder.files("rgb", PICTURES)? } else { Vec::new() };
-    let Some(first) = colour.first() else {
+    let color = if folder.has_folder("rgb") { folder.files("rgb", PICTURES)? } else { Vec::new() };
+    let Some(first) = color.first() else {
         return Err(incomplete(
             LOOKS_LIKE,
             "its video is not decoded here: run `mkdir rgb && ffmpeg -i rgb.mp4 -start_number 0 -q:v 2 rgb/%06d.jpg` in its folder first",
         ));
     };
-    let camera = intrinsics::of_file(root, Utf8Path::new(CAMERA), first)?;
+    let camera = intrinsics::read_intrinsics(root, Utf8Path::new(CAMERA), first)?;
     let depth = folder.files("depth", DEPTHS)?;
     let confidence = if folder.has_folder("confidence") {
         folder.files("confidence", &["png"])?
@@ -45,20 +45,20 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         Vec::new()
     };
     let (depth_of, confidence_of) =
-        (pairing::partners(&colour, &depth), pairing::partners(&colour, &confidence));
-    let poses = poses(root)?;
+        (pairing::match_files(&color, &depth), pairing::match_files(&color, &confidence));
+    let poses = read_poses(root)?;
     let mut scan = Scan::new(root, "stray-scanner");
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
-    for (i, picture) in colour.iter().enumerate() {
-        let pose = pairing::number(picture).and_then(|number| poses.get(&number));
+    for (i, picture) in color.iter().enumerate() {
+        let pose = pairing::last_number(picture).and_then(|number| poses.get(&number));
         let frame = match (depth_of[i], pose) {
             (Some(depth_at), Some(pose)) => Ok(RawFrame {
                 index: FrameIndex(0),
-                colour: picture.clone(),
+                color: picture.clone(),
                 depth: depth[depth_at].clone(),
-                pose_file: entry(Utf8Path::new(ODOMETRY), picture),
+                pose_file: entry_path(Utf8Path::new(ODOMETRY), picture),
                 pose: *pose,
-                colour_intrinsics: camera,
+                color_intrinsics: camera,
                 depth_intrinsics: camera,
                 optics: Optics {
                     confidence: confidence_of[i].map(|at| Confidence {
@@ -69,7 +69,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
                 },
             }),
             _ => Err(IngestError::FrameCountMismatch {
-                colour: colour.len(),
+                color: color.len(),
                 depth: depth.len(),
                 pose: poses.len(),
                 first: picture.clone(),
@@ -81,7 +81,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Reads `timestamp, frame, x, y, z, qx, qy, qz, qw`, by the frame's number.
-fn poses(root: &Utf8Path) -> Result<BTreeMap<u64, nalgebra::Matrix4<f64>>, IngestError> {
+fn read_poses(root: &Utf8Path) -> Result<BTreeMap<u64, nalgebra::Matrix4<f64>>, IngestError> {
     let file = Utf8Path::new(ODOMETRY);
     let text = read_text(root, file, MAX_BYTES)?;
     let mut poses = BTreeMap::new();
@@ -96,7 +96,7 @@ fn poses(root: &Utf8Path) -> Result<BTreeMap<u64, nalgebra::Matrix4<f64>>, Inges
                 format!("line {} is not nine numbers", number + 1),
             ));
         };
-        poses.insert(*frame as u64, pose_of([*x, *y, *z], [*qx, *qy, *qz, *qw]));
+        poses.insert(*frame as u64, pose_from_quaternion([*x, *y, *z], [*qx, *qy, *qz, *qw]));
         if poses.len() > MAX_FRAMES {
             return Err(IngestError::malformed(file, format!("more than {MAX_FRAMES} poses")));
         }

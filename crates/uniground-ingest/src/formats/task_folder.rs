@@ -8,7 +8,7 @@ use uniground_geometry::up_axis::UpAxis;
 
 const CLOUD: &str = "full_pcd.ply";
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_file("task.json")
         && (folder.has_file("ref.json") || folder.has_file("gt.json") || folder.has_file(CLOUD))
 }

@@ -1,7 +1,7 @@
 //! Files that hold all poses of a scan: one pose per line (4x4, 3x4, or a time with position and
 //! quaternion), or Open3D's log with five lines per pose.
 
-use super::numbers::{matrix, parse, pose_of};
+use super::numbers::{matrix_from_values, parse, pose_from_quaternion};
 use crate::limited_reader::read_text;
 use crate::{IngestError, MAX_FRAMES};
 use camino::Utf8Path;
@@ -53,7 +53,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         )
     };
     match rows.first().map_or(0, Vec::len) {
-        3 => log(&rows).map(Trajectory::Ordered).ok_or_else(|| {
+        3 => parse_log(&rows).map(Trajectory::Ordered).ok_or_else(|| {
             IngestError::malformed(
                 file,
                 "not a log of poses: three numbers, then four lines of four",
@@ -62,14 +62,16 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         12 | 16 => {
             let poses = rows
                 .iter()
-                .map(|row| matrix(row).ok_or_else(|| strange(row.len())))
+                .map(|row| matrix_from_values(row).ok_or_else(|| strange(row.len())))
                 .collect::<Result<_, _>>()?;
             Ok(Trajectory::Ordered(poses))
         }
         // A ninth number is an index of the writing program and is ignored.
         8 | 9 => {
             let timed = |row: &Vec<f64>| match row[..] {
-                [t, x, y, z, qx, qy, qz, qw, ..] => Ok((t, pose_of([x, y, z], [qx, qy, qz, qw]))),
+                [t, x, y, z, qx, qy, qz, qw, ..] => {
+                    Ok((t, pose_from_quaternion([x, y, z], [qx, qy, qz, qw])))
+                }
                 _ => Err(strange(row.len())),
             };
             rows.iter().map(timed).collect::<Result<_, _>>().map(Trajectory::Timed)
@@ -79,10 +81,12 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
 }
 
 /// Parses Open3D's format: three numbers that are not needed, then a matrix.
-fn log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
+fn parse_log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
     rows.chunks(5)
         .map(|chunk| match chunk {
-            [head, rest @ ..] if head.len() == 3 && rest.len() == 4 => matrix(&rest.concat()),
+            [head, rest @ ..] if head.len() == 3 && rest.len() == 4 => {
+                matrix_from_values(&rest.concat())
+            }
             _ => None,
         })
         .collect()
@@ -90,7 +94,11 @@ fn log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
 
 /// Returns the pose at a time: interpolated between the two around it if they are close enough,
 /// otherwise the nearest one within reach.
-pub(super) fn at(poses: &[(f64, Matrix4<f64>)], time: f64, within_s: f64) -> Option<Matrix4<f64>> {
+pub(super) fn pose_at(
+    poses: &[(f64, Matrix4<f64>)],
+    time: f64,
+    within_s: f64,
+) -> Option<Matrix4<f64>> {
     let after = poses.partition_point(|(t, _)| *t < time);
     let near = |i: Option<usize>| {
         i.and_then(|i| poses.get(i)).filter(|(t, _)| (t - time).abs() <= within_s)

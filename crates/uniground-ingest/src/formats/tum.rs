@@ -4,7 +4,7 @@
 
 use super::files::FolderListing;
 use super::trajectory::{self, Trajectory};
-use super::{entry, incomplete, intrinsics, pairing};
+use super::{entry_path, incomplete, intrinsics, pairing};
 use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
@@ -17,7 +17,7 @@ const POSES: &[&str] =
     &["groundtruth.txt", "CameraTrajectory.txt", "KeyFrameTrajectory.txt", "trajectory.txt"];
 const SIZE: (u32, u32) = (640, 480);
 
-pub(super) fn recognises(folder: &FolderListing) -> bool {
+pub(super) fn can_read(folder: &FolderListing) -> bool {
     let lists = ["rgb.txt", "depth.txt", "groundtruth.txt"]
         .iter()
         .filter(|name| folder.has_file(name))
@@ -31,11 +31,11 @@ pub(super) fn recognises(folder: &FolderListing) -> bool {
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
-    let [colour, depth] = ["rgb.txt", "depth.txt"].map(|name| match folder.has_file(name) {
-        true => pictures(root, name),
+    let [color, depth] = ["rgb.txt", "depth.txt"].map(|name| match folder.has_file(name) {
+        true => read_picture_list(root, name),
         false => Err(incomplete(LOOKS_LIKE, format!("{name} is missing"))),
     });
-    let ((colour, heading), (depth, _)) = (colour?, depth?);
+    let ((color, heading), (depth, _)) = (color?, depth?);
     let poses_file = folder.first_file(POSES).ok_or_else(|| {
         incomplete(LOOKS_LIKE, "groundtruth.txt is missing: a trajectory in its format (timestamp tx ty tz qx qy qz qw) will do")
     })?;
@@ -48,38 +48,39 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     poses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut scan = Scan::new(root, "tum-rgbd");
     scan.depth_scale_m = 1.0 / 5000.0;
-    let Some(first) = colour.first() else {
+    let Some(first) = color.first() else {
         return Err(incomplete(LOOKS_LIKE, "rgb.txt lists no pictures"));
     };
-    let (camera, lens) = camera(folder, &heading, &first.1, &mut scan)?;
+    let (camera, lens) = read_camera(folder, &heading, &first.1, &mut scan)?;
     let times =
         |list: &[(f64, Utf8PathBuf)]| list.iter().map(|(t, _)| Some(*t)).collect::<Vec<_>>();
-    let partner = pairing::nearest(&times(&colour), &times(&depth), pairing::SAME_MOMENT_S);
+    let partner =
+        pairing::match_nearest_times(&times(&color), &times(&depth), pairing::SAME_MOMENT_S);
     let (mut alone, mut untracked) = (0, 0);
-    for ((time, picture), partner) in colour.iter().zip(partner) {
+    for ((time, picture), partner) in color.iter().zip(partner) {
         let Some(partner) = partner else {
             alone += 1;
             continue;
         };
-        let Some(pose) = trajectory::at(&poses, *time, pairing::SAME_MOMENT_S) else {
+        let Some(pose) = trajectory::pose_at(&poses, *time, pairing::SAME_MOMENT_S) else {
             untracked += 1;
             continue;
         };
         scan.frames.push(RawFrame {
             index: FrameIndex(0),
-            colour: picture.clone(),
+            color: picture.clone(),
             depth: depth[partner].1.clone(),
-            pose_file: entry(&poses_file, format_args!("time {time}")),
+            pose_file: entry_path(&poses_file, format_args!("time {time}")),
             pose,
-            colour_intrinsics: camera,
+            color_intrinsics: camera,
             depth_intrinsics: camera,
-            optics: Optics { colour_lens: lens, depth_lens: lens, ..Optics::default() },
+            optics: Optics { color_lens: lens, depth_lens: lens, ..Optics::default() },
         });
     }
     if alone + untracked > 0 {
         scan.warnings.push(format!(
             "of {} colour pictures {alone} have no depth picture and {untracked} no pose within {} ms: left out",
-            colour.len(),
+            color.len(),
             pairing::SAME_MOMENT_S * 1000.0
         ));
     }
@@ -93,7 +94,10 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Reads a list of `time file`, and the text of its heading.
-fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, String), IngestError> {
+fn read_picture_list(
+    root: &Utf8Path,
+    name: &str,
+) -> Result<(Vec<(f64, Utf8PathBuf)>, String), IngestError> {
     let file = Utf8Path::new(name);
     let text = read_text(root, file, MAX_LIST_BYTES)?;
     let (mut list, mut heading) = (Vec::new(), String::new());
@@ -108,7 +112,7 @@ fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, Str
         };
         let (time, path) = line.split_once([' ', '\t']).ok_or_else(malformed)?;
         let path = Utf8PathBuf::from(path.trim());
-        super::files::inside(&path, "named in a list points outside the archive")?;
+        super::files::check_inside(&path, "named in a list points outside the archive")?;
         list.push((time.parse().map_err(|_| malformed())?, path));
         if list.len() > MAX_FRAMES {
             return Err(IngestError::malformed(file, format!("more than {MAX_FRAMES} pictures")));
@@ -120,14 +124,14 @@ fn pictures(root: &Utf8Path, name: &str) -> Result<(Vec<(f64, Utf8PathBuf)>, Str
 
 /// Reads a camera matrix next to the lists. Otherwise returns that of the benchmark's Kinect, by
 /// name.
-fn camera(
+fn read_camera(
     folder: &FolderListing,
     heading: &str,
     first: &Utf8Path,
     scan: &mut Scan,
 ) -> Result<(Intrinsics, Option<Lens>), IngestError> {
-    if intrinsics::colour_file(folder).is_some() {
-        return Ok((intrinsics::of_colour(folder, first)?, None));
+    if intrinsics::find_color_file(folder).is_some() {
+        return Ok((intrinsics::read_color_intrinsics(folder, first)?, None));
     }
     let (width, height) = SIZE;
     let of = |fx, fy, cx, cy| Intrinsics { width, height, fx, fy, cx, cy };

@@ -3,11 +3,11 @@
 //! zero crossings are the points. The noise of a depth sensor lies along the view, so a wall
 //! becomes one thin sheet. Averaging the points themselves would leave a layer of some centimeters.
 
-mod look;
+mod frame;
 mod volume;
 
 use super::IngestError;
-use look::FusionFrame;
+use frame::FusionFrame;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameError, FrameIndex, FrameRef, PointCloud, stream_frames};
 use uniground_types::settings::FusionSettings;
@@ -31,8 +31,10 @@ pub fn fuse(
     let mut settings = *settings;
     loop {
         let mut damaged = Vec::new();
-        if let Some(cloud) = fused(frames, &settings, volume::MAX_BLOCKS, &mut damaged, progress)? {
-            leave_out(frames, damaged, warnings)?;
+        if let Some(cloud) =
+            try_fuse(frames, &settings, volume::MAX_BLOCKS, &mut damaged, progress)?
+        {
+            remove_damaged(frames, damaged, warnings)?;
             return match cloud.is_empty() {
                 true => Err(IngestError::NoUsableFrames {
                     reason: "no depth picture holds a measurement that others confirm".into(),
@@ -49,7 +51,7 @@ pub fn fuse(
 }
 
 /// Fuses the frames. Returns `None` when the scan does not fit into `most_blocks` blocks.
-fn fused(
+fn try_fuse(
     frames: &[FrameRef],
     settings: &FusionSettings,
     most_blocks: usize,
@@ -60,7 +62,9 @@ fn fused(
     let mut full = false;
     stream_frames(
         frames,
-        |frame| Ok::<_, IngestError>(frame.decode().map(|frame| FusionFrame::of(&frame, settings))),
+        |frame| {
+            Ok::<_, IngestError>(frame.decode().map(|frame| FusionFrame::new(&frame, settings)))
+        },
         |i, look| {
             progress.report("fuse_cloud", i as f32 / frames.len() as f32)?;
             match look {
@@ -71,11 +75,11 @@ fn fused(
             Ok(())
         },
     )?;
-    Ok((!full).then(|| volume.surface()))
+    Ok((!full).then(|| volume.extract_surface()))
 }
 
 /// Removes damaged frames. At most a tenth may be damaged; the first few are named.
-fn leave_out(
+fn remove_damaged(
     frames: &mut Vec<FrameRef>,
     damaged: Vec<(FrameIndex, FrameError)>,
     warnings: &mut Vec<String>,
@@ -120,9 +124,9 @@ mod tests {
         noise_mm: u32,
         depth_mm: impl Fn(u32, u32) -> u32,
     ) -> FrameRef {
-        let (colour, depth) =
+        let (color, depth) =
             (folder.join(format!("{index}.png")), folder.join(format!("{index}-depth.png")));
-        RgbImage::from_pixel(SIZE, SIZE, image::Rgb([10, 200, 30])).save(&colour).unwrap();
+        RgbImage::from_pixel(SIZE, SIZE, image::Rgb([10, 200, 30])).save(&color).unwrap();
         let shake = |u: u32, v: u32| {
             (u * 7919 + v * 104_729 + index * 31_337) * 2_654_435 % (2 * noise_mm + 1)
         };
@@ -137,9 +141,9 @@ mod tests {
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
         FrameRef {
             index: FrameIndex(index),
-            colour,
+            color,
             depth,
-            colour_intrinsics: intrinsics,
+            color_intrinsics: intrinsics,
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::from_parts(Translation3::from(at), turn),
@@ -163,7 +167,7 @@ mod tests {
         let off = |p: &uniground_geometry::Point3<f32>| (p.y - 2.0).abs();
         let mean = cloud.positions.iter().map(off).sum::<f32>() / cloud.len() as f32;
         assert!(mean < 0.01, "{mean} m from the wall on average, each measurement 0.02");
-        assert!(cloud.colours.iter().all(|c| *c == [10, 200, 30]));
+        assert!(cloud.colors.iter().all(|c| *c == [10, 200, 30]));
         let again = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
         assert_eq!(cloud, again);
     }
@@ -191,12 +195,12 @@ mod tests {
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let frames = [frame(folder, 0, Vector3::zeros(), 5, |_, _| 2000)];
         assert!(
-            fused(&frames, &settings(), 10, &mut Vec::new(), &Progress::silent())
+            try_fuse(&frames, &settings(), 10, &mut Vec::new(), &Progress::silent())
                 .unwrap()
                 .is_none()
         );
         assert!(
-            fused(&frames, &settings(), 10_000, &mut Vec::new(), &Progress::silent())
+            try_fuse(&frames, &settings(), 10_000, &mut Vec::new(), &Progress::silent())
                 .unwrap()
                 .is_some()
         );

@@ -1,6 +1,6 @@
 //! A truncated signed distance volume in sparse blocks.
 
-use super::look::{FusionFrame, PixelSample};
+use super::frame::{FusionFrame, PixelSample};
 use rayon::prelude::*;
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::voxels::{VoxelKey, VoxelMap};
@@ -21,9 +21,9 @@ struct Voxel {
     /// in front of the surface, `-1..=1`.
     distance: f32,
     weight: f32,
-    colour_weight: f32,
+    color_weight: f32,
     /// Color in 256ths.
-    colour: [u16; 3],
+    color: [u16; 3],
     /// Number of frames that saw a surface within the truncation distance.
     views: u16,
 }
@@ -81,8 +81,8 @@ impl Volume {
     }
 
     /// Returns the zero crossings between neighboring voxels, in order of block and voxel.
-    pub fn surface(&self) -> PointCloud {
-        let least = self.least_views();
+    pub fn extract_surface(&self) -> PointCloud {
+        let least = self.min_views();
         let mut order: Vec<&Block> = self.blocks.iter().collect();
         order.sort_unstable_by_key(|block| block.key);
         let parts: Vec<PointCloud> =
@@ -90,14 +90,14 @@ impl Volume {
         let mut cloud = PointCloud::default();
         for part in parts {
             cloud.positions.extend(part.positions);
-            cloud.colours.extend(part.colours);
+            cloud.colors.extend(part.colors);
         }
         cloud
     }
 
     /// Returns the minimum number of frames that must have seen a voxel: a share of what is usual
     /// in this scan.
-    fn least_views(&self) -> u16 {
+    fn min_views(&self) -> u16 {
         let (mut views, mut voxels) = (0_u64, 0_u64);
         for voxel in self.blocks.iter().flat_map(|block| block.voxels.iter()) {
             if voxel.distance.abs() < 0.5 && voxel.views > 0 {
@@ -121,7 +121,7 @@ impl Volume {
         let corner = block.corner(voxel_m);
         let mut cloud = PointCloud::default();
         for (i, here) in block.voxels.iter().enumerate().filter(|(_, voxel)| voxel.views >= least) {
-            let at = place(i);
+            let at = voxel_position(i);
             for axis in 0..3 {
                 let stride = SIDE.pow(2 - axis as u32);
                 let there = match at[axis] + 1 < SIDE {
@@ -137,9 +137,9 @@ impl Volume {
                 let mut position = corner + Vector3::from(at.map(|k| k as f32 + 0.5)) * voxel_m;
                 position[axis] += share * voxel_m;
                 cloud.positions.push(position);
-                cloud.colours.push(std::array::from_fn(|c| {
-                    let mixed = f32::from(here.colour[c]) * (1.0 - share)
-                        + f32::from(there.colour[c]) * share;
+                cloud.colors.push(std::array::from_fn(|c| {
+                    let mixed = f32::from(here.color[c]) * (1.0 - share)
+                        + f32::from(there.color[c]) * share;
                     (mixed / 256.0).round().min(255.0) as u8
                 }));
             }
@@ -149,7 +149,7 @@ impl Volume {
 }
 
 /// Returns the position of a voxel within its block along X, Y, Z.
-const fn place(i: usize) -> [usize; 3] {
+const fn voxel_position(i: usize) -> [usize; 3] {
     [i / (SIDE * SIDE), i / SIDE % SIDE, i % SIDE]
 }
 
@@ -168,7 +168,7 @@ impl Block {
         let first = to_camera * (self.corner(voxel_m) + Vector3::repeat(voxel_m / 2.0));
         let camera = look.camera.intrinsics;
         for (i, voxel) in self.voxels.iter_mut().enumerate() {
-            let [x, y, z] = place(i);
+            let [x, y, z] = voxel_position(i);
             let p = first + steps[0] * x as f32 + steps[1] * y as f32 + steps[2] * z as f32;
             if p.z <= 0.0 {
                 continue;
@@ -180,7 +180,7 @@ impl Block {
             };
             let distance = (seen.depth_m - p.z) / truncation_m;
             if seen.depth_m > 0.0 && distance > -1.0 {
-                voxel.fold(seen, distance, voxel_m / truncation_m);
+                voxel.add_measurement(seen, distance, voxel_m / truncation_m);
             }
         }
     }
@@ -189,7 +189,7 @@ impl Block {
 impl Voxel {
     /// Adds a measurement. `distance` is in truncation distances, at least `-1`. `step` is one
     /// voxel in that unit.
-    fn fold(&mut self, seen: &PixelSample, distance: f32, step: f32) {
+    fn add_measurement(&mut self, seen: &PixelSample, distance: f32, step: f32) {
         // Behind a surface nothing was measured, so the weight fades out. Otherwise the back of a
         // thin object would push its front away.
         let weight =
@@ -201,9 +201,9 @@ impl Voxel {
             return;
         }
         self.views = self.views.saturating_add(1);
-        self.colour_weight += seen.colour_weight;
-        let share = seen.colour_weight / self.colour_weight.max(f32::MIN_POSITIVE);
-        for (mean, &now) in self.colour.iter_mut().zip(&seen.colour) {
+        self.color_weight += seen.color_weight;
+        let share = seen.color_weight / self.color_weight.max(f32::MIN_POSITIVE);
+        for (mean, &now) in self.color.iter_mut().zip(&seen.color) {
             *mean = (f32::from(*mean) + (f32::from(now) * 256.0 - f32::from(*mean)) * share).round()
                 as u16;
         }

@@ -22,7 +22,7 @@ const WITHOUT_ROLL: f32 = 0.06;
 const SHORTEST_MEAN: f32 = 0.3;
 
 /// Returns the up direction, or `None` when the cameras do not agree.
-pub(super) fn up(camera_to_world: &[Isometry3<f32>]) -> Option<CamerasUp> {
+pub(super) fn up_from_cameras(camera_to_world: &[Isometry3<f32>]) -> Option<CamerasUp> {
     let count = camera_to_world.len().max(1) as f32;
     let mean =
         camera_to_world.iter().map(|pose| pose.rotation * -Vector3::y()).sum::<Vector3<f32>>()
@@ -69,7 +69,7 @@ mod tests {
     #[test]
     fn cameras_that_look_down_in_a_corner_still_tell_up() {
         let poses: Vec<_> = (0..20).map(|i| camera(i as f32 * 0.1, 0.7)).collect();
-        let found = up(&poses).unwrap();
+        let found = up_from_cameras(&poses).unwrap();
         assert!(found.by_roll && found.up.dot(&Vector3::z()) > 0.999, "{found:?}");
     }
 
@@ -77,6 +77,6 @@ mod tests {
     fn cameras_that_tumble_tell_nothing() {
         let poses: Vec<_> =
             (0..20).map(|i| camera(0.3, i as f32 * std::f32::consts::TAU / 20.0)).collect();
-        assert!(up(&poses).is_none());
+        assert!(up_from_cameras(&poses).is_none());
     }
 }

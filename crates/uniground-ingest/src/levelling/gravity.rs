@@ -25,7 +25,7 @@ pub(super) struct UpFit {
 
 impl UpFit {
     /// Returns the share of the surfaces that the direction explains.
-    pub fn explained(&self) -> f32 {
+    pub fn explained_share(&self) -> f32 {
         self.level + self.upright
     }
 }
@@ -42,7 +42,7 @@ pub(super) fn refine(surfaces: &[SurfacePatch], guess: &Vector3<f32>, widest_deg
     let mut up = *guess;
     for cone_deg in CONES_DEG.into_iter().filter(|cone| *cone <= widest_deg) {
         for _ in 0..ROUNDS {
-            let Some(next) = improved(surfaces, &up, cone_deg) else { break };
+            let Some(next) = refine_once(surfaces, &up, cone_deg) else { break };
             up = next;
         }
     }
@@ -50,8 +50,12 @@ pub(super) fn refine(surfaces: &[SurfacePatch], guess: &Vector3<f32>, widest_deg
 }
 
 /// Performs one step. Returns `None` where no surface lies within the cone.
-fn improved(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> Option<Vector3<f32>> {
-    let (matrix, weight) = scatter(surfaces, up, cone_deg);
+fn refine_once(
+    surfaces: &[SurfacePatch],
+    up: &Vector3<f32>,
+    cone_deg: f32,
+) -> Option<Vector3<f32>> {
+    let (matrix, weight) = scatter_matrix(surfaces, up, cone_deg);
     if weight <= 0.0 {
         return None;
     }
@@ -63,7 +67,11 @@ fn improved(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> Opti
 /// Accumulates the scatter matrix. Upright normals are perpendicular to the direction, level ones
 /// are parallel to it. The direction is the axis with the smallest eigenvalue of upright scatter
 /// minus level scatter.
-fn scatter(surfaces: &[SurfacePatch], up: &Vector3<f32>, cone_deg: f32) -> (Matrix3<f32>, f32) {
+fn scatter_matrix(
+    surfaces: &[SurfacePatch],
+    up: &Vector3<f32>,
+    cone_deg: f32,
+) -> (Matrix3<f32>, f32) {
     let (level, upright) = (cone_deg.to_radians().cos(), cone_deg.to_radians().sin());
     let mut matrix = nalgebra::Matrix3::<f64>::zeros();
     let mut weight = 0.0;
@@ -91,7 +99,7 @@ pub(super) fn measure(surfaces: &[SurfacePatch], up: &Vector3<f32>) -> UpFit {
         let counted = surfaces.iter().filter(|s| counts(s.normal.dot(up).abs()));
         counted.map(|s| s.weight).sum::<f32>() / total
     };
-    let (matrix, weight) = scatter(surfaces, up, CLOSE_DEG);
+    let (matrix, weight) = scatter_matrix(surfaces, up, CLOSE_DEG);
     let mut eigenvalues: Vec<f32> =
         SymmetricEigen::new(matrix).eigenvalues.iter().copied().collect();
     eigenvalues.sort_by(f32::total_cmp);
@@ -136,7 +144,7 @@ mod tests {
             let found = refine(&room(&turn), &Vector3::z(), 40.0);
             let off = found.up.dot(&(turn * Vector3::z())).clamp(-1.0, 1.0).acos().to_degrees();
             prop_assert!(off < 1.0, "{off} degrees off at a tilt of {tilt_deg}: {found:?}");
-            prop_assert!(found.explained() > 0.6 && found.clearness > 0.1, "{found:?}");
+            prop_assert!(found.explained_share() > 0.6 && found.clearness > 0.1, "{found:?}");
         }
     }
 

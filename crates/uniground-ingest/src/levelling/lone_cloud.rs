@@ -36,14 +36,14 @@ const AHEAD: f32 = 0.25;
 const FAR_AHEAD: f32 = 0.6;
 
 /// Returns the up direction if it is clear. Otherwise returns the names of the possible directions.
-pub(super) fn choose(candidates: &[UpCandidate]) -> Result<&UpCandidate, String> {
+pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<&UpCandidate, String> {
     let Some(best) = candidates.first() else {
         return Err("the cloud has no flat surfaces to tell it by".into());
     };
     let lead = best.score - candidates.get(1).map_or(0.0, |next| next.score);
     let is_room = best.width_m >= ROOM_WIDTH_M && ROOM_HEIGHT_M.contains(&best.height_m);
     if best.score >= AHEAD
-        && ((is_room && lead >= AHEAD) || (is_usual(&best.fit.up) && lead >= FAR_AHEAD))
+        && ((is_room && lead >= AHEAD) || (is_z_up(&best.fit.up) && lead >= FAR_AHEAD))
     {
         return Ok(best);
     }
@@ -68,10 +68,10 @@ const END_M: f32 = 0.25;
 const STANDING_M: std::ops::Range<f32> = 0.15..1.1;
 
 /// Returns the directions that may be up, the best first.
-pub(super) fn candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<UpCandidate> {
+pub(super) fn up_candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<UpCandidate> {
     let points: Vec<Point3<f32>> =
         cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
-    let axes = directions(surfaces);
+    let axes = candidate_directions(surfaces);
     let shape = CloudShape { points: &points, surfaces };
     let extents: Vec<f32> = axes.iter().map(|axis| shape.extent(axis)).collect();
     let mut all = Vec::new();
@@ -90,11 +90,15 @@ pub(super) fn candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<U
         } else {
             0.0
         };
-        let turned = shape.turned_about(axis, &across);
+        let turned = shape.unexplained_upright_share(axis, &across);
         for up in [*axis, -*axis] {
             let fit = measure(surfaces, &up);
-            let habit = if is_usual(&up) { 0.2 } else { 0.0 };
-            let score = shape.floor(&up) + 0.8 * low + 2.0 * turned + shape.standing(&up) + habit;
+            let habit = if is_z_up(&up) { 0.2 } else { 0.0 };
+            let score = shape.floor_score(&up)
+                + 0.8 * low
+                + 2.0 * turned
+                + shape.standing_score(&up)
+                + habit;
             all.push(UpCandidate { fit, score, height_m: extents[i], width_m: shape.width(&up) });
         }
     }
@@ -103,13 +107,13 @@ pub(super) fn candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<U
 }
 
 /// Returns whether up is Z. Most files have Z up, which is weak evidence when others are missing.
-fn is_usual(up: &Vector3<f32>) -> bool {
+fn is_z_up(up: &Vector3<f32>) -> bool {
     up.z > 0.985
 }
 
 /// Returns unsigned directions that many surfaces face, each refined with the surfaces that are
 /// level and upright to it.
-fn directions(surfaces: &[SurfacePatch]) -> Vec<Vector3<f32>> {
+fn candidate_directions(surfaces: &[SurfacePatch]) -> Vec<Vector3<f32>> {
     let close = SAME_DEG.to_radians().cos();
     let step = surfaces.len().div_ceil(400).max(1);
     let guesses = [Vector3::x(), Vector3::y(), Vector3::z()]
@@ -152,7 +156,7 @@ impl CloudShape<'_> {
 
     /// Returns the smallest width in a few directions across, meters.
     fn width(&self, up: &Vector3<f32>) -> f32 {
-        let (a, b) = across(up);
+        let (a, b) = perpendicular_axes(up);
         let sides = (0..8).map(|k| {
             let (sin, cos) = (k as f32 * std::f32::consts::PI / 8.0).sin_cos();
             self.extent(&(a * cos + b * sin))
@@ -162,15 +166,15 @@ impl CloudShape<'_> {
 
     /// Returns how much of the footprint is covered by a level surface at the lower end, minus the
     /// same for the upper end when there is no floor; `-1..=1`.
-    fn floor(&self, up: &Vector3<f32>) -> f32 {
+    fn floor_score(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
         let (low, high) = (
             quantile(&mut heights, 0.01).unwrap_or(0.0),
             quantile(&mut heights, 0.99).unwrap_or(0.0),
         );
-        let (a, b) = across(up);
+        let (a, b) = perpendicular_axes(up);
         let cell = |p: &Point3<f32>| {
-            VoxelKey::of(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M)
+            VoxelKey::containing(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M)
         };
         let footprint = self.points.iter().map(&cell).collect::<BTreeSet<_>>().len().max(1) as f32;
         let sheet = |level: f32| {
@@ -186,7 +190,7 @@ impl CloudShape<'_> {
 
     /// Things stand on floors. Returns how much more there is just above the lower end than just
     /// below the upper end; `-1..=1`.
-    fn standing(&self, up: &Vector3<f32>) -> f32 {
+    fn standing_score(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
         let (low, high) = (
             quantile(&mut heights, 0.01).unwrap_or(0.0),
@@ -215,7 +219,7 @@ impl CloudShape<'_> {
 
     /// Returns the share of surfaces that are upright to an axis and face none of the walls'
     /// directions.
-    fn turned_about(&self, axis: &Vector3<f32>, walls: &[Vector3<f32>]) -> f32 {
+    fn unexplained_upright_share(&self, axis: &Vector3<f32>, walls: &[Vector3<f32>]) -> f32 {
         let total = self.surfaces.iter().map(|s| s.weight).sum::<f32>().max(f32::MIN_POSITIVE);
         let turned = self.surfaces.iter().filter(|s| {
             s.normal.dot(axis).abs() < 0.12
@@ -226,7 +230,7 @@ impl CloudShape<'_> {
 }
 
 /// Returns two unit vectors perpendicular to a direction and to each other.
-fn across(up: &Vector3<f32>) -> (Vector3<f32>, Vector3<f32>) {
+fn perpendicular_axes(up: &Vector3<f32>) -> (Vector3<f32>, Vector3<f32>) {
     let least = if up.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let a = up.cross(&least).normalize();
     (a, up.cross(&a))
@@ -252,7 +256,7 @@ mod tests {
                             low[axis] + (high[axis] - low[axis]) * k as f32 / steps(axis) as f32
                         };
                         cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
-                        cloud.colours.push([128; 3]);
+                        cloud.colors.push([128; 3]);
                     }
                 }
             }
@@ -275,8 +279,8 @@ mod tests {
             let turn = Isometry3::rotation(Vector3::from(angles));
             let mut cloud = room();
             cloud.positions.iter_mut().for_each(|p| *p = turn * *p);
-            let candidates = candidates(&cloud, &surfaces::of_cloud(&cloud));
-            let chosen = choose(&candidates);
+            let candidates = up_candidates(&cloud, &surfaces::patches_of_cloud(&cloud));
+            let chosen = choose_up(&candidates);
             prop_assert!(chosen.is_ok(), "{chosen:?}");
             let up = chosen.unwrap().fit.up;
             prop_assert!(up.dot(&(turn * Vector3::z())) > 0.998, "{up}");
@@ -288,7 +292,7 @@ mod tests {
         let mut cloud = PointCloud::default();
         block(&mut cloud, [0.0, 0.0, 0.0], [2.4, 0.02, 2.0], [false, false]);
         block(&mut cloud, [0.5, 0.0, 0.5], [0.8, 0.3, 0.7], [true, true]);
-        let candidates = candidates(&cloud, &surfaces::of_cloud(&cloud));
-        assert!(choose(&candidates).is_err(), "{candidates:?}");
+        let candidates = up_candidates(&cloud, &surfaces::patches_of_cloud(&cloud));
+        assert!(choose_up(&candidates).is_err(), "{candidates:?}");
     }
 }

@@ -52,18 +52,18 @@ const LEVEL_SHARE: f32 = 0.03;
 const AGREEING_DEG: f32 = 25.0;
 
 /// Finds up of posed frames, whose poses are in the world of the files.
-pub(super) fn of_frames(
+pub(super) fn find_up_of_frames(
     frames: &[FrameRef],
     said: UpHint,
     warnings: &mut Vec<String>,
     progress: &Progress,
 ) -> Result<UpDirection, IngestError> {
     let poses: Vec<_> = frames.iter().map(|frame| frame.camera_to_world).collect();
-    let cameras = cameras::up(&poses);
+    let cameras = cameras::up_from_cameras(&poses);
     let held = UpAxis::from_cameras(&poses);
     let axis = said.up.or(held).or(cameras.map(|c| UpAxis::nearest(&c.up)));
     if said.choice == LevellingChoice::Off || (said.by_gravity && axis.is_some()) {
-        return Ok(along(told(axis, said, warnings), None));
+        return Ok(up_along_axis(up_without_surfaces(axis, said, warnings), None));
     }
     let guess = match (said.up, cameras) {
         (Some(axis), _) => Some((axis.direction(), 40.0)),
@@ -71,9 +71,9 @@ pub(super) fn of_frames(
         (None, None) => None,
     };
     let Some((guess, widest_deg)) = guess else {
-        return Ok(along(told(axis, said, warnings), None));
+        return Ok(up_along_axis(up_without_surfaces(axis, said, warnings), None));
     };
-    let surfaces = surfaces::of_frames(frames, progress);
+    let surfaces = surfaces::sample_patches(frames, progress);
     progress.report("levelling", 1.0)?;
     let mut fit = gravity::refine(&surfaces, &guess, widest_deg);
     if let Some(cameras) = cameras.filter(|c| c.by_roll && angle_deg(&c.up, &fit.up) > AGREEING_DEG)
@@ -85,7 +85,7 @@ pub(super) fn of_frames(
     let (up, evidence) = match cameras.filter(|c| c.by_roll && said.up.is_none()) {
         _ if believed => (fit.up, describe(&fit)),
         Some(cameras) => (cameras.up, "cameras held without roll; surfaces do not tell".to_owned()),
-        None => return Ok(along(told(axis, said, warnings), None)),
+        None => return Ok(up_along_axis(up_without_surfaces(axis, said, warnings), None)),
     };
     let axis = said.up.unwrap_or_else(|| UpAxis::nearest(&up));
     if said.up.is_none() && axis != UpAxis::Z {
@@ -95,43 +95,57 @@ pub(super) fn of_frames(
         ));
     }
     let least_deg = if believed { LEVEL_DEG } else { 4.0 * LEVEL_DEG };
-    Ok(levelled(axis, &up, least_deg, fit.explained(), evidence, warnings))
+    Ok(rotate_upright(axis, &up, least_deg, fit.explained_share(), evidence, warnings))
 }
 
 /// Finds up of a cloud without cameras, in the world of the files.
 ///
 /// # Errors
 /// Returns [`IngestError::UpUnknown`] when up is not stated and the cloud does not show it.
-pub(super) fn of_cloud(
+pub(super) fn find_up_of_cloud(
     cloud: &PointCloud,
     said: UpHint,
     warnings: &mut Vec<String>,
 ) -> Result<UpDirection, IngestError> {
     if said.choice == LevellingChoice::Off || (said.by_gravity && said.up.is_some()) {
         // The caller asked for the files' own axes, unchanged.
-        return Ok(along(told(said.up, said, warnings), None));
+        return Ok(up_along_axis(up_without_surfaces(said.up, said, warnings), None));
     }
-    let surfaces = surfaces::of_cloud(cloud);
+    let surfaces = surfaces::patches_of_cloud(cloud);
     if let Some(axis) = said.up {
         let fit = gravity::refine(&surfaces, &axis.direction(), 20.0);
         if !is_clear(&fit) {
-            return Ok(along(axis, None));
+            return Ok(up_along_axis(axis, None));
         }
-        return Ok(levelled(axis, &fit.up, LEVEL_DEG, fit.explained(), describe(&fit), warnings));
+        return Ok(rotate_upright(
+            axis,
+            &fit.up,
+            LEVEL_DEG,
+            fit.explained_share(),
+            describe(&fit),
+            warnings,
+        ));
     }
-    let candidates = lone_cloud::candidates(cloud, &surfaces);
+    let candidates = lone_cloud::up_candidates(cloud, &surfaces);
     let best =
-        lone_cloud::choose(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
+        lone_cloud::choose_up(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
     let axis = UpAxis::nearest(&best.fit.up);
     warnings.push(format!(
         "nothing says which axis is up and there are no cameras to tell: by its floor, its height and what stands on it taken as {}",
         axis.name()
     ));
-    Ok(levelled(axis, &best.fit.up, LEVEL_DEG, best.fit.explained(), describe(&best.fit), warnings))
+    Ok(rotate_upright(
+        axis,
+        &best.fit.up,
+        LEVEL_DEG,
+        best.fit.explained_share(),
+        describe(&best.fit),
+        warnings,
+    ))
 }
 
 fn is_clear(fit: &UpFit) -> bool {
-    fit.explained() >= EXPLAINED && fit.clearness >= CLEARNESS && fit.level >= LEVEL_SHARE
+    fit.explained_share() >= EXPLAINED && fit.clearness >= CLEARNESS && fit.level >= LEVEL_SHARE
 }
 
 fn describe(fit: &UpFit) -> String {
@@ -144,7 +158,7 @@ fn describe(fit: &UpFit) -> String {
 
 /// Returns the stated axis, or the one that the cameras hold up, without examining surfaces. Falls
 /// back to Z. Adds a warning unless the axis was stated.
-fn told(axis: Option<UpAxis>, said: UpHint, warnings: &mut Vec<String>) -> UpAxis {
+fn up_without_surfaces(axis: Option<UpAxis>, said: UpHint, warnings: &mut Vec<String>) -> UpAxis {
     let Some(axis) = axis else {
         warnings.push(
             "the files do not say which axis is up and the cameras do not agree on one: taken as z"
@@ -161,12 +175,12 @@ fn told(axis: Option<UpAxis>, said: UpHint, warnings: &mut Vec<String>) -> UpAxi
     axis
 }
 
-fn along(axis: UpAxis, report: Option<Levelling>) -> UpDirection {
+fn up_along_axis(axis: UpAxis, report: Option<Levelling>) -> UpDirection {
     UpDirection { axis, turn: axis.to_z_up(), report }
 }
 
 /// Rotates so that `up` is Z, unless the axis is accurate enough.
-fn levelled(
+fn rotate_upright(
     axis: UpAxis,
     up: &Vector3<f32>,
     least_deg: f32,
@@ -176,7 +190,7 @@ fn levelled(
 ) -> UpDirection {
     let tilt_deg = angle_deg(up, &axis.direction());
     let turned = tilt_deg > least_deg;
-    let mut upright = along(
+    let mut upright = up_along_axis(
         axis,
         Some(Levelling { tilt_deg, turned, confidence: confidence.clamp(0.0, 1.0), evidence }),
     );

@@ -33,13 +33,13 @@ const MIN_POINTS: usize = 8;
 
 /// Returns patches of a sample of depth pictures, in the frames' world. Unreadable pictures are
 /// left out: other checks report them.
-pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<SurfacePatch> {
+pub(super) fn sample_patches(frames: &[FrameRef], progress: &Progress) -> Vec<SurfacePatch> {
     let sample: Vec<FrameRef> =
         frames.iter().step_by(frames.len().div_ceil(MAX_FRAMES).max(1)).cloned().collect();
     let mut all = Vec::new();
     let looked = stream_frames(
         &sample,
-        |frame| Ok::<_, FrameError>(of_frame(frame).unwrap_or_default()),
+        |frame| Ok::<_, FrameError>(patches_of_frame(frame).unwrap_or_default()),
         |_, mut surfaces| {
             all.append(&mut surfaces);
             Ok(())
@@ -52,7 +52,7 @@ pub(super) fn of_frames(frames: &[FrameRef], progress: &Progress) -> Vec<Surface
     all
 }
 
-fn of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
+fn patches_of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
     let depth = frame.decode_depth()?;
     let camera = frame.depth_intrinsics;
     // Neighbors to both sides of a pixel: far enough apart that noise does not dominate, close
@@ -111,12 +111,15 @@ fn of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
 }
 
 /// Returns the flat cells of a cloud.
-pub(super) fn of_cloud(cloud: &PointCloud) -> Vec<SurfacePatch> {
+pub(super) fn patches_of_cloud(cloud: &PointCloud) -> Vec<SurfacePatch> {
     let points: Vec<Point3<f32>> =
         cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
     let cell_m = (4.0 * typical_spacing_m(&points)).clamp(0.05, 1.0);
-    let mut by_cell: Vec<(VoxelKey, u32)> =
-        points.par_iter().enumerate().map(|(i, p)| (VoxelKey::of(p, cell_m), i as u32)).collect();
+    let mut by_cell: Vec<(VoxelKey, u32)> = points
+        .par_iter()
+        .enumerate()
+        .map(|(i, p)| (VoxelKey::containing(p, cell_m), i as u32))
+        .collect();
     by_cell.par_sort_unstable();
     let cells: Vec<&[(VoxelKey, u32)]> =
         by_cell.chunk_by(|a, b| a.0 == b.0).filter(|cell| cell.len() >= MIN_POINTS).collect();
@@ -124,7 +127,7 @@ pub(super) fn of_cloud(cloud: &PointCloud) -> Vec<SurfacePatch> {
         .par_iter()
         .filter_map(|cell| {
             let own: Vec<Point3<f32>> = cell.iter().map(|(_, i)| points[*i as usize]).collect();
-            let Moments { mean, covariance } = Moments::of(&own);
+            let Moments { mean, covariance } = Moments::from_points(&own);
             let (least, normal) = least_axis(&covariance);
             // The middle eigenvalue, from the trace and the square of the matrix. For lines, both
             // smaller eigenvalues are small.

@@ -14,7 +14,7 @@ const JPEG: &[u8] = b"\xff\xd8";
 const JPEG_END: &[u8] = b"\xff\xd9";
 
 /// Refuses JPEG and PNG files without an end marker.
-pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError> {
+pub(super) fn check_is_complete(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError> {
     let (head, tail) =
         ends(&root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let ends_with = |mark: &[u8]| tail.windows(mark.len()).any(|window| window == mark);

@@ -124,7 +124,7 @@ fn check(what: &str, found: &InspectedScan) {
     for (side, expected) in [(extent.size.x, 5.2), (extent.size.y, 4.2), (extent.size.z, 2.5)] {
         assert!((side - expected).abs() < 0.01, "{what}: {extent:?} {:?}", found.report);
     }
-    let reds = cloud.colours.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
+    let reds = cloud.colors.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
     assert!(reds > 500, "{what}: {reds} red points");
     // The floor is at the bottom.
     let low = cloud

@@ -52,7 +52,7 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
         .count();
     // Where a silhouette falls between two pixels, either depth is correct.
     assert!(off * 50 < expected.len(), "{what}, frame {i}: {off} of {} pixels", expected.len());
-    assert!(frame.decode_colour().is_ok(), "{what}, frame {i}");
+    assert!(frame.decode_color().is_ok(), "{what}, frame {i}");
 }
 
 type Write = fn(&Out);
@@ -366,6 +366,6 @@ fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
 fn picture_sizes_match_the_file_headers() {
     with_import(writers::plain, |found| {
         let frame = found.unwrap().frames.remove(0);
-        assert_eq!(frame.decode_colour().unwrap().dimensions(), (CAMERA.width, CAMERA.height));
+        assert_eq!(frame.decode_color().unwrap().dimensions(), (CAMERA.width, CAMERA.height));
     });
 }

@@ -86,7 +86,7 @@ fn cast_ray(camera: &Intrinsics, pose: &Isometry3<f64>, u: u32, v: u32) -> (f32,
     best
 }
 
-pub fn colour(camera: &Intrinsics, pose: &Isometry3<f64>) -> DynamicImage {
+pub fn color(camera: &Intrinsics, pose: &Isometry3<f64>) -> DynamicImage {
     RgbImage::from_fn(camera.width, camera.height, |u, v| Rgb(cast_ray(camera, pose, u, v).1))
         .into()
 }

@@ -1,6 +1,6 @@
 //! Writers of the small room, one for every supported layout.
 
-use super::room::{CAMERA, FRAMES, colour, depth, depth_m, encoded, opengl, pose, rows, y_up};
+use super::room::{CAMERA, FRAMES, color, depth, depth_m, encoded, opengl, pose, rows, y_up};
 use camino::Utf8Path;
 use image::ImageFormat::{Jpeg, Png, Pnm};
 use nalgebra::{Isometry3, Matrix4, UnitQuaternion};
@@ -22,7 +22,7 @@ impl Out<'_> {
     fn pictures(
         &self,
         frame: usize,
-        (colour_name, depth_name): (&str, &str),
+        (color_name, depth_name): (&str, &str),
         camera: &Intrinsics,
         depth_camera: &Intrinsics,
         scale_m: f32,
@@ -32,7 +32,7 @@ impl Out<'_> {
             Some("pgm") => Pnm,
             _ => Png,
         };
-        self.put(colour_name, encoded(&colour(camera, &pose(frame)), kind(colour_name)));
+        self.put(color_name, encoded(&color(camera, &pose(frame)), kind(color_name)));
         self.put(
             depth_name,
             encoded(&depth(depth_camera, &pose(frame), scale_m), kind(depth_name)),
@@ -194,10 +194,10 @@ pub fn tum(out: &Out) {
     );
     for i in 0..FRAMES {
         let time = 1_305_031_102.175_304 + i as f64 * 0.033;
-        let (colour, depth) =
+        let (color, depth) =
             (format!("rgb/{time:.6}.png"), format!("depth/{:.6}.png", time + 0.006));
-        out.pictures(i, (&colour, &depth), &camera, &camera, 1.0 / 5000.0);
-        let _ = writeln!(rgb, "{time:.6} {colour}");
+        out.pictures(i, (&color, &depth), &camera, &camera, 1.0 / 5000.0);
+        let _ = writeln!(rgb, "{time:.6} {color}");
         let _ = writeln!(deep, "{:.6} {depth}", time + 0.006);
         let [x, y, z, qx, qy, qz, qw] = position_and_quaternion(&matrix(&pose(i)));
         let _ = writeln!(
@@ -306,9 +306,9 @@ pub fn nerfstudio(out: &Out) {
     let c = CAMERA;
     let frames: Vec<Value> = (0..FRAMES)
         .map(|i| {
-            let (colour, depth) = (format!("images/frame_{i:05}.png"), format!("depths/frame_{i:05}.png"));
-            out.pictures(i, (&colour, &depth), &CAMERA, &half(), 0.001);
-            json!({"file_path": format!("./{colour}"), "depth_file_path": depth, "transform_matrix": nested(&(matrix(&pose(i)) * opengl()))})
+            let (color, depth) = (format!("images/frame_{i:05}.png"), format!("depths/frame_{i:05}.png"));
+            out.pictures(i, (&color, &depth), &CAMERA, &half(), 0.001);
+            json!({"file_path": format!("./{color}"), "depth_file_path": depth, "transform_matrix": nested(&(matrix(&pose(i)) * opengl()))})
         })
         .collect();
     let transforms = json!({"camera_model": "OPENCV", "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": 160, "h": 120, "k1": 0.0, "frames": frames});
@@ -345,7 +345,7 @@ pub fn record3d(out: &Out) {
     let first = (matrix(&pose(0)) * opengl()).try_inverse().unwrap();
     let mut poses = Vec::new();
     for i in 0..FRAMES {
-        out.put(&format!("rgbd/{i}.jpg"), encoded(&colour(&CAMERA, &pose(i)), Jpeg));
+        out.put(&format!("rgbd/{i}.jpg"), encoded(&color(&CAMERA, &pose(i)), Jpeg));
         let floats: Vec<u8> =
             depth_m(&half(), &pose(i)).iter().flat_map(|z| z.to_le_bytes()).collect();
         let (mut depth, mut sure) = (Vec::new(), Vec::new());

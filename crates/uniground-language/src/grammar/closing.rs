@@ -211,7 +211,7 @@ impl Reader {
         if !phrase.head.is_empty() && phrase.meaning() == Meaning::Unknown && phrase.head != ITSELF
         {
             phrase.could_be = Lexicon::get()
-                .holding(&phrase.head)
+                .container_nouns(&phrase.head)
                 .into_iter()
                 .map(|noun| noun.name.clone())
                 .collect();
@@ -250,9 +250,9 @@ impl Reader {
             || same_thing(&more, target);
         // "the red stool, the green one wobbles" describes another stool.
         let of_another = same
-            && !target.colours.is_empty()
-            && !more.colours.is_empty()
-            && !more.colours.iter().any(|colour| target.colours.contains(colour))
+            && !target.colors.is_empty()
+            && !more.colors.is_empty()
+            && !more.colors.iter().any(|color| target.colors.contains(color))
             && matches!(more.head.as_str(), "one" | "ones" | "thing");
         if of_another {
             return;
@@ -260,7 +260,7 @@ impl Reader {
         if same {
             target.unchecked.append(&mut more.unchecked);
             target.count = target.count.or(more.count);
-            target.colours.append(&mut more.colours);
+            target.colors.append(&mut more.colors);
             target.roughly |= more.roughly;
             target.other_than.append(&mut more.other_than);
             target.traits.append(&mut more.traits);

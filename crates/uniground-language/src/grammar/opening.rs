@@ -204,7 +204,7 @@ fn of_what(rest: &[Piece]) -> Option<Of> {
         !is_filler(piece)
             && !matches!(
                 piece,
-                Piece::Word(Meaning::Number(_) | Meaning::Colour(_) | Meaning::Trait(_), _)
+                Piece::Word(Meaning::Number(_) | Meaning::Color(_) | Meaning::Trait(_), _)
             )
     };
     Some(match rest.iter().find(told) {

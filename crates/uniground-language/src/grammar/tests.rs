@@ -1,7 +1,7 @@
 use super::*;
 use crate::Trait;
 use proptest::prelude::*;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 
 /// Writes a phrase in a compact notation: words; with; relations(anchors, nested in brackets);
 /// superlative.
@@ -254,17 +254,17 @@ fn the_last_noun_is_the_head_but_for_of() {
 fn attributes_belong_to_their_noun() {
     let parsed = parse("the large red chair next to the small white table");
     assert_eq!(
-        (parsed.target.colours, parsed.target.traits),
-        (vec![ColourName::Red], vec![Trait::Large])
+        (parsed.target.colors, parsed.target.traits),
+        (vec![ColorName::Red], vec![Trait::Large])
     );
     let anchor = &parsed.target.relations[0].anchors[0];
-    assert_eq!((&anchor.colours, &anchor.traits), (&vec![ColourName::White], &vec![Trait::Small]));
+    assert_eq!((&anchor.colors, &anchor.traits), (&vec![ColorName::White], &vec![Trait::Small]));
     assert_eq!(
         parse("the table that isn't the dining table").target.other_things,
         ["dining table"]
     );
     let both = parse("the orange and black desk");
-    assert_eq!(both.target.colours, [ColourName::Orange, ColourName::Black]);
+    assert_eq!(both.target.colors, [ColorName::Orange, ColorName::Black]);
 }
 
 #[test]

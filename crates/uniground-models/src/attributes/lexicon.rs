@@ -112,19 +112,19 @@ impl Noun {
     /// Returns whether it may rest there. True for an unknown place, and for things on legs.
     #[must_use]
     pub fn stands_on(&self, place: Place) -> bool {
-        place == Place::Unknown || self.on_legs() || self.places.contains(&place)
+        place == Place::Unknown || self.is_on_legs() || self.places.contains(&place)
     }
 
     /// Returns whether its height is measured from the floor to the top.
     #[must_use]
-    pub fn on_legs(&self) -> bool {
+    pub fn is_on_legs(&self) -> bool {
         self.places.contains(&Place::Legs)
     }
 
     /// Returns whether it is often merged into one plane with its wall: doors, windows and
     /// pictures.
     #[must_use]
-    pub fn may_be_part_of_wall(&self) -> bool {
+    pub fn can_be_part_of_wall(&self) -> bool {
         self.places.contains(&Place::Wall) && self.short.low <= RESOLUTION_M
     }
 
@@ -177,7 +177,7 @@ impl Lexicon {
     /// Returns nouns for a word that is not in the lexicon: the nouns it is a kind of, or else
     /// those that are kinds of it; the nearest and most common first.
     #[must_use]
-    pub fn akin(&self, word: &str) -> Vec<&Noun> {
+    pub fn related_nouns(&self, word: &str) -> Vec<&Noun> {
         static KINDS: LazyLock<Vec<&[u32]>> = LazyLock::new(|| {
             Lexicon::get().nouns.iter().map(|noun| WordNet::get().kinds_of(&noun.name)).collect()
         });
@@ -185,7 +185,7 @@ impl Lexicon {
         if of_word.is_empty() {
             return Vec::new();
         }
-        let kin = |kinds: &[u32]| match WordNet::get().kinship_of(of_word, kinds)? {
+        let kin = |kinds: &[u32]| match WordNet::get().relation_of_kinds(of_word, kinds)? {
             Kinship::Same => Some(0),
             Kinship::Narrower(steps) => Some(steps),
             Kinship::Broader(steps) => Some(MAX_STEPS + steps),
@@ -202,7 +202,7 @@ impl Lexicon {
     /// Returns nouns for containers that are named after their contents or that hold plants: a
     /// bottle for "the wine", a vase for "the tulips". The most common come first.
     #[must_use]
-    pub fn holding(&self, word: &str) -> Vec<&Noun> {
+    pub fn container_nouns(&self, word: &str) -> Vec<&Noun> {
         let names = |noun: &Noun| {
             std::iter::once(&noun.name).chain(&noun.synonyms).cloned().collect::<Vec<_>>()
         };
@@ -211,7 +211,7 @@ impl Lexicon {
             container
                 && names(noun).iter().any(|name| {
                     name.strip_prefix(word).is_some_and(|rest| {
-                        rest.strip_prefix(' ').is_some_and(|container| self.knows(container))
+                        rest.strip_prefix(' ').is_some_and(|container| self.is_known(container))
                     })
                 })
         };
@@ -234,13 +234,13 @@ impl Lexicon {
 
     /// Returns whether a word, or its singular, refers to a noun.
     #[must_use]
-    pub fn knows(&self, word: &str) -> bool {
+    pub fn is_known(&self, word: &str) -> bool {
         singulars(word).iter().any(|w| self.by_word.contains_key(w))
     }
 
     /// Returns the lexicon's spelling of a word that refers to a noun.
     #[must_use]
-    pub fn word(&self, word: &str) -> Option<&str> {
+    pub fn canonical_word(&self, word: &str) -> Option<&str> {
         self.by_word.get_key_value(word).map(|(known, _)| known.as_str())
     }
 
@@ -248,7 +248,7 @@ impl Lexicon {
     /// "curtains" where that is an entry of its own.
     #[must_use]
     pub fn is_plural(&self, word: &str) -> bool {
-        !self.by_word.contains_key(word) && self.knows(word)
+        !self.by_word.contains_key(word) && self.is_known(word)
     }
 
     /// Returns all words that refer to a noun, in any order.
@@ -258,7 +258,7 @@ impl Lexicon {
 
     /// Returns the nouns of things that serve one of these uses.
     #[must_use]
-    pub fn of_uses(&self, uses: &[String]) -> Vec<&Noun> {
+    pub fn nouns_for_uses(&self, uses: &[String]) -> Vec<&Noun> {
         self.nouns.iter().filter(|noun| noun.uses.iter().any(|own| uses.contains(own))).collect()
     }
 
@@ -322,10 +322,10 @@ fn read_line(line: &str) -> Option<Noun> {
         name: name.to_owned(),
         synonyms: words(synonyms),
         kinds: words(kinds),
-        long: range(long)?,
-        short: range(short)?,
-        height: range(height)?,
-        base: range(base)?,
+        long: parse_range(long)?,
+        short: parse_range(short)?,
+        height: parse_range(height)?,
+        base: parse_range(base)?,
         places,
         shape: match shape {
             "flat" => Shape::Flat,
@@ -348,7 +348,7 @@ fn read_line(line: &str) -> Option<Noun> {
 }
 
 /// Parses `low-high`. The low end may be negative.
-fn range(text: &str) -> Option<Range> {
+fn parse_range(text: &str) -> Option<Range> {
     let dash = text.char_indices().skip(1).find(|(_, c)| *c == '-')?.0;
     let (low, high) = (text[..dash].parse().ok()?, text[dash + 1..].parse().ok()?);
     (low <= high).then_some(Range { low, high })

@@ -9,7 +9,7 @@ mod wordnet;
 
 pub use lexicon::{Lexicon, Noun, Place, Range, Shape};
 use rayon::prelude::*;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::{Instance, NameGuess, Structure, Support};
 pub use wordnet::{Kinship, WordNet};
 
@@ -43,11 +43,11 @@ const ODD_SUPPORT: f32 = 0.6;
 /// its usual range.
 #[must_use]
 pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
-    if instance.structure.is_some_and(|s| s != Structure::Wall || !noun.may_be_part_of_wall()) {
+    if instance.structure.is_some_and(|s| s != Structure::Wall || !noun.can_be_part_of_wall()) {
         return 0.0;
     }
     let (long, short) = sides(instance);
-    let height = if noun.on_legs() {
+    let height = if noun.is_on_legs() {
         instance.height_above_floor_m + instance.aabb.size.z
     } else {
         instance.aabb.size.z
@@ -64,7 +64,7 @@ pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
         .map(|(range, v)| range.off_center(*v).powi(2))
         .sum();
     let misfit = misfit + OFF_CENTER_WEIGHT * off_center;
-    let support = if noun.stands_on(place_of(instance)) { 1.0 } else { ODD_SUPPORT };
+    let support = if noun.stands_on(resting_place(instance)) { 1.0 } else { ODD_SUPPORT };
     (-0.5 * misfit).exp() * support * shape_fit(noun.shape, instance)
 }
 
@@ -80,22 +80,22 @@ fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
         Shape::Flat => odd_unless(ramp(instance.planarity, 0.2, 0.6)),
         Shape::Bushy => {
             odd_unless(roughness(instance))
-                * if instance.colours.share(ColourName::Green) < LEAST_GREEN {
+                * if instance.colors.share(ColorName::Green) < LEAST_GREEN {
                     ODD_SHAPE
                 } else {
                     1.0
                 }
         }
         Shape::Boxy | Shape::Open | Shape::Round | Shape::Soft => {
-            odd_unless(1.0 - foliage(instance))
+            odd_unless(1.0 - foliage_score(instance))
         }
     }
 }
 
 /// Returns how much a thing looks like leaves, `0..=1`: rough, and mostly green. A thing that is
 /// green everywhere was dyed or painted.
-fn foliage(instance: &Instance) -> f32 {
-    let green = instance.colours.share(ColourName::Green);
+fn foliage_score(instance: &Instance) -> f32 {
+    let green = instance.colors.share(ColorName::Green);
     roughness(instance) * ramp(green, 0.2, 0.4) * ramp(green, 0.9, 0.75)
 }
 
@@ -111,8 +111,8 @@ fn ramp(value: f32, from: f32, to: f32) -> f32 {
 
 /// Returns how well a color word describes an instance, `0..=1`.
 #[must_use]
-pub fn colour_fit(colour: ColourName, instance: &Instance) -> f32 {
-    instance.colours.describes(colour)
+pub fn color_fit(color: ColorName, instance: &Instance) -> f32 {
+    instance.colors.name_fit(color)
 }
 
 /// Names all instances, in two rounds: the second uses the names of the things they stand on, such
@@ -123,7 +123,7 @@ pub fn name_all(instances: &mut [Instance]) {
         .par_iter()
         .map(|instance| match instance.support {
             Support::Instance { id } => {
-                guesses(instance, alone.get(id.0 as usize - 1).map_or(&[], Vec::as_slice))
+                guess_names(instance, alone.get(id.0 as usize - 1).map_or(&[], Vec::as_slice))
             }
             _ => alone[instance.id.0 as usize - 1].clone(),
         })
@@ -138,12 +138,12 @@ pub fn name_all(instances: &mut [Instance]) {
 /// the narrower ranges comes first, because it is more specific.
 #[must_use]
 pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
-    guesses(instance, &[])
+    guess_names(instance, &[])
 }
 
 /// Returns the same for an instance that stands on a thing with these names. Without names, the
 /// place is unknown.
-fn guesses(instance: &Instance, below: &[NameGuess]) -> Vec<NameGuess> {
+fn guess_names(instance: &Instance, below: &[NameGuess]) -> Vec<NameGuess> {
     let place = |noun: &Noun| match below.is_empty()
         || noun.usually_on.iter().any(|on| below.iter().any(|guess| guess.name == *on))
     {
@@ -178,7 +178,7 @@ pub fn sides(instance: &Instance) -> (f32, f32) {
     (size.x.max(size.y), size.x.min(size.y))
 }
 
-fn place_of(instance: &Instance) -> Place {
+fn resting_place(instance: &Instance) -> Place {
     match instance.support {
         Support::Floor => Place::Floor,
         Support::Instance { .. } => Place::Surface,
@@ -190,7 +190,7 @@ fn place_of(instance: &Instance) -> Place {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use uniground_geometry::colour::ColourHistogram;
+    use uniground_geometry::color::ColorHistogram;
     use uniground_geometry::scene::InstanceId;
     use uniground_testing::thing;
 
@@ -226,7 +226,7 @@ mod tests {
         let names = |rgb: &[[u8; 3]], planarity| {
             let standing = thing(1, [0.0, 0.0], [0.7, 0.68, 1.4], 0.0, Support::Floor, [60; 3]);
             let guesses = name_guesses(&Instance {
-                colours: ColourHistogram::of(rgb.iter().copied()),
+                colors: ColorHistogram::from_colors(rgb.iter().copied()),
                 planarity,
                 ..standing
             });

@@ -57,20 +57,22 @@ impl WordNet {
     /// kind of the other. Plurals are recognized, and leading modifiers are ignored: a "folding
     /// step stool" is a step stool.
     #[must_use]
-    pub fn kinship(&self, a: &str, b: &str) -> Option<Kinship> {
-        self.kinship_of(self.kinds_of(a), self.kinds_of(b))
+    pub fn relation_between(&self, a: &str, b: &str) -> Option<Kinship> {
+        self.relation_of_kinds(self.kinds_of(a), self.kinds_of(b))
     }
 
     /// Returns the same for the kinds that two words name.
     #[must_use]
-    pub fn kinship_of(&self, a: &[u32], b: &[u32]) -> Option<Kinship> {
+    pub fn relation_of_kinds(&self, a: &[u32], b: &[u32]) -> Option<Kinship> {
         let pairs = || a.iter().flat_map(|&a| b.iter().map(move |&b| (a, b)));
         if pairs().any(|(a, b)| a == b) {
             return Some(Kinship::Same);
         }
-        let narrower = pairs().filter_map(|(a, b)| self.steps(a, b)).min().map(Kinship::Narrower);
-        narrower
-            .or_else(|| pairs().filter_map(|(a, b)| self.steps(b, a)).min().map(Kinship::Broader))
+        let narrower =
+            pairs().filter_map(|(a, b)| self.steps_up(a, b)).min().map(Kinship::Narrower);
+        narrower.or_else(|| {
+            pairs().filter_map(|(a, b)| self.steps_up(b, a)).min().map(Kinship::Broader)
+        })
     }
 
     /// Returns whether the most common meaning of a word is a kind of `above`, any number of steps
@@ -107,7 +109,7 @@ impl WordNet {
         let forms = |suffix: &str, endings: &[&str]| {
             word.strip_suffix(suffix).is_some_and(|stem| {
                 endings.iter().any(|ending| known(&format!("{stem}{ending}")))
-                    || known(undoubled(stem))
+                    || known(undouble_consonant(stem))
             })
         };
         known(word)
@@ -137,7 +139,7 @@ impl WordNet {
 
     /// Returns how many steps `above` is up from `kind`. `None` if it is not above it, too far up
     /// or too general.
-    fn steps(&self, kind: u32, above: u32) -> Option<u32> {
+    fn steps_up(&self, kind: u32, above: u32) -> Option<u32> {
         if self.kinds[above as usize].size > TOO_GENERAL {
             return None;
         }
@@ -181,7 +183,7 @@ impl WordNet {
 }
 
 /// Removes a doubled final consonant: "sitt" of "sitting" becomes "sit".
-fn undoubled(stem: &str) -> &str {
+fn undouble_consonant(stem: &str) -> &str {
     let mut from_the_end = stem.chars().rev();
     match (from_the_end.next(), from_the_end.next()) {
         (Some(last), Some(before)) if last == before => &stem[..stem.len() - last.len_utf8()],
@@ -195,7 +197,7 @@ mod tests {
 
     #[test]
     fn words_for_one_thing_and_kinds_of_it_are_known() {
-        let of = |a, b| WordNet::get().kinship(a, b);
+        let of = |a, b| WordNet::get().relation_between(a, b);
         assert_eq!(of("trash cans", "dustbin"), Some(Kinship::Same));
         assert_eq!(of("crate", "box"), Some(Kinship::Narrower(1)));
         assert!(matches!(of("musical instrument", "electric guitar"), Some(Kinship::Broader(_))));

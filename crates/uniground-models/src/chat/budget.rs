@@ -53,14 +53,14 @@ impl Budget {
     /// Creates a budget of which some was already spent.
     #[must_use]
     pub fn with_spent(self, usd: f64) -> Self {
-        locked(&self.account).spent = usd;
+        lock_account(&self.account).spent = usd;
         self
     }
 
     /// Returns the amount spent, US dollars.
     #[must_use]
     pub fn spent_usd(&self) -> f64 {
-        locked(&self.account).spent
+        lock_account(&self.account).spent
     }
 
     /// Reserves money for a call, so that concurrent calls cannot spend the same money. An
@@ -69,7 +69,7 @@ impl Budget {
     /// # Errors
     /// Returns [`OverBudget`] if too little is left.
     pub fn reserve(&self, usd: f64) -> Result<Reservation, OverBudget> {
-        let mut account = locked(&self.account);
+        let mut account = lock_account(&self.account);
         let left_usd = self.limit_usd - account.spent - account.reserved;
         if left_usd <= 0.0 || usd > left_usd {
             return Err(OverBudget {
@@ -87,17 +87,17 @@ impl Budget {
 impl Reservation {
     /// Books the actual cost of the call and releases the reservation.
     pub fn settle(self, usd: f64) {
-        locked(&self.account).spent += usd;
+        lock_account(&self.account).spent += usd;
     }
 }
 
-fn locked(account: &Mutex<Account>) -> MutexGuard<'_, Account> {
+fn lock_account(account: &Mutex<Account>) -> MutexGuard<'_, Account> {
     account.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Drop for Reservation {
     fn drop(&mut self) {
-        locked(&self.account).reserved -= self.reserved_usd;
+        lock_account(&self.account).reserved -= self.reserved_usd;
     }
 }
 

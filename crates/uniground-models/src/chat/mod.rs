@@ -10,7 +10,7 @@ pub use budget::{Budget, OverBudget};
 use futures::future::BoxFuture;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-pub use session::{AskError, CallRecord, Session, usage_of};
+pub use session::{AskError, CallRecord, Session, total_usage};
 use std::sync::Arc;
 pub use tokens::Tokens;
 
@@ -135,22 +135,27 @@ pub trait ChatModel: Send + Sync {
 impl Prices {
     /// Returns whether any price is known to be above 0.
     #[must_use]
-    pub fn are_known(self) -> bool {
+    pub fn has_prices(self) -> bool {
         self != Self::default()
     }
 
     /// Returns the estimated cost of a call before it is made, US dollars.
     #[must_use]
-    pub fn thought_usd(self, request: &ChatRequest) -> f64 {
-        self.cost_usd(Tokens::of(request).total(), EXPECTED_COMPLETION_TOKENS)
+    pub fn estimated_usd(self, request: &ChatRequest) -> f64 {
+        self.cost_usd(Tokens::estimate(request).total(), EXPECTED_COMPLETION_TOKENS)
     }
 
     /// Returns the cost of a call, US dollars. Attempts that may be billed count with the tokens
     /// they sent, so that the cost is not underestimated.
     #[must_use]
-    pub fn paid_usd(self, request: &ChatRequest, outcome: &Result<ChatReply, ChatFailure>) -> f64 {
-        let lost =
-            |attempts: u32| f64::from(attempts) * self.cost_usd(Tokens::of(request).total(), 0);
+    pub fn billed_usd(
+        self,
+        request: &ChatRequest,
+        outcome: &Result<ChatReply, ChatFailure>,
+    ) -> f64 {
+        let lost = |attempts: u32| {
+            f64::from(attempts) * self.cost_usd(Tokens::estimate(request).total(), 0)
+        };
         match outcome {
             Ok(reply) => {
                 self.cost_usd(reply.prompt_tokens, reply.completion_tokens) + lost(reply.lost)

@@ -98,7 +98,7 @@ impl<'a> Session<'a> {
         if self.calls_left() == 0 {
             return Err(AskError::CallsUsedUp { most: self.most });
         }
-        let thought = self.model.prices().thought_usd(&request);
+        let thought = self.model.prices().estimated_usd(&request);
         let reservations = self
             .budgets
             .iter()
@@ -118,7 +118,7 @@ impl<'a> Session<'a> {
             Ok(reply) => (reply.attempts, reply.latency_ms),
             Err(failure) => (failure.attempts, failure.latency_ms),
         };
-        let cost_usd = self.model.prices().paid_usd(&request, &answered);
+        let cost_usd = self.model.prices().billed_usd(&request, &answered);
         sent.settle(cost_usd);
         let outcome = answered.as_ref().map(Clone::clone).map_err(ToString::to_string);
         self.records.push(CallRecord { purpose, request, outcome, attempts, latency_ms, cost_usd });
@@ -134,7 +134,7 @@ impl<'a> Session<'a> {
 
 /// Returns the total tokens and cost of calls. A call without a reply adds no known cost.
 #[must_use]
-pub fn usage_of(calls: &[CallRecord]) -> Usage {
+pub fn total_usage(calls: &[CallRecord]) -> Usage {
     let replies = || calls.iter().filter_map(|call| call.outcome.as_ref().ok());
     Usage {
         vlm_calls: replies().count() as u32,

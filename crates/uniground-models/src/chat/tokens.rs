@@ -21,13 +21,13 @@ const TILE: u64 = 170;
 impl Tokens {
     /// Estimates the tokens of a request. Its schema is not counted.
     #[must_use]
-    pub fn of(request: &ChatRequest) -> Self {
-        let mut tokens = Self { text: text(&request.system), pictures: 0 };
+    pub fn estimate(request: &ChatRequest) -> Self {
+        let mut tokens = Self { text: text_tokens(&request.system), pictures: 0 };
         for part in &request.user {
             match part {
-                Part::Text(words) => tokens.text += text(words),
+                Part::Text(words) => tokens.text += text_tokens(words),
                 Part::Picture(picture) => {
-                    tokens.pictures += self::picture(picture.width, picture.height);
+                    tokens.pictures += self::picture_tokens(picture.width, picture.height);
                 }
             }
         }
@@ -36,8 +36,8 @@ impl Tokens {
 
     /// Estimates the tokens of a text.
     #[must_use]
-    pub fn of_text(words: &str) -> u64 {
-        text(words)
+    pub fn estimate_text(words: &str) -> u64 {
+        text_tokens(words)
     }
 
     /// Returns the sum of text and picture tokens.
@@ -47,11 +47,11 @@ impl Tokens {
     }
 }
 
-fn text(words: &str) -> u64 {
+fn text_tokens(words: &str) -> u64 {
     (words.chars().count() as u64).div_ceil(CHARS_PER_TOKEN)
 }
 
-fn picture(width: u32, height: u32) -> u64 {
+fn picture_tokens(width: u32, height: u32) -> u64 {
     let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
     let fit = (2048.0 / width.max(height)).min(1.0);
     let fit = fit * (768.0 / (width.min(height) * fit)).min(1.0);
@@ -66,9 +66,9 @@ mod tests {
     /// Figures from the provider's own documentation.
     #[test]
     fn pictures_are_counted_in_tiles() {
-        assert_eq!(picture(1024, 1024), 765);
-        assert_eq!(picture(2048, 4096), 1105);
-        assert_eq!(picture(512, 512), 255);
-        assert_eq!(picture(2048, 680), 85 + 170 * 8);
+        assert_eq!(picture_tokens(1024, 1024), 765);
+        assert_eq!(picture_tokens(2048, 4096), 1105);
+        assert_eq!(picture_tokens(512, 512), 255);
+        assert_eq!(picture_tokens(2048, 680), 85 + 170 * 8);
     }
 }

@@ -33,7 +33,7 @@ pub struct DualEncoderManifest {
     pub text: TextTower,
     /// Factor that cosines are multiplied with before they are compared as likelihoods. 100 for
     /// CLIP and similar models.
-    #[serde(default = "usual_scale")]
+    #[serde(default = "default_logit_scale")]
     pub logit_scale: f32,
     /// License of the weights, for people. Empty when not stated.
     #[serde(default)]
@@ -43,7 +43,7 @@ pub struct DualEncoderManifest {
     pub source: String,
 }
 
-fn usual_scale() -> f32 {
+fn default_logit_scale() -> f32 {
     100.0
 }
 
@@ -67,11 +67,11 @@ pub struct ImageTower {
     /// Divisor after subtracting `mean`, above 0: red, green, blue.
     pub std: [f32; 3],
     /// Whether a call may contain several pictures.
-    #[serde(default = "yes")]
+    #[serde(default = "default_true")]
     pub dynamic_batch: bool,
 }
 
-fn yes() -> bool {
+fn default_true() -> bool {
     true
 }
 
@@ -98,11 +98,11 @@ pub struct TextTower {
     pub pad_id: u32,
     /// The prompt that a noun is inserted into before it is embedded: "a photo of a {}." for towers
     /// trained on captions.
-    #[serde(default = "plain")]
+    #[serde(default = "default_prompt")]
     pub template: String,
 }
 
-fn plain() -> String {
+fn default_prompt() -> String {
     "{}".into()
 }
 
@@ -171,7 +171,7 @@ pub struct FeatureNames {
 
 impl FeatureNames {
     /// Returns the existing tensors, by role.
-    pub fn each(&self) -> impl Iterator<Item = (&'static str, &str)> {
+    pub fn iter(&self) -> impl Iterator<Item = (&'static str, &str)> {
         [
             ("image_embed", &self.image_embed),
             ("high_res_feats_0", &self.high_res_feats_0),
@@ -184,8 +184,8 @@ impl FeatureNames {
     /// Returns the tensor's name for a role such as `image_embed`, or `None` if there is no such
     /// tensor.
     #[must_use]
-    pub fn of(&self, role: &str) -> Option<&str> {
-        self.each().find(|(r, _)| *r == role).map(|(_, name)| name)
+    pub fn get(&self, role: &str) -> Option<&str> {
+        self.iter().find(|(r, _)| *r == role).map(|(_, name)| name)
     }
 }
 
@@ -341,7 +341,7 @@ impl Bundle {
     /// # Errors
     /// Returns [`ModelError::Bundle`]: the network cannot be read, or its weights lie outside of
     /// the folder or are missing.
-    pub fn weights_of(&self, network: &str) -> Result<Vec<String>, ModelError> {
+    pub fn external_weights(&self, network: &str) -> Result<Vec<String>, ModelError> {
         let file = self.path(network);
         let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
         let named = external_data(&file).map_err(|e| match e.kind() {
@@ -372,7 +372,7 @@ impl Bundle {
         let mut names = vec![MANIFEST.to_owned()];
         for network in networks.into_iter().filter(|_| with_networks) {
             names.push(network.to_owned());
-            names.extend(self.weights_of(network)?);
+            names.extend(self.external_weights(network)?);
         }
         names.extend(tokenizer.map(str::to_owned));
         for name in names {
@@ -407,13 +407,15 @@ const MAX_SIDE: u32 = 4096;
 
 impl Manifest {
     fn parse(text: &str) -> Result<Self, String> {
-        fn named<T: serde::de::DeserializeOwned>(manifest: serde_json::Value) -> Result<T, String> {
+        fn parse_named<T: serde::de::DeserializeOwned>(
+            manifest: serde_json::Value,
+        ) -> Result<T, String> {
             serde_path_to_error::deserialize(manifest).map_err(|e| e.to_string())
         }
         let manifest: serde_json::Value = serde_json::from_str(text).map_err(|e| e.to_string())?;
         match manifest["kind"].as_str() {
-            Some("dual-encoder") => named(manifest).map(Self::DualEncoder),
-            Some("promptable-segmenter") => named(manifest).map(Self::PromptableSegmenter),
+            Some("dual-encoder") => parse_named(manifest).map(Self::DualEncoder),
+            Some("promptable-segmenter") => parse_named(manifest).map(Self::PromptableSegmenter),
             _ => Err("kind: expected dual-encoder or promptable-segmenter".into()),
         }
     }
@@ -462,8 +464,8 @@ impl Manifest {
                     m.decoder
                         .inputs
                         .features
-                        .each()
-                        .all(|(role, _)| m.encoder.outputs.of(role).is_some()),
+                        .iter()
+                        .all(|(role, _)| m.encoder.outputs.get(role).is_some()),
                     "only features the encoder has",
                 ),
                 (

@@ -3,7 +3,7 @@
 use super::ModelError;
 use super::bundle::{Bundle, DualEncoderManifest, TextTower};
 use super::network::{Direction, Element, Input, Network, Tensor, Values};
-use super::pixels::{append_planes, fit};
+use super::pixels::{append_planes, resize_to_fit};
 use camino::Utf8PathBuf;
 use image::{Rgb, RgbImage};
 use std::collections::HashMap;
@@ -92,7 +92,7 @@ impl DualEncoder {
             Element::F32,
             &[None, dim],
         )?;
-        let tokenizer = tokenizer(bundle.path(&manifest.text.tokenizer), &manifest.text)?;
+        let tokenizer = load_tokenizer(bundle.path(&manifest.text.tokenizer), &manifest.text)?;
         let mut encoder = Self {
             manifest: manifest.clone(),
             image,
@@ -116,7 +116,7 @@ impl DualEncoder {
     /// Returns the number of pictures per call. 1 if the network takes no more, or if an embedding
     /// depends on the rest of its batch, as with activations quantized over the whole batch.
     #[must_use]
-    pub fn batch(&self) -> usize {
+    pub fn batch_size(&self) -> usize {
         self.batch
     }
 
@@ -138,7 +138,7 @@ impl DualEncoder {
         let [width, height] = tower.size.map(|s| s as usize);
         let mut values = Vec::with_capacity(pictures.len() * 3 * width * height);
         for picture in pictures {
-            let fitted = fit(picture, tower.size, tower.resize, tower.interpolation);
+            let fitted = resize_to_fit(picture, tower.size, tower.resize, tower.interpolation);
             append_planes(&fitted.picture, tower.size, 255.0, tower.mean, tower.std, &mut values);
         }
         let input = Input {
@@ -147,16 +147,16 @@ impl DualEncoder {
             values: Values::F32(&values),
         };
         let made = self.image.run(&[input], &[&tower.output])?;
-        let rows = self.rows(&tower.file, &tower.output, made, pictures.len())?;
+        let rows = self.expect_rows(&tower.file, &tower.output, made, pictures.len())?;
         let failed = || ModelError::Run {
             network: tower.file.clone(),
             why: "a picture has the embedding zero".into(),
         };
-        rows.chunks_exact(self.dim()).map(|row| normalised(row).ok_or_else(failed)).collect()
+        rows.chunks_exact(self.dim()).map(|row| normalize(row).ok_or_else(failed)).collect()
     }
 
     /// Returns the output as rows, if it has the declared shape.
-    fn rows(
+    fn expect_rows(
         &self,
         file: &str,
         tensor: &str,
@@ -212,7 +212,7 @@ impl DualEncoder {
 
     fn compute_text(&self, text: &str) -> Result<TextEmbedding, ModelError> {
         let tower = &self.manifest.text;
-        let Tokens { ids, mask, cut } = self.tokens(text)?;
+        let Tokens { ids, mask, cut } = self.tokenize(text)?;
         let shape = vec![1, tower.context_length];
         let mut inputs =
             vec![Input { name: &tower.input_ids, shape: shape.clone(), values: Values::I64(&ids) }];
@@ -220,11 +220,11 @@ impl DualEncoder {
             inputs.push(Input { name, shape, values: Values::I64(&mask) });
         }
         let made = self.text.run(&inputs, &[&tower.output])?;
-        let row = self.rows(&tower.file, &tower.output, made, 1)?;
-        Ok(TextEmbedding { vector: normalised(&row).map(Into::into), cut })
+        let row = self.expect_rows(&tower.file, &tower.output, made, 1)?;
+        Ok(TextEmbedding { vector: normalize(&row).map(Into::into), cut })
     }
 
-    fn tokens(&self, text: &str) -> Result<Tokens, ModelError> {
+    fn tokenize(&self, text: &str) -> Result<Tokens, ModelError> {
         let failed =
             |why: String| ModelError::Run { network: self.manifest.text.tokenizer.clone(), why };
         let encoding = self.tokenizer.encode(text, true).map_err(|e| failed(e.to_string()))?;
@@ -272,7 +272,7 @@ struct Tokens {
 }
 
 /// Reads a tokenizer and checks that it pads and truncates to the tower's context length.
-fn tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelError> {
+fn load_tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelError> {
     let context_length = tower.context_length;
     let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
     let tokenizer = Tokenizer::from_file(&file).map_err(|e| wrong(e.to_string()))?;
@@ -296,7 +296,7 @@ fn tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelErr
 
 /// Normalizes to unit length. Returns `None` for the zero vector.
 #[must_use]
-pub fn normalised(vector: &[f32]) -> Option<Vec<f32>> {
+pub fn normalize(vector: &[f32]) -> Option<Vec<f32>> {
     let norm = vector.iter().map(|v| f64::from(*v) * f64::from(*v)).sum::<f64>().sqrt() as f32;
     (norm > 1e-6).then(|| vector.iter().map(|v| v / norm).collect())
 }

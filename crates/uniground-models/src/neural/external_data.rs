@@ -49,7 +49,7 @@ pub(super) fn external_data(network: &Utf8Path) -> io::Result<BTreeSet<String>> 
     let file = File::open(network)?;
     let length = file.metadata()?.len();
     let mut walk = Walk { reader: BufReader::new(file), at: 0, found: BTreeSet::new() };
-    match walk.message(Message::Model, length, 0) {
+    match walk.read_message(Message::Model, length, 0) {
         Ok(()) => Ok(walk.found),
         // The runtime reports a file that is not a network.
         Err(error)
@@ -75,30 +75,30 @@ fn invalid(why: &'static str) -> io::Error {
 }
 
 impl Walk {
-    fn message(&mut self, message: Message, end: u64, depth: u32) -> io::Result<()> {
+    fn read_message(&mut self, message: Message, end: u64, depth: u32) -> io::Result<()> {
         if depth > MAX_DEPTH {
             return Err(invalid("graphs too deep"));
         }
         let (mut key, mut value) = (String::new(), String::new());
         while self.at < end {
-            let tag = self.varint()?;
+            let tag = self.read_varint()?;
             let (number, wire) = (tag >> 3, tag & 7);
             match wire {
-                0 => drop(self.varint()?),
-                1 => self.pass(8, end)?,
-                5 => self.pass(4, end)?,
+                0 => drop(self.read_varint()?),
+                1 => self.skip_bytes(8, end)?,
+                5 => self.skip_bytes(4, end)?,
                 2 => {
-                    let length = self.varint()?;
+                    let length = self.read_varint()?;
                     let inner = self
                         .at
                         .checked_add(length)
                         .filter(|inner| *inner <= end)
                         .ok_or_else(|| invalid("a field is too long"))?;
                     match (message, number, message.field(number)) {
-                        (Message::Entry, 1, _) => key = self.text(length)?,
-                        (Message::Entry, 2, _) => value = self.text(length)?,
-                        (_, _, Some(field)) => self.message(field, inner, depth + 1)?,
-                        _ => self.pass(length, end)?,
+                        (Message::Entry, 1, _) => key = self.read_text(length)?,
+                        (Message::Entry, 2, _) => value = self.read_text(length)?,
+                        (_, _, Some(field)) => self.read_message(field, inner, depth + 1)?,
+                        _ => self.skip_bytes(length, end)?,
                     }
                 }
                 _ => return Err(invalid("no protobuf")),
@@ -110,7 +110,7 @@ impl Walk {
         Ok(())
     }
 
-    fn varint(&mut self) -> io::Result<u64> {
+    fn read_varint(&mut self) -> io::Result<u64> {
         let mut value = 0;
         for shift in (0..64).step_by(7) {
             let mut byte = [0];
@@ -124,7 +124,7 @@ impl Walk {
         Err(invalid("a number is too long"))
     }
 
-    fn pass(&mut self, length: u64, end: u64) -> io::Result<()> {
+    fn skip_bytes(&mut self, length: u64, end: u64) -> io::Result<()> {
         if length > end - self.at {
             return Err(invalid("a field is too long"));
         }
@@ -134,7 +134,7 @@ impl Walk {
         Ok(())
     }
 
-    fn text(&mut self, length: u64) -> io::Result<String> {
+    fn read_text(&mut self, length: u64) -> io::Result<String> {
         if length > MAX_NAME {
             return Err(invalid("a name is too long"));
         }

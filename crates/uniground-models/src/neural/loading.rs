@@ -31,7 +31,7 @@ const AT_ONCE: usize = 2;
 
 /// Returns the folder of a bundle, from a path or a name below `folder`.
 #[must_use]
-pub fn folder_of(bundle: &str, folder: &Utf8Path) -> Utf8PathBuf {
+pub fn bundle_folder(bundle: &str, folder: &Utf8Path) -> Utf8PathBuf {
     match bundle.contains(['/', '\\']) {
         true => bundle.into(),
         false => folder.join(bundle),
@@ -50,7 +50,7 @@ impl Models {
     ) -> Result<Self, ModelError> {
         let bundle = Bundle::read(folder)?;
         let Manifest::PromptableSegmenter(manifest) = &bundle.manifest else {
-            return Err(wrong_kind(&bundle, "a promptable-segmenter"));
+            return Err(wrong_kind_error(&bundle, "a promptable-segmenter"));
         };
         let encoder = engine.open(&bundle, &manifest.encoder.file, 1, Work::Parsing)?;
         let decoder = engine.open(&bundle, &manifest.decoder.file, AT_ONCE, Work::Parsing)?;
@@ -60,7 +60,14 @@ impl Models {
                 manifest.decoder.accelerated_batch.map_or(manifest.decoder.max_batch, usize::from);
         }
         let segmenter = Segmenter::new(&bundle, &manifest, encoder, decoder)?;
-        self.note(engine, &bundle, Role::Masks, None, segmenter.batch(), &manifest.licence)?;
+        self.record_model(
+            engine,
+            &bundle,
+            Role::Masks,
+            None,
+            segmenter.batch_size(),
+            &manifest.licence,
+        )?;
         self.segmenters.push(Arc::new(segmenter));
         Ok(self)
     }
@@ -76,17 +83,17 @@ impl Models {
     ) -> Result<Self, ModelError> {
         let bundle = Bundle::read(folder)?;
         let Manifest::DualEncoder(manifest) = &bundle.manifest else {
-            return Err(wrong_kind(&bundle, "a dual-encoder"));
+            return Err(wrong_kind_error(&bundle, "a dual-encoder"));
         };
         let image = engine.open(&bundle, &manifest.image.file, 1, Work::Parsing)?;
         let text = engine.open(&bundle, &manifest.text.file, AT_ONCE, Work::Questions)?;
         let encoder = DualEncoder::new(&bundle, manifest, image, text)?;
-        self.note(
+        self.record_model(
             engine,
             &bundle,
             Role::Encoder,
             Some(encoder.dim()),
-            encoder.batch(),
+            encoder.batch_size(),
             &manifest.licence,
         )?;
         self.encoder = Some(Arc::new(encoder));
@@ -95,7 +102,7 @@ impl Models {
 
     /// Returns the models of the requested roles.
     #[must_use]
-    pub fn only(&self, masks: bool, encoder: bool) -> Self {
+    pub fn select_roles(&self, masks: bool, encoder: bool) -> Self {
         let wanted = |role: Role| if role == Role::Masks { masks } else { encoder };
         Self {
             segmenters: if masks { self.segmenters.clone() } else { Vec::new() },
@@ -104,7 +111,7 @@ impl Models {
         }
     }
 
-    fn note(
+    fn record_model(
         &mut self,
         engine: &dyn Engine,
         bundle: &Bundle,
@@ -137,7 +144,7 @@ impl Models {
     }
 }
 
-fn wrong_kind(bundle: &Bundle, wanted: &str) -> ModelError {
+fn wrong_kind_error(bundle: &Bundle, wanted: &str) -> ModelError {
     ModelError::Bundle {
         file: bundle.path(super::bundle::MANIFEST),
         why: format!("is not {wanted}"),

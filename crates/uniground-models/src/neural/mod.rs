@@ -21,7 +21,7 @@ mod segmenter;
 pub use bundle_listing::{BundleFile, BundleListing, list, verify};
 pub use dual_encoder::{DualEncoder, TextEmbedding};
 pub use engine::{Engine, Work};
-pub use loading::{Models, folder_of};
+pub use loading::{Models, bundle_folder};
 pub use onnx::{OnnxRuntime, Provider, RuntimeSettings};
 pub use segmenter::{Encoded, LowMask, PointLabel, Prompt, Segmenter};
 pub use uniground_types::models::{LoadedModel, Role};

@@ -115,8 +115,8 @@ impl Signature {
         if port.shape.len() != pattern.len() || !port.shape.iter().zip(pattern).all(allows) {
             return Err(wrong(format!(
                 "the {word} has the shape {}, expected {}",
-                spelled(&port.shape),
-                spelled_pattern(pattern)
+                format_shape(&port.shape),
+                format_pattern(pattern)
             )));
         }
         Ok(())
@@ -132,12 +132,12 @@ pub enum Direction {
     Out,
 }
 
-fn spelled(shape: &[i64]) -> String {
+fn format_shape(shape: &[i64]) -> String {
     let word = |d: &i64| if *d < 0 { "?".to_owned() } else { d.to_string() };
     format!("[{}]", shape.iter().map(word).collect::<Vec<_>>().join(", "))
 }
 
-fn spelled_pattern(pattern: Pattern) -> String {
+fn format_pattern(pattern: Pattern) -> String {
     let word = |d: &Option<usize>| d.map_or("?".to_owned(), |d| d.to_string());
     format!("[{}]", pattern.iter().map(word).collect::<Vec<_>>().join(", "))
 }
@@ -146,7 +146,7 @@ fn spelled_pattern(pattern: Pattern) -> String {
 ///
 /// # Errors
 /// Returns [`ModelError::NotFinite`].
-pub fn finite(network: &str, tensor: &str, values: &[f32]) -> Result<(), ModelError> {
+pub fn check_finite(network: &str, tensor: &str, values: &[f32]) -> Result<(), ModelError> {
     // The sum of finite values is finite, except on overflow. Only then each value is checked.
     if values.iter().map(|v| v * 0.0).sum::<f32>() == 0.0 {
         return Ok(());

@@ -3,7 +3,7 @@
 use super::ModelError;
 use super::bundle::Bundle;
 use super::engine::{Engine, Work};
-use super::network::{Element, Input, Network, Port, Signature, Tensor, Values, finite};
+use super::network::{Element, Input, Network, Port, Signature, Tensor, Values, check_finite};
 use camino::{Utf8Path, Utf8PathBuf};
 use ort::environment::Environment;
 use ort::ep::{self, ExecutionProvider, ExecutionProviderDispatch};
@@ -11,7 +11,7 @@ use ort::session::{OutputSelector, RunOptions, Session, SessionInputValue};
 use ort::value::{TensorElementType, TensorRef, ValueType};
 use serde::{Deserialize, Serialize};
 use std::sync::{Condvar, Mutex, PoisonError};
-use uniground_geometry::background::on_low_thread;
+use uniground_geometry::background::run_at_low_priority;
 
 /// The execution provider.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -153,9 +153,10 @@ impl OnnxRuntime {
         if !file.is_file() {
             return Err(wrong("the file is missing".into()));
         }
-        let session = || self.session(file, at_once).map_err(|e| wrong(first_line(&e.to_string())));
+        let session =
+            || self.create_session(file, at_once).map_err(|e| wrong(first_line(&e.to_string())));
         let sessions: Vec<Session> = (0..at_once).map(|_| session()).collect::<Result<_, _>>()?;
-        let ports = |outlets: &[ort::value::Outlet]| outlets.iter().map(port).collect();
+        let ports = |outlets: &[ort::value::Outlet]| outlets.iter().map(to_port).collect();
         let signature = Signature {
             inputs: ports(sessions[0].inputs()),
             outputs: ports(sessions[0].outputs()),
@@ -168,7 +169,7 @@ impl OnnxRuntime {
         })
     }
 
-    fn session(&self, file: &Utf8Path, at_once: usize) -> ort::Result<Session> {
+    fn create_session(&self, file: &Utf8Path, at_once: usize) -> ort::Result<Session> {
         // Idle threads sleep instead of spinning, because the cores have other work. A failing
         // provider is an error, never a silent fallback to another one.
         let builder = Session::builder(&self.environment)?
@@ -191,11 +192,11 @@ impl Engine for OnnxRuntime {
         at_once: usize,
         work: Work,
     ) -> Result<Box<dyn Network>, ModelError> {
-        bundle.weights_of(file)?;
+        bundle.external_weights(file)?;
         let load = || self.load_network(&bundle.path(file), at_once);
         let network = match work {
             // A session's own threads inherit the priority of the thread that creates it.
-            Work::Parsing => on_low_thread(load)?,
+            Work::Parsing => run_at_low_priority(load)?,
             Work::Questions => load()?,
         };
         Ok(Box::new(network))
@@ -248,7 +249,7 @@ fn first_line(message: &str) -> String {
     message.lines().next().unwrap_or_default().chars().take(300).collect()
 }
 
-fn port(outlet: &ort::value::Outlet) -> Port {
+fn to_port(outlet: &ort::value::Outlet) -> Port {
     let (element, shape) = match outlet.dtype() {
         ValueType::Tensor { ty, shape, .. } => (
             match ty {
@@ -272,7 +273,7 @@ pub struct OnnxNetwork {
 }
 
 impl OnnxNetwork {
-    fn lend(&self) -> Session {
+    fn take_session(&self) -> Session {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         loop {
             match idle.pop() {
@@ -282,7 +283,7 @@ impl OnnxNetwork {
         }
     }
 
-    fn give_back(&self, session: Session) {
+    fn return_session(&self, session: Session) {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(session);
         self.returned.notify_one();
     }
@@ -330,15 +331,15 @@ impl Network for OnnxNetwork {
     }
 
     fn run(&self, inputs: &[Input], outputs: &[&str]) -> Result<Vec<Tensor>, ModelError> {
-        let mut session = self.lend();
+        let mut session = self.take_session();
         let made = Self::run_on(&mut session, inputs, outputs);
-        self.give_back(session);
+        self.return_session(session);
         let made = made.map_err(|e| ModelError::Run {
             network: self.name.clone(),
             why: first_line(&e.to_string()),
         })?;
         for (tensor, name) in made.iter().zip(outputs) {
-            finite(&self.name, name, &tensor.values)?;
+            check_finite(&self.name, name, &tensor.values)?;
         }
         Ok(made)
     }

@@ -15,7 +15,7 @@ pub struct Fitted {
 
 /// Resizes a picture to `size` (width, height). Padding is not part of the result.
 #[must_use]
-pub fn fit(
+pub fn resize_to_fit(
     picture: &RgbImage,
     size: [u32; 2],
     resize: Resize,

@@ -4,7 +4,7 @@
 use super::ModelError;
 use super::bundle::{Bundle, SegmenterManifest, ValueRange};
 use super::network::{Direction, Element, Input, Network, Tensor, Values};
-use super::pixels::{append_planes, fit};
+use super::pixels::{append_planes, resize_to_fit};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
@@ -53,7 +53,7 @@ pub enum PointLabel {
 impl Prompt {
     /// Creates a prompt of points that all lie on the object, in picture pixels (column, row).
     #[must_use]
-    pub fn inside(points: impl IntoIterator<Item = (f32, f32)>) -> Self {
+    pub fn from_inside_points(points: impl IntoIterator<Item = (f32, f32)>) -> Self {
         Self { points: points.into_iter().map(|p| (p, PointLabel::Inside)).collect() }
     }
 }
@@ -90,7 +90,7 @@ impl Segmenter {
             Element::F32,
             &[None, Some(3), side, side],
         )?;
-        for (_, name) in e.outputs.each() {
+        for (_, name) in e.outputs.iter() {
             encoder.signature().expect(
                 &encoder_file,
                 Direction::Out,
@@ -99,7 +99,7 @@ impl Segmenter {
                 &[None; 4],
             )?;
         }
-        for (_, name) in d.inputs.features.each() {
+        for (_, name) in d.inputs.features.iter() {
             decoder.signature().expect(
                 &decoder_file,
                 Direction::In,
@@ -150,7 +150,7 @@ impl Segmenter {
         // Full batches in two sessions at once: the memory that a parse needs is allocated now, or
         // its lack is reported.
         let encoded = segmenter.encode(&RgbImage::new(64, 48))?;
-        let batch = vec![Prompt::inside([(32.0, 24.0)]); segmenter.batch()];
+        let batch = vec![Prompt::from_inside_points([(32.0, 24.0)]); segmenter.batch_size()];
         let (here, there) = rayon::join(
             || segmenter.decode(&encoded, &batch),
             || segmenter.decode(&encoded, &batch),
@@ -167,7 +167,7 @@ impl Segmenter {
 
     /// Returns the number of prompts per call.
     #[must_use]
-    pub fn batch(&self) -> usize {
+    pub fn batch_size(&self) -> usize {
         if self.manifest.decoder.dynamic_batch { self.manifest.decoder.max_batch } else { 1 }
     }
 
@@ -184,7 +184,7 @@ impl Segmenter {
     pub fn encode(&self, picture: &RgbImage) -> Result<Encoded, ModelError> {
         let e = &self.manifest.encoder;
         let size = [e.size, e.size];
-        let fitted = fit(picture, size, e.resize, e.interpolation);
+        let fitted = resize_to_fit(picture, size, e.resize, e.interpolation);
         let divisor = match e.value_range {
             ValueRange::Bytes => 1.0,
             ValueRange::Unit => 255.0,
@@ -194,7 +194,7 @@ impl Segmenter {
         let side = e.size as usize;
         let input =
             Input { name: &e.input, shape: vec![1, 3, side, side], values: Values::F32(&values) };
-        let names: Vec<&str> = self.roles().filter_map(|(role, _)| e.outputs.of(role)).collect();
+        let names: Vec<&str> = self.roles().filter_map(|(role, _)| e.outputs.get(role)).collect();
         let made = self.encoder.run(&[input], &names)?;
         let features =
             made.into_iter().map(|Tensor { shape, values }| Feature { shape, values }).collect();
@@ -203,7 +203,7 @@ impl Segmenter {
 
     /// Returns the features that the decoder reads, by role.
     fn roles(&self) -> impl Iterator<Item = (&'static str, &str)> {
-        self.manifest.decoder.inputs.features.each()
+        self.manifest.decoder.inputs.features.iter()
     }
 
     /// Returns the candidate masks of each prompt: several masks for one point; for more points the
@@ -223,7 +223,7 @@ impl Segmenter {
         for alike in
             prompts.chunk_by(|a, b| a.points.len() == b.points.len() && a.has_box() == b.has_box())
         {
-            for batch in alike.chunks(self.batch()) {
+            for batch in alike.chunks(self.batch_size()) {
                 decoded.extend(self.decode_batch(encoded, batch)?);
             }
         }
@@ -281,10 +281,10 @@ impl Segmenter {
         }
         let made = self.decoder.run(&inputs, &[&d.outputs.masks, &d.outputs.iou])?;
         let [masks, iou] = &made[..] else {
-            return Err(self.wrong("two outputs were expected".into()));
+            return Err(self.wrong_output_error("two outputs were expected".into()));
         };
         if masks.shape != [count, d.num_masks, low, low] || iou.shape != [count, d.num_masks] {
-            return Err(self.wrong(format!(
+            return Err(self.wrong_output_error(format!(
                 "the outputs have the shapes {:?} and {:?}",
                 masks.shape, iou.shape
             )));
@@ -309,7 +309,7 @@ impl Segmenter {
             .collect())
     }
 
-    fn wrong(&self, why: String) -> ModelError {
+    fn wrong_output_error(&self, why: String) -> ModelError {
         ModelError::Run { network: self.manifest.decoder.file.clone(), why }
     }
 

@@ -78,7 +78,7 @@ fn pictures_and_words_land_where_the_python_runtime_puts_them() {
 #[test]
 fn an_embedding_does_not_depend_on_its_company() {
     let encoder = tiny_encoder();
-    assert!(encoder.batch() > 1);
+    assert!(encoder.batch_size() > 1);
     let pictures: Vec<RgbImage> = (0..11)
         .map(|i| {
             RgbImage::from_fn(90, 70, |x, y| image::Rgb([(x * i) as u8, (y * 3) as u8, i as u8]))
@@ -276,7 +276,7 @@ fn a_network_for_one_picture_gets_one_at_a_time() {
         replace(&p.join("model.json"), "\"dynamic_batch\": true", "\"dynamic_batch\": false");
     });
     assert_eq!(
-        Models::default().with_encoder(&engine(), &path).unwrap().encoder.unwrap().batch(),
+        Models::default().with_encoder(&engine(), &path).unwrap().encoder.unwrap().batch_size(),
         1
     );
 }
@@ -346,7 +346,7 @@ fn weights_beside_a_network_are_loaded_and_fingerprinted() {
     let masks = |models: &Models| {
         let segmenter = &models.segmenters[0];
         let encoded = segmenter.encode(&picture).unwrap();
-        segmenter.decode(&encoded, &[Prompt::inside([(20.0, 20.0)])]).unwrap()
+        segmenter.decode(&encoded, &[Prompt::from_inside_points([(20.0, 20.0)])]).unwrap()
     };
     assert_eq!(masks(&loaded), masks(&within));
 

@@ -47,14 +47,14 @@ pub fn align(
     refine: bool,
     progress: &Progress,
 ) -> Result<Alignment, Cancelled> {
-    let (from, to) = (sampled(from), sampled(to));
-    let surfaces = OrientedPoints::of(&to);
+    let (from, to) = (sample_points(from), sample_points(to));
+    let surfaces = OrientedPoints::estimate(&to);
     let mut place = *guess;
     for reach_m in REACHES_M.into_iter().filter(|_| refine) {
         let nearest = NearestPoints::new(&to, reach_m);
         for _ in 0..ROUNDS {
             progress.check()?;
-            let Some(step) = surfaces.step(&from, &nearest, &place) else { break };
+            let Some(step) = surfaces.solve_step(&from, &nearest, &place) else { break };
             place = step * place;
             if step.translation.vector.norm() < 1e-5 && step.rotation.angle() < 1e-5 {
                 break;
@@ -64,14 +64,14 @@ pub fn align(
     let nearest = NearestPoints::new(&to, SAME_PLACE_M);
     let off: Vec<f32> = from
         .par_iter()
-        .filter_map(|p| surfaces.off(&(place * p), &nearest))
+        .filter_map(|p| surfaces.signed_distance(&(place * p), &nearest))
         .map(|(off_m, _)| off_m)
         .collect();
     let rms_m = (off.iter().map(|m| m * m).sum::<f32>() / off.len().max(1) as f32).sqrt();
     Ok(Alignment { place, overlap: off.len() as f32 / from.len().max(1) as f32, rms_m })
 }
 
-fn sampled(cloud: &PointCloud) -> Vec<Point3<f32>> {
+fn sample_points(cloud: &PointCloud) -> Vec<Point3<f32>> {
     cloud.positions.iter().step_by(cloud.len().div_ceil(POINTS).max(1)).copied().collect()
 }
 
@@ -82,7 +82,7 @@ struct OrientedPoints<'a> {
 }
 
 impl<'a> OrientedPoints<'a> {
-    fn of(points: &'a [Point3<f32>]) -> Self {
+    fn estimate(points: &'a [Point3<f32>]) -> Self {
         let by_voxel = VoxelGrid::new(points, SURFACE_M);
         let mut sums = vec![(0.0_f32, Vector3::zeros()); by_voxel.len()];
         for (p, &voxel) in points.iter().zip(&by_voxel.of_point) {
@@ -105,14 +105,18 @@ impl<'a> OrientedPoints<'a> {
     }
 
     /// Signed distance from a point to the surface at its nearest point, and the normal there.
-    fn off(&self, p: &Point3<f32>, nearest: &NearestPoints) -> Option<(f32, Vector3<f32>)> {
-        let at = nearest.to(p)? as usize;
+    fn signed_distance(
+        &self,
+        p: &Point3<f32>,
+        nearest: &NearestPoints,
+    ) -> Option<(f32, Vector3<f32>)> {
+        let at = nearest.nearest_to(p)? as usize;
         Some(((p - self.points[at]).dot(&self.normals[at]), self.normals[at]))
     }
 
     /// Computes the motion that brings the points nearer to their surfaces; `None` where too few
     /// points have a surface near.
-    fn step(
+    fn solve_step(
         &self,
         from: &[Point3<f32>],
         nearest: &NearestPoints,
@@ -122,7 +126,9 @@ impl<'a> OrientedPoints<'a> {
         let partners: Vec<(Point3<f32>, f32, Vector3<f32>)> = from
             .par_iter()
             .map(|p| place * p)
-            .filter_map(|p| self.off(&p, nearest).map(|(off_m, normal)| (p, off_m, normal)))
+            .filter_map(|p| {
+                self.signed_distance(&p, nearest).map(|(off_m, normal)| (p, off_m, normal))
+            })
             .filter(|(_, off_m, _)| off_m.abs() <= OUTLIER * nearest.within_m)
             .collect();
         if partners.len() < FEWEST {
@@ -176,7 +182,7 @@ mod tests {
                 ]);
             }
         }
-        PointCloud { colours: vec![[0; 3]; positions.len()], positions }
+        PointCloud { colors: vec![[0; 3]; positions.len()], positions }
     }
 
     #[test]

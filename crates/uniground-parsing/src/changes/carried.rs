@@ -1,6 +1,6 @@
 //! Carries the corrections that people made to a parse over to the next parse of the same scene.
 
-use crate::instances::merged;
+use crate::instances::merge_points;
 use uniground_geometry::scene::{Instance, InstanceId, Owners, ParsedScene, correct, parts_of};
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::InstanceSettings;
@@ -9,7 +9,7 @@ use uniground_types::settings::InstanceSettings;
 /// and keeps its old ids. Merged instances are measured again from the points that their members
 /// have now.
 #[must_use]
-pub fn carried(
+pub fn carry_over_corrections(
     corrections: &[Correction],
     scene: &mut ParsedScene,
     settings: &InstanceSettings,
@@ -33,12 +33,12 @@ pub fn carried(
             .then(|| correction.change.clone()),
             Change::Merge { instance_ids, .. } => {
                 let made = correction.made.filter(|_| instance_ids.iter().all(is_there));
-                let owners = Owners::of(&scene.instance_of_point, &now);
+                let owners = Owners::new(&scene.instance_of_point, &now);
                 let owner = |point: usize| {
-                    owners.of_point(scene.instance_of_point[point], &scene.cloud.positions[point])
+                    owners.owner_of(scene.instance_of_point[point], &scene.cloud.positions[point])
                 };
                 made.and_then(|id| {
-                    Some((id, merged(&scene.cloud, owner, instance_ids, &now, settings)?))
+                    Some((id, merge_points(&scene.cloud, owner, instance_ids, &now, settings)?))
                 })
                 .map(|(id, whole)| {
                     let whole = Instance { id, ..whole };
@@ -79,7 +79,7 @@ mod tests {
             .flat_map(|owner| (0..100).map(move |i| (InstanceId(owner), position(owner, i))));
         let (instance_of_point, positions): (Vec<_>, Vec<_>) = owned.unzip();
         ParsedScene {
-            cloud: PointCloud { colours: vec![[90; 3]; positions.len()], positions },
+            cloud: PointCloud { colors: vec![[90; 3]; positions.len()], positions },
             superpoint_of_point: vec![0; instance_of_point.len()],
             instance_of_point,
             instances,
@@ -117,7 +117,8 @@ mod tests {
             said(merge.clone(), Some(5)),
             said(rename(5), None),
         ];
-        let carried = carried(&corrections, &mut scene, &InstanceSettings::default());
+        let carried =
+            carry_over_corrections(&corrections, &mut scene, &InstanceSettings::default());
         let changes: Vec<Change> =
             carried.iter().map(|correction| correction.change.clone()).collect();
         assert_eq!(
@@ -137,7 +138,12 @@ mod tests {
         let merge = Change::Merge { instance_ids: vec![InstanceId(3), InstanceId(4)], name: None };
         let mut scene = scene();
         assert!(
-            carried(&[said(merge, Some(5))], &mut scene, &InstanceSettings::default()).is_empty()
+            carry_over_corrections(
+                &[said(merge, Some(5))],
+                &mut scene,
+                &InstanceSettings::default()
+            )
+            .is_empty()
         );
         assert!(scene.instances[4].gone);
     }

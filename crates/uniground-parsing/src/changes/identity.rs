@@ -15,12 +15,12 @@ const SAME_BOX: f32 = 0.5;
 /// leaves a placeholder marked as gone. Instances found for questions keep their ids. Instances
 /// that people have merged keep theirs too, marked as gone until they are merged again.
 #[must_use]
-pub fn continued(
+pub fn continue_ids(
     before: &[Instance],
     mut parsed: ParsedScene,
     same: &[(InstanceId, InstanceId)],
 ) -> ParsedScene {
-    let same = with_boxes(before, &parsed.instances, same);
+    let same = add_pairs_by_box(before, &parsed.instances, same);
     let old_of: BTreeMap<InstanceId, InstanceId> =
         same.iter().map(|&(old, new)| (new, old)).collect();
     let mut next = (before.len() as u32 + 1..).map(InstanceId);
@@ -60,13 +60,13 @@ pub fn continued(
     parsed.instances = by_id.into_values().collect();
     parsed.instance_of_point.iter_mut().for_each(|id| *id = renumbered(*id));
     let rows = parsed.instances.iter().map(|instance| row_of.get(&instance.id).copied());
-    parsed.embeddings = parsed.embeddings.map(|seen: Embeddings| seen.rearranged(rows));
+    parsed.embeddings = parsed.embeddings.map(|seen: Embeddings| seen.select_rows(rows));
     parsed
 }
 
 /// Adds pairs of parts, wholes and instances found for questions to the pairs of things. Only their
 /// boxes are known.
-fn with_boxes(
+fn add_pairs_by_box(
     before: &[Instance],
     after: &[Instance],
     same: &[(InstanceId, InstanceId)],
@@ -116,7 +116,7 @@ mod tests {
         let positions = vec![Point3::origin(); owners.len()];
         let rows: Vec<f32> = (0..instances.len()).flat_map(|i| [i as f32 + 1.0, 0.0]).collect();
         ParsedScene {
-            cloud: PointCloud { colours: vec![[0; 3]; positions.len()], positions },
+            cloud: PointCloud { colors: vec![[0; 3]; positions.len()], positions },
             instance_of_point: owners.iter().copied().map(InstanceId).collect(),
             superpoint_of_point: vec![0; owners.len()],
             embeddings: Some(Embeddings::new(2, &rows)),
@@ -141,7 +141,7 @@ mod tests {
         ];
         // Id 2 comes first now, 1 is gone, 3.0 is new; the part still exists.
         let on_two = Instance { support: Support::Instance { id: InstanceId(1) }, ..at(2, 3.0) };
-        let now = continued(
+        let now = continue_ids(
             &before,
             parsed(vec![at(1, 2.0), on_two, part(3, 1, 2.0)], &[1, 2, 0]),
             &[(InstanceId(2), InstanceId(1))],
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn what_was_found_for_a_question_may_become_a_thing() {
         let found = Instance { found_for: Some("the mug".into()), ..at(1, 1.0) };
-        let now = continued(&[found], parsed(vec![at(1, 1.05)], &[1]), &[]);
+        let now = continue_ids(&[found], parsed(vec![at(1, 1.05)], &[1]), &[]);
         assert_eq!((now.instances.len(), now.instances[0].found_for.clone()), (1, None));
     }
 }

@@ -10,9 +10,9 @@ mod identity;
 mod overlap;
 
 pub use align::{Alignment, SAME_PLACE_M, align};
-pub use carried::carried;
-pub use identity::continued;
-pub use overlap::{Counterparts, pairs};
+pub use carried::carry_over_corrections;
+pub use identity::continue_ids;
+pub use overlap::{Counterparts, match_things};
 
 use std::collections::BTreeSet;
 use uniground_geometry::progress::{Cancelled, Progress};
@@ -76,38 +76,46 @@ pub fn compare(
     let mut changes = Changes::default();
     let unmatched =
         before.instances.iter().filter(is_thing).filter(|thing| !stayed.contains(&thing.id));
-    let lost =
-        ObjectPlaces::of(before, unmatched, |point| counterparts.of_before(point).is_some(), place);
-    for (thing, fate) in lost.seen_by(after.frames, progress)? {
+    let lost = ObjectPlaces::without_counterpart(
+        before,
+        unmatched,
+        |point| counterparts.counterpart_of(point).is_some(),
+        place,
+    );
+    for (thing, fate) in lost.classify_by_frames(after.frames, progress)? {
         let list = match fate {
             ObjectFate::Known | ObjectFate::SurfaceThere => &mut changes.regrouped,
             ObjectFate::Empty => &mut changes.gone,
             ObjectFate::NotLookedAt => &mut changes.not_seen,
         };
-        list.push(told(thing));
+        list.push(to_changed_thing(thing));
     }
     let unmatched =
         after.instances.iter().filter(is_thing).filter(|thing| !known.contains(&thing.id));
-    let found =
-        ObjectPlaces::of(after, unmatched, |point| counterparts.of_after(point), &place.inverse());
-    for (thing, fate) in found.seen_by(before.frames, progress)? {
+    let found = ObjectPlaces::without_counterpart(
+        after,
+        unmatched,
+        |point| counterparts.has_counterpart(point),
+        &place.inverse(),
+    );
+    for (thing, fate) in found.classify_by_frames(before.frames, progress)? {
         match fate {
             // A piece of something that was one thing before.
             ObjectFate::Known => {}
-            ObjectFate::Empty => changes.appeared.push(told(thing)),
+            ObjectFate::Empty => changes.appeared.push(to_changed_thing(thing)),
             ObjectFate::SurfaceThere | ObjectFate::NotLookedAt => {
-                changes.first_seen.push(told(thing));
+                changes.first_seen.push(to_changed_thing(thing));
             }
         }
     }
-    pair_moved(&mut changes, before, after);
+    pair_moved_things(&mut changes, before, after);
     changes.unchanged =
         before.instances.iter().filter(is_thing).filter(|thing| stayed.contains(&thing.id)).count()
             as u32;
     Ok(changes)
 }
 
-fn told(thing: &Instance) -> ChangedThing {
+fn to_changed_thing(thing: &Instance) -> ChangedThing {
     ChangedThing { id: thing.id, label: thing.label().to_owned(), aabb: thing.aabb }
 }
 
@@ -129,7 +137,7 @@ struct ObjectPlaces<'a> {
 }
 
 impl<'a> ObjectPlaces<'a> {
-    fn of(
+    fn without_counterpart(
         look: &RoomState,
         things: impl Iterator<Item = &'a Instance>,
         has_counterpart: impl Fn(usize) -> bool,
@@ -156,7 +164,7 @@ impl<'a> ObjectPlaces<'a> {
         Self { things: places, positions }
     }
 
-    fn seen_by(
+    fn classify_by_frames(
         self,
         frames: &[FrameRef],
         progress: &Progress,
@@ -192,18 +200,18 @@ impl<'a> ObjectPlaces<'a> {
 const SAME_SIZE: f32 = 0.7;
 const SIZE_SLACK_M: f32 = 0.04;
 /// Minimum color similarity.
-const SAME_COLOUR: f32 = 0.5;
+const SAME_COLOR: f32 = 0.5;
 
 /// Pairs things that disappeared with similar things that appeared, as moved. Most similar pairs
 /// first.
-fn pair_moved(changes: &mut Changes, before: &RoomState, after: &RoomState) {
+fn pair_moved_things(changes: &mut Changes, before: &RoomState, after: &RoomState) {
     let came: Vec<ChangedThing> =
         changes.appeared.iter().chain(&changes.first_seen).cloned().collect();
     let thing = |look: &RoomState<'_>, id: InstanceId| look.instances[id.0 as usize - 1].clone();
     let mut pairs: Vec<(f32, &ChangedThing, &ChangedThing)> = Vec::new();
     for gone in &changes.gone {
         for came in &came {
-            if let Some(alike) = alike(&thing(before, gone.id), &thing(after, came.id)) {
+            if let Some(alike) = similarity(&thing(before, gone.id), &thing(after, came.id)) {
                 pairs.push((alike, gone, came));
             }
         }
@@ -225,7 +233,7 @@ fn pair_moved(changes: &mut Changes, before: &RoomState, after: &RoomState) {
 }
 
 /// Similarity of two things in size, color and name; `None`: not the same thing.
-fn alike(a: &Instance, b: &Instance) -> Option<f32> {
+fn similarity(a: &Instance, b: &Instance) -> Option<f32> {
     let sides = |thing: &Instance| {
         let size = thing.oriented_box.size;
         [size.x.min(size.y), size.x.max(size.y), size.z]
@@ -235,7 +243,7 @@ fn alike(a: &Instance, b: &Instance) -> Option<f32> {
         .zip(sides(b))
         .map(|(a, b)| (a.min(b) + SIZE_SLACK_M) / a.max(b).max(f32::MIN_POSITIVE));
     let size = shares.fold(1.0, f32::min).min(1.0);
-    let colour: f32 = a.colours.0.iter().zip(b.colours.0).map(|(a, b)| a.min(b)).sum();
+    let color: f32 = a.colors.0.iter().zip(b.colors.0).map(|(a, b)| a.min(b)).sum();
     let name = if a.label() == b.label() { 0.5 } else { 0.0 };
-    (size >= SAME_SIZE && colour >= SAME_COLOUR).then_some(size + colour + name)
+    (size >= SAME_SIZE && color >= SAME_COLOR).then_some(size + color + name)
 }

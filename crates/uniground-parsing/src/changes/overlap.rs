@@ -24,7 +24,7 @@ impl Counterparts {
     /// Matches the points of a scan that has grown: a point that stayed has bit-identical
     /// coordinates.
     #[must_use]
-    pub fn same_points(before: &[Point3<f32>], after: &[Point3<f32>]) -> Self {
+    pub fn match_identical(before: &[Point3<f32>], after: &[Point3<f32>]) -> Self {
         let bits = |p: &Point3<f32>| [p.x, p.y, p.z].map(f32::to_bits);
         let at: HashMap<[u32; 3], u32> = after.iter().zip(0..).map(|(p, i)| (bits(p), i)).collect();
         Self::new(before.iter().map(|p| at.get(&bits(p)).copied()).collect(), after.len())
@@ -35,7 +35,7 @@ impl Counterparts {
     ///
     /// # Errors
     /// [`Cancelled`].
-    pub fn nearest(
+    pub fn match_nearest(
         before: &[Point3<f32>],
         after: &[Point3<f32>],
         place: &Isometry3<f32>,
@@ -44,7 +44,7 @@ impl Counterparts {
     ) -> Result<Self, Cancelled> {
         // Where a cloud is very dense, a single point has thousands of neighbors.
         let nearest =
-            |index: &NearestPoints, p: &Point3<f32>| progress.check().map(|()| index.to(p));
+            |index: &NearestPoints, p: &Point3<f32>| progress.check().map(|()| index.nearest_to(p));
         // A point may be nearest to no other point and still have one near.
         let placed: Vec<Point3<f32>> = before.iter().map(|p| place * p).collect();
         let (index, back) =
@@ -65,13 +65,13 @@ impl Counterparts {
 
     /// Returns the later recording's point at the place of this earlier point.
     #[must_use]
-    pub fn of_before(&self, point: usize) -> Option<u32> {
+    pub fn counterpart_of(&self, point: usize) -> Option<u32> {
         self.of_before[point]
     }
 
     /// Whether the earlier recording has a point at the place of this later point.
     #[must_use]
-    pub fn of_after(&self, point: usize) -> bool {
+    pub fn has_counterpart(&self, point: usize) -> bool {
         self.of_after[point]
     }
 
@@ -93,14 +93,14 @@ impl<'a> NearestPoints<'a> {
     pub fn new(points: &'a [Point3<f32>], within_m: f32) -> Self {
         let mut by_voxel: VoxelMap<Vec<u32>> = VoxelMap::default();
         for (p, i) in points.iter().zip(0..) {
-            by_voxel.entry(VoxelKey::of(p, within_m)).or_default().push(i);
+            by_voxel.entry(VoxelKey::containing(p, within_m)).or_default().push(i);
         }
         Self { points, within_m, by_voxel }
     }
 
     /// Returns the point nearest to `p`, if one is within reach.
-    pub fn to(&self, p: &Point3<f32>) -> Option<u32> {
-        let key = VoxelKey::of(p, self.within_m);
+    pub fn nearest_to(&self, p: &Point3<f32>) -> Option<u32> {
+        let key = VoxelKey::containing(p, self.within_m);
         let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
         let near = around.filter_map(|key| self.by_voxel.get(&key)).flatten().copied();
         let distance = |i: u32| (self.points[i as usize] - p).norm_squared();
@@ -114,7 +114,7 @@ impl<'a> NearestPoints<'a> {
 /// Returns pairs of things that are the same in both recordings, by the owners of their points.
 /// Each thing has at most one partner; best fitting pairs come first.
 #[must_use]
-pub fn pairs(
+pub fn match_things(
     before: &[InstanceId],
     after: &[InstanceId],
     counterparts: &Counterparts,
@@ -124,7 +124,7 @@ pub fn pairs(
         (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
     for (point, &old) in before.iter().enumerate() {
         *whole.entry(old).or_insert(0_u32) += 1;
-        let Some(counterpart) = counterparts.of_before(point) else { continue };
+        let Some(counterpart) = counterparts.counterpart_of(point) else { continue };
         let new = after[counterpart as usize];
         *sizes_before.entry(old).or_insert(0_u32) += 1;
         *sizes_after.entry(new).or_insert(0_u32) += 1;
@@ -171,14 +171,14 @@ mod tests {
         let before = line([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
         // 5.0 is gone, 6.0 is new.
         let after = line([4.0, 3.0, 2.0, 1.0, 0.0, 6.0]);
-        let same = Counterparts::same_points(&before, &after);
-        let found = pairs(&ids(&[1, 1, 1, 2, 2, 3]), &ids(&[9, 8, 7, 7, 7, 3]), &same);
+        let same = Counterparts::match_identical(&before, &after);
+        let found = match_things(&ids(&[1, 1, 1, 2, 2, 3]), &ids(&[9, 8, 7, 7, 7, 3]), &same);
         assert_eq!(
             found,
             [(InstanceId(1), InstanceId(7)), (InstanceId(2), InstanceId(8))],
             "one half of a thing that fell apart keeps its id"
         );
-        assert!(same.of_before(5).is_none() && !same.of_after(5));
+        assert!(same.counterpart_of(5).is_none() && !same.has_counterpart(5));
         assert!((same.share() - 5.0 / 6.0).abs() < 1e-6);
     }
 
@@ -193,10 +193,10 @@ mod tests {
                 Point3::new(1.2, 1.0, 0.0),
             ],
         );
-        let near =
-            Counterparts::nearest(&before, &after, &place, 0.05, &Progress::silent()).unwrap();
-        assert_eq!((near.of_before(0), near.of_before(1)), (Some(1), None));
-        assert_eq!([0, 1, 2].map(|i| near.of_after(i)), [true, true, false]);
+        let near = Counterparts::match_nearest(&before, &after, &place, 0.05, &Progress::silent())
+            .unwrap();
+        assert_eq!((near.counterpart_of(0), near.counterpart_of(1)), (Some(1), None));
+        assert_eq!([0, 1, 2].map(|i| near.has_counterpart(i)), [true, true, false]);
     }
 
     #[test]
@@ -211,7 +211,8 @@ mod tests {
             |_, _| {},
             move || checked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= 10,
         );
-        let found = Counterparts::nearest(&dense, &dense, &Isometry3::identity(), 0.05, &progress);
+        let found =
+            Counterparts::match_nearest(&dense, &dense, &Isometry3::identity(), 0.05, &progress);
         assert!(found.is_err());
         assert!(
             checks.load(std::sync::atomic::Ordering::Relaxed) < 1000,

@@ -10,20 +10,20 @@ use uniground_geometry::{Point2, Point3};
 /// Computes the axis-aligned and oriented box of the points that have enough neighbors. Thin
 /// extents shrink by what noise of standard deviation `noise_m` (meters) adds to them. Something
 /// flat on a plane is as thick as its relief says.
-pub(super) fn robust(
+pub(super) fn robust_boxes(
     positions: &[Point3<f32>],
     noise_m: f32,
     relief: Option<&FlatRelief>,
     settings: &InstanceSettings,
 ) -> (Aabb, OrientedBox) {
-    let mut kept = in_company(positions, settings);
+    let mut kept = remove_isolated(positions, settings);
     // In a sparse thing every point counts as an outlier; then all points are used.
     if kept.len() * 2 < positions.len() {
         kept = positions.to_vec();
     }
     let noise_m = if relief.is_some() { 0.0 } else { noise_m };
     if let Some(relief) = relief {
-        kept = relief.flattened(&kept);
+        kept = relief.flatten(&kept);
     }
     let bounds: [(f32, f32); 3] = std::array::from_fn(|axis| {
         let mut values: Vec<f32> = kept.iter().map(|p| p[axis]).collect();
@@ -50,10 +50,10 @@ pub(super) fn robust(
 }
 
 /// Returns the points whose voxel and its 26 neighbors hold enough other points.
-fn in_company(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Point3<f32>> {
+fn remove_isolated(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Point3<f32>> {
     let mut counts: VoxelMap<u32> = VoxelMap::default();
     for p in positions {
-        *counts.entry(VoxelKey::of(p, settings.stray_voxel_m)).or_default() += 1;
+        *counts.entry(VoxelKey::containing(p, settings.stray_voxel_m)).or_default() += 1;
     }
     let mut company: VoxelMap<bool> = VoxelMap::default();
     for &key in counts.keys() {
@@ -62,7 +62,7 @@ fn in_company(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Poi
     }
     positions
         .iter()
-        .filter(|p| company[&VoxelKey::of(p, settings.stray_voxel_m)])
+        .filter(|p| company[&VoxelKey::containing(p, settings.stray_voxel_m)])
         .copied()
         .collect()
 }
@@ -85,10 +85,10 @@ mod tests {
 
     #[test]
     fn a_stray_point_does_not_stretch_the_box() {
-        let clean = robust(&block(), 0.0, None, &InstanceSettings::default()).0;
+        let clean = robust_boxes(&block(), 0.0, None, &InstanceSettings::default()).0;
         let mut stray = block();
         stray.push(Point3::new(3.0, 3.0, 3.0));
-        let found = robust(&stray, 0.0, None, &InstanceSettings::default()).0;
+        let found = robust_boxes(&stray, 0.0, None, &InstanceSettings::default()).0;
         assert!(found.iou(&clean) > 0.98, "{found:?} against {clean:?}");
         assert!((clean.size - Vector3::new(0.38, 0.18, 0.18)).norm() < 0.05, "{clean:?}");
     }
@@ -112,7 +112,7 @@ mod tests {
             })
             .collect();
         let raw = Aabb::around(&points).unwrap().size;
-        let (aabb, _) = robust(&points, noise_m, None, &InstanceSettings::default());
+        let (aabb, _) = robust_boxes(&points, noise_m, None, &InstanceSettings::default());
         assert!(aabb.size.y < 0.75 * raw.y, "{} from {}", aabb.size.y, raw.y);
         assert!(
             (aabb.size.x - raw.x).abs() < 0.01 && (aabb.size.z - raw.z).abs() < 0.01,
@@ -124,7 +124,7 @@ mod tests {
     #[test]
     fn lone_points_still_have_a_box() {
         let (aabb, oriented) =
-            robust(&[Point3::new(1.0, 2.0, 3.0)], 0.0, None, &InstanceSettings::default());
+            robust_boxes(&[Point3::new(1.0, 2.0, 3.0)], 0.0, None, &InstanceSettings::default());
         assert_eq!((aabb.center, aabb.size), (Point3::new(1.0, 2.0, 3.0), Vector3::zeros()));
         assert_eq!(oriented.size, Vector3::zeros());
     }
@@ -135,7 +135,7 @@ mod tests {
         fn the_robust_box_lies_inside_the_raw_one(points in prop::collection::vec(prop::array::uniform3(-1.0_f32..1.0), 1..200)) {
             let points: Vec<_> = points.into_iter().map(Point3::from).collect();
             let raw = Aabb::around(&points).unwrap();
-            let (aabb, _) = robust(&points, 0.05, None, &InstanceSettings::default());
+            let (aabb, _) = robust_boxes(&points, 0.05, None, &InstanceSettings::default());
             prop_assert!((0..3).all(|i| aabb.min()[i] >= raw.min()[i] - 1e-5 && aabb.max()[i] <= raw.max()[i] + 1e-5));
         }
     }
@@ -183,7 +183,7 @@ mod tests {
         let kept = |groups: &[(usize, [f32; 3])]| {
             let points: Vec<_> =
                 groups.iter().flat_map(|&(count, voxel)| in_voxel(count, voxel)).collect();
-            in_company(&points, &settings).len()
+            remove_isolated(&points, &settings).len()
         };
         // A point does not count as its own neighbor.
         assert_eq!(kept(&[(5, [0.0; 3])]), 5, "4 others each");
@@ -205,10 +205,10 @@ mod tests {
         let group = in_voxel(5, [3.0, -2.0, 7.0]);
         let mut points = in_voxel(4, [9.0; 3]);
         points.extend(&group);
-        assert_eq!(in_company(&points, &settings), group);
+        assert_eq!(remove_isolated(&points, &settings), group);
         let fine = InstanceSettings { stray_voxel_m: 0.1, ..settings };
         let spread: Vec<_> = (0..5).map(|i| Point3::new(0.3 * i as f32, 0.0, 0.0)).collect();
-        let kept = in_company(&spread, &fine);
+        let kept = remove_isolated(&spread, &fine);
         assert!(kept.is_empty(), "in finer voxels each is alone: {kept:?}");
     }
 
@@ -219,7 +219,7 @@ mod tests {
             let mut points = in_voxel(5, [0.0; 3]);
             let stray = |i| Point3::new(10.5 * f32::from(i), 0.5, 0.5);
             points.extend((1..=strays).map(stray));
-            robust(&points, 0.0, None, &settings).0
+            robust_boxes(&points, 0.0, None, &settings).0
         };
         // 5 in company of 9 and of 10 are half: the box is theirs. Of 11 they are less.
         assert_span(&with_strays(4), 0, 0.5, 0.5, "4 strays");
@@ -232,7 +232,7 @@ mod tests {
         for axis in 0..3 {
             let spans = |stray_share| {
                 let settings = InstanceSettings { stray_share, ..plain() };
-                robust(&along(axis), 0.0, None, &settings).0
+                robust_boxes(&along(axis), 0.0, None, &settings).0
             };
             assert_span(&spans(0.0), axis, 10.0, 110.0, "nothing left out");
             // Of 101 points the 5th from either end: 10 + 5 and 110 - 5.
@@ -245,7 +245,7 @@ mod tests {
     fn thin_extents_shrink_by_the_noise_and_others_do_not() {
         let spans = |thin_sigmas, noise_sigmas, trim| {
             let settings = InstanceSettings { thin_sigmas, noise_sigmas, trim, ..plain() };
-            robust(&along(0), 0.5, None, &settings).0
+            robust_boxes(&along(0), 0.5, None, &settings).0
         };
         // The extent is 100: 200 standard deviations of 0.5. It is thin up to there.
         assert_span(&spans(200.0, 3.0, 0.02), 0, 11.5, 108.5, "10 + 3 * 0.5, 110 - 3 * 0.5");
@@ -265,7 +265,7 @@ mod tests {
         let spans = |thin_sigmas| {
             let settings =
                 InstanceSettings { thin_sigmas, noise_sigmas: 3.0, trim: 0.02, ..plain() };
-            robust(&mirrored, 0.5, None, &settings).0
+            robust_boxes(&mirrored, 0.5, None, &settings).0
         };
         assert_span(&spans(200.0), 0, -108.5, -11.5, "thin");
         assert_span(&spans(199.0), 0, -110.0, -10.0, "not thin");
@@ -283,11 +283,11 @@ mod tests {
             base: Point3::new(7.0, 4.0, -2.0),
             span_m: (0.25, 0.75),
         };
-        let (found, _) = robust(&points, 0.5, Some(&relief), &settings);
+        let (found, _) = robust_boxes(&points, 0.5, Some(&relief), &settings);
         assert_span(&found, 0, 10.0, 110.0, "along the plane");
         // 4 + 0.25 to 4 + 0.75.
         assert_span(&found, 1, 4.25, 4.75, "along the normal");
-        let (noisy, _) = robust(&points, 0.5, None, &settings);
+        let (noisy, _) = robust_boxes(&points, 0.5, None, &settings);
         assert_span(&noisy, 0, 11.5, 108.5, "without relief it is thin");
     }
 
@@ -300,7 +300,7 @@ mod tests {
         points.extend([Point3::new(5.0, 50.0, 1.0), Point3::new(50.0, 5.0, 1.0)]);
         // Of 102 points the first from either end: 0 and 9 along x and y.
         let settings = InstanceSettings { stray_share: 0.01, ..plain() };
-        let (aabb, turned) = robust(&points, 0.0, None, &settings);
+        let (aabb, turned) = robust_boxes(&points, 0.0, None, &settings);
         assert_span(&aabb, 0, 0.0, 9.0, "x");
         assert_span(&aabb, 1, 0.0, 9.0, "y");
         assert_span(&aabb, 2, 0.0, 2.0, "z");
@@ -318,7 +318,7 @@ mod tests {
             .map(|i| 0.1 * i as f32)
             .map(|at| Point3::new(at * cos, at * sin, 0.0))
             .collect();
-        let (aabb, turned) = robust(&points, 0.0, None, &plain());
+        let (aabb, turned) = robust_boxes(&points, 0.0, None, &plain());
         assert_span(&aabb, 0, 0.0, 10.0 * cos, "x");
         assert_span(&aabb, 1, 0.0, 10.0 * sin, "y");
         assert!((turned.size.x - 10.0).abs() < 1e-2 && turned.size.y < 1e-2, "{turned:?}");
@@ -331,7 +331,7 @@ mod tests {
         let points =
             [[-9.0, 0.0], [9.0, 0.0], [0.0, -9.0], [0.0, 9.0]].map(|[x, y]| Point3::new(x, y, 3.0));
         let settings = InstanceSettings { stray_share: 0.25, trim: 0.25, ..plain() };
-        let (aabb, turned) = robust(&points, 0.0, None, &settings);
+        let (aabb, turned) = robust_boxes(&points, 0.0, None, &settings);
         assert_eq!((aabb.center, aabb.size), (Point3::new(0.0, 0.0, 3.0), Vector3::zeros()));
         let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
         assert_eq!(turned, flat);
@@ -339,7 +339,7 @@ mod tests {
 
     #[test]
     fn no_points_have_a_box_of_no_size() {
-        let (aabb, turned) = robust(&[], 0.1, None, &InstanceSettings::default());
+        let (aabb, turned) = robust_boxes(&[], 0.1, None, &InstanceSettings::default());
         assert_eq!((aabb.center, aabb.size), (Point3::origin(), Vector3::zeros()));
         assert_eq!((turned.center, turned.size), (Point3::origin(), Vector3::zeros()));
     }
@@ -357,7 +357,7 @@ mod tests {
             others.reverse();
             let settings = InstanceSettings::default();
             let (one, other) =
-                (robust(&points, 0.01, None, &settings), robust(&others, 0.01, None, &settings));
+                (robust_boxes(&points, 0.01, None, &settings), robust_boxes(&others, 0.01, None, &settings));
             prop_assert_eq!(one, other);
         }
 
@@ -369,7 +369,7 @@ mod tests {
         ) {
             let points: Vec<_> = points.into_iter().map(Point3::from).collect();
             let settings = InstanceSettings::default();
-            let size = |noise_m| robust(&points, noise_m, None, &settings).0.size;
+            let size = |noise_m| robust_boxes(&points, noise_m, None, &settings).0.size;
             let (less, more) =
                 (size(noise_m[0].min(noise_m[1])), size(noise_m[0].max(noise_m[1])));
             prop_assert!((0..3).all(|i| more[i] <= less[i] + 1e-5), "{more} {less}");

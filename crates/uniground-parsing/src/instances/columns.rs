@@ -42,7 +42,7 @@ enum FilledColumns {
 
 impl Columns {
     /// From points, meters, world frame (Z up), along the axes of a box rotated by `yaw_rad`.
-    pub fn of_points(points: impl Iterator<Item = Point3<f32>> + Clone, yaw_rad: f32) -> Self {
+    pub fn from_points(points: impl Iterator<Item = Point3<f32>> + Clone, yaw_rad: f32) -> Self {
         let turn = Rotation2::new(-yaw_rad);
         let lowest_z = points.clone().map(|p| p.z).fold(f32::INFINITY, f32::min);
         let mut columns: BTreeMap<Cell, u128> = BTreeMap::new();
@@ -62,7 +62,7 @@ impl Columns {
     }
 
     /// From a box that is completely filled.
-    pub fn of_box(filled: &OrientedBox) -> Self {
+    pub fn from_box(filled: &OrientedBox) -> Self {
         let turn = Rotation2::new(-filled.yaw_rad);
         let (center, half) = (turn * filled.center.xy(), filled.size / 2.0);
         let (first, last) = (cell(&(center - half.xy())), cell(&(center + half.xy())));
@@ -98,7 +98,8 @@ impl Columns {
         for own in self.filled.cells().filter(|own| self.filled.is_rim(*own)) {
             rim += 1;
             touching += u32::from(
-                around(other.cell(&self.middle(own)), 1).any(|c| other.filled.at(c) & levels != 0),
+                cells_around(other.cell(&self.middle(own)), 1)
+                    .any(|c| other.filled.at(c) & levels != 0),
             );
         }
         touching as f32 / rim.max(1) as f32
@@ -107,9 +108,9 @@ impl Columns {
     /// Whether one of these columns is within `within_m` meters of the outline of the others.
     pub fn is_beside(&self, other: &Self, within_m: f32) -> bool {
         let cells = (within_m / CELL_M) as i32;
-        self.filled
-            .cells()
-            .any(|own| around(other.cell(&self.middle(own)), cells).any(|c| other.filled.holds(c)))
+        self.filled.cells().any(|own| {
+            cells_around(other.cell(&self.middle(own)), cells).any(|c| other.filled.holds(c))
+        })
     }
 
     /// Extents along its own axes, the larger first, meters.
@@ -197,7 +198,7 @@ fn level(over_m: f32) -> u32 {
 }
 
 /// This column and those within `cells` of it.
-fn around((x, y): Cell, cells: i32) -> impl Iterator<Item = Cell> {
+fn cells_around((x, y): Cell, cells: i32) -> impl Iterator<Item = Cell> {
     (-cells..=cells).flat_map(move |dx| (-cells..=cells).map(move |dy| (x + dx, y + dy)))
 }
 
@@ -207,7 +208,7 @@ mod tests {
     use uniground_geometry::Vector3;
 
     fn filled(size: [f32; 3], center: [f32; 3], yaw_rad: f32) -> Columns {
-        Columns::of_box(&OrientedBox {
+        Columns::from_box(&OrientedBox {
             center: Point3::from(center),
             size: Vector3::from(size),
             yaw_rad,
@@ -221,8 +222,10 @@ mod tests {
                 (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)
             })
         });
-        let (seen, known) =
-            (Columns::of_points(points, 0.0), filled([0.58, 0.38, 0.18], [0.29, 0.19, 0.09], 0.0));
+        let (seen, known) = (
+            Columns::from_points(points, 0.0),
+            filled([0.58, 0.38, 0.18], [0.29, 0.19, 0.09], 0.0),
+        );
         let columns = |of: &Columns| {
             of.filled.cells().map(|c| (c, of.filled.at(c), of.filled.is_rim(c))).collect::<Vec<_>>()
         };

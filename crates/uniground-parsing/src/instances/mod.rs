@@ -14,11 +14,11 @@ use crate::superpoints::Superpoints;
 use crate::views::{InstanceViews, Sighting};
 use columns::Columns;
 use rayon::prelude::*;
-pub use single::{merged, of_points};
+pub use single::{build_from_points, merge_points};
 use std::collections::BTreeMap;
-pub use support::{Body, supports};
+pub use support::{Body, find_supports};
 use uniground_geometry::boxes::{Aabb, OrientedBox};
-use uniground_geometry::colour::ColourHistogram;
+use uniground_geometry::color::ColorHistogram;
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::moments::Moments;
 use uniground_geometry::progress::{Cancelled, Progress};
@@ -70,35 +70,43 @@ pub fn build<'a>(
     let InstanceViews { sightings, reliefs } = sighted;
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); labels.len()];
     for point in 0..cloud.len() {
-        labels.of(point).for_each(|id| members[id.0 as usize - 1].push(point as u32));
+        labels
+            .instances_of_point(point)
+            .for_each(|id| members[id.0 as usize - 1].push(point as u32));
     }
     let noise = SurfaceNoise::of(superpoints);
     let mut shapes: Vec<RegionShape> = members
         .par_iter()
         .map(|points| {
-            progress
-                .check()
-                .map(|()| RegionShape::of(cloud, points, noise.around(points), None, settings))
+            progress.check().map(|()| {
+                RegionShape::measure(cloud, points, noise.noise_around(points), None, settings)
+            })
         })
         .collect::<Result<_, Cancelled>>()?;
     let lowest_z = || quantile(&mut cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), 0.01);
     let floor_z = planes.floor_z().or_else(lowest_z).unwrap_or(0.0);
     let things = labels.things as usize;
-    let mut structures = structures(&shapes[..things], &members, superpoints, planes, floor_z);
+    let mut structures =
+        classify_structures(&shapes[..things], &members, superpoints, planes, floor_z);
     let flat = reliefs.iter().map(|(id, relief)| (id.0 as usize - 1, relief));
     for (i, relief) in flat.filter(|(i, _)| structures.get(*i).is_none_or(Option::is_none)) {
-        shapes[i] =
-            RegionShape::of(cloud, &members[i], noise.around(&members[i]), Some(relief), settings);
+        shapes[i] = RegionShape::measure(
+            cloud,
+            &members[i],
+            noise.noise_around(&members[i]),
+            Some(relief),
+            settings,
+        );
     }
-    let specks = specks(&shapes[..things], &structures, &sightings, settings);
+    let specks = find_specks(&shapes[..things], &structures, &sightings, settings);
     let new_id =
-        kept(&labels, &structures, &specks, &agreement(labels.len(), &sightings), settings);
+        assign_ids(&labels, &structures, &specks, &agreement(labels.len(), &sightings), settings);
     let stays = |i: usize| new_id[i + 1].0 != 0;
     let mut at = 0..;
     shapes.retain(|_| at.next().is_some_and(stays));
     let mut at = 0..;
     structures.retain(|_| at.next().is_some_and(stays));
-    let labels = labels.renumbered(&new_id);
+    let labels = labels.renumber(&new_id);
     let specks = specks.iter().filter(|speck| **speck).count() as u32;
     let dropped = things as u32 - labels.things - specks;
 
@@ -110,14 +118,14 @@ pub fn build<'a>(
         .take(structures.len())
         .map(|(shape, points)| shape.body(cloud, points))
         .collect();
-    let mut supports = supports(&bodies, &structures, floor_z, progress)?;
+    let mut supports = find_supports(&bodies, &structures, floor_z, progress)?;
     for (i, support) in supports.iter_mut().enumerate().filter(|(i, _)| structures[*i].is_none()) {
-        let held = support::held(i, *support, &bodies, &structures, floor_z);
-        shapes[i].reach(held.from_z, held.to_z);
+        let held = support::extend_to_support(i, *support, &bodies, &structures, floor_z);
+        shapes[i].extend_to(held.from_z, held.to_z);
         *support = held.support;
     }
     for (compound, i) in labels.compounds.iter().zip(structures.len()..) {
-        supports.push(support_of(compound, i, &mut shapes, &supports));
+        supports.push(support_of_compound(compound, i, &mut shapes, &supports));
     }
     let levels = std::iter::repeat_n((Level::Thing, Vec::new()), structures.len());
     let levels = levels
@@ -136,7 +144,7 @@ pub fn build<'a>(
             oriented_box: shape.oriented_box,
             point_count: shape.point_count,
             mean_rgb: shape.mean_rgb,
-            colours: shape.colours,
+            colors: shape.colors,
             planarity: shape.planarity,
             structure,
             support,
@@ -163,7 +171,7 @@ pub fn build<'a>(
 const MIN_PICTURE_PX: u32 = 16 * 16;
 
 /// Which regions are specks. A scan without frames has none, since there is no evidence.
-fn specks(
+fn find_specks(
     shapes: &[RegionShape],
     structures: &[Option<Structure>],
     sightings: &[Sighting],
@@ -187,7 +195,7 @@ fn specks(
 }
 
 /// The new id of every candidate instance, by its old one; 0: dropped.
-fn kept(
+fn assign_ids(
     labels: &Labels,
     structures: &[Option<Structure>],
     specks: &[bool],
@@ -218,7 +226,7 @@ fn kept(
 /// Returns what the compound at index `i` rests on. A whole rests on what its lowest thing rests
 /// on. A part rests on what its thing rests on if it reaches as low, else on the thing. A whole
 /// reaches from floor to ceiling if its things do.
-fn support_of(
+fn support_of_compound(
     compound: &Compound,
     i: usize,
     shapes: &mut [RegionShape],
@@ -239,7 +247,7 @@ fn support_of(
         }
         Level::Whole => {
             let to_z = things.map(|thing| reach(thing, shapes).1).fold(top_z, f32::max);
-            shapes[i].reach(bottom_z.min(from_z), to_z);
+            shapes[i].extend_to(bottom_z.min(from_z), to_z);
             supports[lowest]
         }
         _ => supports[lowest],
@@ -247,7 +255,7 @@ fn support_of(
 }
 
 /// Which part of the building each region is, if any.
-fn structures(
+fn classify_structures(
     shapes: &[RegionShape],
     members: &[Vec<u32>],
     superpoints: &Superpoints,
@@ -263,7 +271,7 @@ fn structures(
                 .iter()
                 .filter_map(|&p| planes.of_superpoint[superpoints.of_point[p as usize] as usize])
                 .for_each(|plane| *on_plane.entry(plane).or_default() += 1);
-            structure::of(shape, &on_plane.into_iter().collect::<Vec<_>>(), planes, floor_z)
+            structure::classify(shape, &on_plane.into_iter().collect::<Vec<_>>(), planes, floor_z)
         })
         .collect()
 }
@@ -297,7 +305,7 @@ impl<'a> SurfaceNoise<'a> {
     /// Standard deviation of the noise around these points, meters. Distant things are noisier than
     /// the rest of the scene. Leaves of a plant are rough without being noisy, hence the upper
     /// bound.
-    fn around(&self, points: &[u32]) -> f32 {
+    fn noise_around(&self, points: &[u32]) -> f32 {
         const FAR_FACTOR: f32 = 2.0;
         let mut here: Vec<f32> = points
             .iter()
@@ -314,12 +322,12 @@ struct RegionShape {
     raw_box: Aabb,
     oriented_box: OrientedBox,
     mean_rgb: [u8; 3],
-    colours: ColourHistogram,
+    colors: ColorHistogram,
     planarity: f32,
 }
 
 impl RegionShape {
-    fn of(
+    fn measure(
         cloud: &PointCloud,
         members: &[u32],
         noise_m: f32,
@@ -328,21 +336,21 @@ impl RegionShape {
     ) -> Self {
         let positions: Vec<Point3<f32>> =
             members.iter().map(|&i| cloud.positions[i as usize]).collect();
-        let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
+        let colors = || members.iter().map(|&i| cloud.colors[i as usize]);
         let raw_box = Aabb::around(&positions)
             .unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
-        let (aabb, oriented_box) = bounds::robust(&positions, noise_m, relief, settings);
+        let (aabb, oriented_box) = bounds::robust_boxes(&positions, noise_m, relief, settings);
         let planarity = planarity(&positions);
         let n = members.len().max(1) as u64;
         let sum =
-            colours().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+            colors().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
         Self {
             point_count: members.len() as u32,
             aabb,
             raw_box,
             oriented_box,
             mean_rgb: sum.map(|s| ((s + n / 2) / n) as u8),
-            colours: ColourHistogram::of(colours()),
+            colors: ColorHistogram::from_colors(colors()),
             planarity,
         }
     }
@@ -355,11 +363,11 @@ impl RegionShape {
             Aabb { size: self.aabb.size.add_scalar(2.0 * support::CONTACT_M), ..self.aabb };
         let points =
             members.iter().map(|&i| cloud.positions[i as usize]).filter(|p| around.contains(p));
-        Body { aabb: self.aabb, columns: Columns::of_points(points, self.oriented_box.yaw_rad) }
+        Body { aabb: self.aabb, columns: Columns::from_points(points, self.oriented_box.yaw_rad) }
     }
 
     /// Extends the shape to these heights, meters: its legs or its cord were not seen.
-    fn reach(&mut self, bottom_z: f32, top_z: f32) {
+    fn extend_to(&mut self, bottom_z: f32, top_z: f32) {
         let (min, max) = (self.aabb.min(), self.aabb.max());
         self.aabb = Aabb::from_corners(
             Point3::new(min.x, min.y, bottom_z),
@@ -376,7 +384,7 @@ const ON_PLANE_M: f32 = 0.03;
 /// Share of the points within 3 cm of their best plane.
 #[must_use]
 pub fn planarity(positions: &[Point3<f32>]) -> f32 {
-    let Moments { mean, covariance } = Moments::of(positions);
+    let Moments { mean, covariance } = Moments::from_points(positions);
     let (_, normal) = least_axis(&covariance);
     let on_plane =
         positions.iter().filter(|p| (*p - mean).dot(&normal).abs() <= ON_PLANE_M).count();
@@ -426,7 +434,7 @@ mod tests {
             .into_iter()
             .flat_map(|(r, n)| std::iter::repeat_n(r, n))
             .collect();
-        let cloud = PointCloud { colours: vec![[90; 3]; positions.len()], positions };
+        let cloud = PointCloud { colors: vec![[90; 3]; positions.len()], positions };
         let superpoints = Superpoints {
             of_point: region_of.clone(),
             patches: Vec::new(),
@@ -448,7 +456,7 @@ mod tests {
         };
         let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5), seen(4, 0.9)];
         let settings = InstanceSettings::default();
-        let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
+        let labels = Labels::from_regions(&region_of, &superpoints, Vec::new());
         let sighted = InstanceViews { sightings, reliefs: BTreeMap::new() };
         let built =
             build(&cloud, &superpoints, &planes, labels, sighted, &settings, &Progress::silent())

@@ -2,7 +2,7 @@
 
 use super::{Body, RegionShape, support};
 use uniground_geometry::scene::{
-    Instance, InstanceId, Level, PointCloud, Structure, Support, views_of_all,
+    Instance, InstanceId, Level, PointCloud, Structure, Support, merge_views,
 };
 use uniground_models::attributes::name_guesses;
 use uniground_types::settings::InstanceSettings;
@@ -13,7 +13,7 @@ const MOST_VIEWS: usize = 5;
 /// Merges the points of several instances into one thing, built as the next of the known instances.
 /// `owner` returns the instance of a point. `None` where the members have no points.
 #[must_use]
-pub fn merged(
+pub fn merge_points(
     cloud: &PointCloud,
     owner: impl Fn(usize) -> InstanceId,
     members: &[InstanceId],
@@ -33,9 +33,9 @@ pub fn merged(
         .iter()
         .map(|i| Instance { dismissed: i.dismissed || members.contains(&i.id), ..i.clone() })
         .collect();
-    let whole = of_points(cloud, &points, &beside, settings);
+    let whole = build_from_points(cloud, &points, &beside, settings);
     Some(Instance {
-        views: views_of_all(&shown, MOST_VIEWS),
+        views: merge_views(&shown, MOST_VIEWS),
         merged_from: members.to_vec(),
         ..whole
     })
@@ -43,7 +43,7 @@ pub fn merged(
 
 /// Builds a thing without views from these points of the cloud, as the next of the known instances.
 #[must_use]
-pub fn of_points(
+pub fn build_from_points(
     cloud: &PointCloud,
     points: &[u32],
     known: &[Instance],
@@ -51,28 +51,28 @@ pub fn of_points(
 ) -> Instance {
     // Roughness was measured with the superpoints, which are not stored.
     const NOISE_M: f32 = 0.0;
-    let mut shape = RegionShape::of(cloud, points, NOISE_M, None, settings);
+    let mut shape = RegionShape::measure(cloud, points, NOISE_M, None, settings);
     let bottom_z = |i: &Instance| i.aabb.min().z;
     let floor_z =
         known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);
     let things: Vec<&Instance> =
         known.iter().filter(|i| i.level == Level::Thing && !i.dismissed).collect();
     let mut bodies: Vec<Body> =
-        things.iter().map(|i| Body::of_box(i.aabb, &i.oriented_box)).collect();
+        things.iter().map(|i| Body::from_box(i.aabb, &i.oriented_box)).collect();
     let mut structures: Vec<Option<Structure>> = things.iter().map(|i| i.structure).collect();
     bodies.push(shape.body(cloud, points));
     structures.push(None);
     // Support refers to positions in this list, counted from 1.
     let id_of = |place: InstanceId| things[place.0 as usize - 1].id;
     let own = bodies.len() - 1;
-    let held = support::held(
+    let held = support::extend_to_support(
         own,
-        support::of(own, &bodies, &structures, floor_z),
+        support::find_support(own, &bodies, &structures, floor_z),
         &bodies,
         &structures,
         floor_z,
     );
-    shape.reach(held.from_z, held.to_z);
+    shape.extend_to(held.from_z, held.to_z);
     let support = match held.support {
         Support::Instance { id } => Support::Instance { id: id_of(id) },
         Support::Wall { id } => Support::Wall { id: id_of(id) },
@@ -85,7 +85,7 @@ pub fn of_points(
         oriented_box: shape.oriented_box,
         point_count: shape.point_count,
         mean_rgb: shape.mean_rgb,
-        colours: shape.colours,
+        colors: shape.colors,
         planarity: shape.planarity,
         support,
         ..Instance::from_box(id, shape.aabb)

@@ -20,7 +20,7 @@ const WALL_BOTTOM_M: f32 = 0.9;
 const WALL_WIDTH_M: f32 = 1.8;
 
 /// Returns the structure of an instance. `on_plane`: its points per plane of the building.
-pub(super) fn of(
+pub(super) fn classify(
     shape: &RegionShape,
     on_plane: &[(u32, u32)],
     planes: &Planes,

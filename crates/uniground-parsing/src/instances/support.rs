@@ -41,8 +41,8 @@ pub struct Body {
 impl Body {
     /// For a box of which nothing more is known.
     #[must_use]
-    pub fn of_box(aabb: Aabb, oriented_box: &OrientedBox) -> Self {
-        Self { aabb, columns: Columns::of_box(oriented_box) }
+    pub fn from_box(aabb: Aabb, oriented_box: &OrientedBox) -> Self {
+        Self { aabb, columns: Columns::from_box(oriented_box) }
     }
 
     fn bottom_z(&self) -> f32 {
@@ -69,18 +69,18 @@ impl Body {
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn supports(
+pub fn find_supports(
     bodies: &[Body],
     structures: &[Option<Structure>],
     floor_z: f32,
     progress: &Progress,
 ) -> Result<Vec<Support>, Cancelled> {
-    let of = |i| progress.check().map(|()| of(i, bodies, structures, floor_z));
+    let of = |i| progress.check().map(|()| find_support(i, bodies, structures, floor_z));
     (0..bodies.len()).into_par_iter().map(of).collect()
 }
 
 /// Returns the support of one thing.
-pub(super) fn of(
+pub(super) fn find_support(
     i: usize,
     bodies: &[Body],
     structures: &[Option<Structure>],
@@ -131,7 +131,7 @@ pub(super) struct SupportSpan {
 ///   which only seat and back were seen.
 /// - The same holds for something beside a wall that is deeper than things that hang on walls.
 /// - Something too high for legs hangs from the ceiling, like a lamp from its cord.
-pub(super) fn held(
+pub(super) fn extend_to_support(
     i: usize,
     support: Support,
     bodies: &[Body],
@@ -142,14 +142,13 @@ pub(super) fn held(
     let (bottom, top) = (own.bottom_z(), own.top_z());
     let as_seen = SupportSpan { from_z: bottom, to_z: top, support };
     let on_legs = |width_m| {
-        on_legs(i, width_m, bodies, structures, floor_z).map(|(from_z, support)| SupportSpan {
-            from_z,
-            support,
-            ..as_seen
-        })
+        find_leg_support(i, width_m, bodies, structures, floor_z)
+            .map(|(from_z, support)| SupportSpan { from_z, support, ..as_seen })
     };
-    let hanging =
-        || hanging(i, bodies, structures, floor_z).map(|to_z| SupportSpan { to_z, ..as_seen });
+    let hanging = || {
+        find_ceiling_support(i, bodies, structures, floor_z)
+            .map(|to_z| SupportSpan { to_z, ..as_seen })
+    };
     let [width_m, depth_m] = own.columns.extents();
     let held = match support {
         // A smaller gap is noise.
@@ -166,7 +165,7 @@ pub(super) fn held(
 
 /// Returns the height down to which a thing of this width reaches if it stands on unseen legs,
 /// meters, and what it then stands on.
-fn on_legs(
+fn find_leg_support(
     i: usize,
     width_m: f32,
     bodies: &[Body],
@@ -196,7 +195,7 @@ fn on_legs(
 
 /// Returns the height of the ceiling that a thing hangs from, meters, if a ceiling was found over
 /// it.
-fn hanging(
+fn find_ceiling_support(
     i: usize,
     bodies: &[Body],
     structures: &[Option<Structure>],
@@ -218,7 +217,7 @@ mod tests {
 
     fn spanning(min: [f32; 3], max: [f32; 3]) -> Body {
         let aabb = Aabb::from_corners(Point3::from(min), Point3::from(max));
-        Body::of_box(aabb, &OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 })
+        Body::from_box(aabb, &OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 })
     }
 
     /// The points of a block, one every two centimeters, rotated about the world's Z axis.
@@ -236,22 +235,23 @@ mod tests {
     fn body(points: &[Point3<f32>], yaw_rad: f32) -> Body {
         Body {
             aabb: Aabb::around(points).unwrap(),
-            columns: Columns::of_points(points.iter().copied(), yaw_rad),
+            columns: Columns::from_points(points.iter().copied(), yaw_rad),
         }
     }
 
-    fn held_by(bodies: &[Body], structures: &[Option<Structure>]) -> (f32, f32, Support) {
+    fn support_by_index(bodies: &[Body], structures: &[Option<Structure>]) -> (f32, f32, Support) {
         let SupportSpan { from_z, to_z, support } =
-            held(0, of(0, bodies, structures, 0.0), bodies, structures, 0.0);
+            extend_to_support(0, find_support(0, bodies, structures, 0.0), bodies, structures, 0.0);
         (from_z, to_z, support)
     }
 
     /// A seat 40 cm above the floor, and what is near it in each case.
     #[test]
     fn nothing_floats() {
-        let alone = |thing: &Body| held_by(std::slice::from_ref(thing), &[None]);
+        let alone = |thing: &Body| support_by_index(std::slice::from_ref(thing), &[None]);
         let seat = spanning([0.0, 0.0, 0.4], [0.5, 0.5, 0.9]);
-        let beside = |other: Body, structure| held_by(&[seat.clone(), other], &[None, structure]);
+        let beside =
+            |other: Body, structure| support_by_index(&[seat.clone(), other], &[None, structure]);
         assert_eq!(alone(&seat), (0.0, seat.top_z(), Support::Floor));
         let box_below = spanning([0.1, 0.1, 0.0], [0.5, 0.5, 0.2]);
         assert_eq!(
@@ -266,7 +266,7 @@ mod tests {
         );
         let shelf = spanning([0.0, 0.0, 0.4], [0.2, 0.5, 0.9]);
         let hanging = (shelf.bottom_z(), shelf.top_z(), Support::Wall { id: InstanceId(2) });
-        assert_eq!(held_by(&[shelf, wall], &[None, Some(Structure::Wall)]), hanging);
+        assert_eq!(support_by_index(&[shelf, wall], &[None, Some(Structure::Wall)]), hanging);
         let mug = spanning([0.0, 0.0, 0.4], [0.1, 0.1, 0.5]);
         assert_eq!(
             alone(&mug),
@@ -281,10 +281,14 @@ mod tests {
     fn what_is_too_high_for_legs_hangs_from_the_ceiling() {
         let lamp = spanning([0.0, 0.0, 1.5], [0.4, 0.4, 1.8]);
         let as_seen = (lamp.bottom_z(), lamp.top_z(), Support::Nothing);
-        assert_eq!(held_by(std::slice::from_ref(&lamp), &[None]), as_seen, "no ceiling was seen");
+        assert_eq!(
+            support_by_index(std::slice::from_ref(&lamp), &[None]),
+            as_seen,
+            "no ceiling was seen"
+        );
         let ceiling = spanning([-2.0, -2.0, 2.5], [2.0, 2.0, 2.54]);
         assert_eq!(
-            held_by(&[lamp.clone(), ceiling], &[None, Some(Structure::Ceiling)]),
+            support_by_index(&[lamp.clone(), ceiling], &[None, Some(Structure::Ceiling)]),
             (lamp.bottom_z(), 2.52, Support::Nothing)
         );
     }
@@ -298,9 +302,9 @@ mod tests {
         let shelf = body(&block([-0.4, 0.7, 0.7], [0.4, 0.96, 0.74], YAW_RAD), YAW_RAD);
         let (bodies, structures) = ([table, wall, shelf], [None, Some(Structure::Wall), None]);
         assert!(bodies[1].aabb.gap(&bodies[0].aabb) < CONTACT_M, "by their boxes they touch");
-        assert_eq!(of(0, &bodies, &structures, 0.0), Support::Nothing);
-        assert_eq!(held_by(&bodies, &structures).2, Support::Floor);
-        assert_eq!(of(2, &bodies, &structures, 0.0), Support::Wall { id: InstanceId(2) });
+        assert_eq!(find_support(0, &bodies, &structures, 0.0), Support::Nothing);
+        assert_eq!(support_by_index(&bodies, &structures).2, Support::Floor);
+        assert_eq!(find_support(2, &bodies, &structures, 0.0), Support::Wall { id: InstanceId(2) });
     }
 
     #[test]
@@ -314,8 +318,11 @@ mod tests {
         let chair = body(&block([-0.2, -0.6, 0.4], [0.2, -0.2, 0.44], 0.0), 0.0);
         let vase = body(&block([-0.08, -0.08, 0.75], [0.08, 0.08, 1.0], 0.0), 0.0);
         let bodies = [body(&table, 0.0), chair, vase];
-        assert_eq!(of(1, &bodies, &[None; 3], 0.0), Support::Nothing);
-        assert_eq!(of(2, &bodies, &[None; 3], 0.0), Support::Instance { id: InstanceId(1) });
+        assert_eq!(find_support(1, &bodies, &[None; 3], 0.0), Support::Nothing);
+        assert_eq!(
+            find_support(2, &bodies, &[None; 3], 0.0),
+            Support::Instance { id: InstanceId(1) }
+        );
     }
 
     #[test]
@@ -324,7 +331,10 @@ mod tests {
         let counter: Vec<_> = arms.iter().flat_map(|(min, max)| block(*min, *max, 0.7)).collect();
         let stool = |x: f32| body(&block([x, 1.0, 0.86], [x + 0.3, 1.3, 0.96], 0.7), 0.7);
         let bodies = [body(&counter, 0.7), stool(1.2), stool(0.2)];
-        assert_eq!(of(1, &bodies, &[None; 3], 0.0), Support::Nothing);
-        assert_eq!(of(2, &bodies, &[None; 3], 0.0), Support::Instance { id: InstanceId(1) });
+        assert_eq!(find_support(1, &bodies, &[None; 3], 0.0), Support::Nothing);
+        assert_eq!(
+            find_support(2, &bodies, &[None; 3], 0.0),
+            Support::Instance { id: InstanceId(1) }
+        );
     }
 }

@@ -50,7 +50,7 @@ pub struct IdRuns {
 impl IdRuns {
     /// Compresses an image.
     #[must_use]
-    pub fn of(image: &IdImage) -> Self {
+    pub fn from_image(image: &IdImage) -> Self {
         let runs =
             image.ids.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as u32)).collect();
         Self { width: image.width, height: image.height, runs }
@@ -58,7 +58,7 @@ impl IdRuns {
 
     /// Restores the image.
     #[must_use]
-    pub fn unpacked(&self) -> IdImage {
+    pub fn to_image(&self) -> IdImage {
         let ids =
             self.runs.iter().flat_map(|&(id, n)| std::iter::repeat_n(id, n as usize)).collect();
         IdImage { width: self.width, height: self.height, ids }
@@ -109,7 +109,7 @@ mod tests {
         fn runs_give_the_image_back(width in 1_u32..20, height in 1_u32..20, seed in any::<u64>()) {
             let ids = (0..width * height).map(|i| ((seed >> (i % 60)) & 3) as u16).collect();
             let image = IdImage { width, height, ids };
-            prop_assert_eq!(IdRuns::of(&image).unpacked(), image);
+            prop_assert_eq!(IdRuns::from_image(&image).to_image(), image);
         }
     }
 }

@@ -2,10 +2,10 @@
 //!
 //! Connected green pieces are one plant. A part under it, no wider than its leaves, is its pot.
 
-use super::{RegionFacts, united};
+use super::{RegionFacts, join_sets};
 use crate::superpoints::Superpoints;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::colour::ColourName;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::union_find::UnionFind;
 
 /// Minimum share of green points for a piece to be part of a plant.
@@ -25,7 +25,7 @@ const STEM_M: f32 = 0.25;
 
 /// Joins leaves with each other and with their pots. Returns the regions, and the facts of those
 /// that did not change.
-pub(super) fn gather(
+pub(super) fn join_foliage(
     superpoints: &Superpoints,
     region_of: Vec<u32>,
     parts: &[RegionFacts],
@@ -34,8 +34,11 @@ pub(super) fn gather(
     for (patch, &region) in superpoints.patches.iter().zip(&region_of) {
         let [all, green] = &mut points[region as usize];
         *all += patch.points as f32;
-        *green +=
-            if ColourName::of(&patch.lab) == ColourName::Green { patch.points as f32 } else { 0.0 };
+        *green += if ColorName::from_lab(&patch.lab) == ColorName::Green {
+            patch.points as f32
+        } else {
+            0.0
+        };
     }
     let is_leaves = |i: usize| {
         !parts[i].is_structural
@@ -43,7 +46,7 @@ pub(super) fn gather(
             && parts[i].aabb.size.max() <= LARGEST_M
     };
     let leaves: Vec<usize> = (0..parts.len()).filter(|&i| is_leaves(i)).collect();
-    let plants = plants(&leaves, parts);
+    let plants = group_leaves(&leaves, parts);
     let mut sets = UnionFind::new(parts.len());
     // A single green piece may be a cushion on a stool, so it is not joined.
     for (leaves, members) in plants.iter().filter(|(_, members)| members.len() > 1) {
@@ -53,11 +56,11 @@ pub(super) fn gather(
             sets.union(i as u32, members[0] as u32);
         });
     }
-    united(sets, region_of, parts)
+    join_sets(sets, region_of, parts)
 }
 
 /// Groups leaves that are connected: the box around each group, and its members.
-fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
+fn group_leaves(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
     let mut plants: Vec<(Aabb, Vec<usize>)> =
         leaves.iter().map(|&i| (parts[i].aabb, vec![i])).collect();
     let mut plant_of: Vec<usize> = (0..leaves.len()).collect();
@@ -67,7 +70,7 @@ fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
             if one == other || parts[leaf].aabb.gap(&parts[leaves[b]].aabb) > NEAR_M {
                 continue;
             }
-            let both = around(&plants[one].0, &plants[other].0);
+            let both = union_box(&plants[one].0, &plants[other].0);
             if both.size.z <= TALLEST_M && both.size.x.max(both.size.y) <= WIDEST_M {
                 let moved = std::mem::take(&mut plants[other].1);
                 plant_of.iter_mut().filter(|plant| **plant == other).for_each(|plant| *plant = one);
@@ -80,7 +83,7 @@ fn plants(leaves: &[usize], parts: &[RegionFacts]) -> Vec<(Aabb, Vec<usize>)> {
     plants
 }
 
-fn around(a: &Aabb, b: &Aabb) -> Aabb {
+fn union_box(a: &Aabb, b: &Aabb) -> Aabb {
     Aabb::from_corners(
         a.min().coords.inf(&b.min().coords).into(),
         a.max().coords.sup(&b.max().coords).into(),
@@ -104,7 +107,7 @@ fn is_pot(part: &RegionFacts, leaves: &Aabb) -> bool {
 mod tests {
     use super::*;
     use crate::superpoints::Patch;
-    use uniground_geometry::colour::lab_of_srgb;
+    use uniground_geometry::color::srgb_to_lab;
     use uniground_geometry::{Point3, Vector3};
 
     const LEAF: [u8; 3] = [50, 120, 40];
@@ -116,7 +119,7 @@ mod tests {
         let part = |(low, high, _): &([f32; 3], [f32; 3], [u8; 3])| {
             let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / 9.0;
             let cells = (0..1000_u32).map(|i| (i % 10, i / 10 % 10, i / 100));
-            RegionFacts::of(
+            RegionFacts::measure(
                 &cells
                     .map(|(x, y, z)| Point3::new(at(0, x), at(1, y), at(2, z)))
                     .collect::<Vec<_>>(),
@@ -126,7 +129,7 @@ mod tests {
             points: 1000,
             center: Point3::origin(),
             normal: Vector3::z(),
-            lab: lab_of_srgb(rgb),
+            lab: srgb_to_lab(rgb),
         };
         let superpoints = Superpoints {
             of_point: Vec::new(),
@@ -134,7 +137,7 @@ mod tests {
             adjacent: Vec::new(),
             roughness_m: vec![0.0; blocks.len()],
         };
-        gather(
+        join_foliage(
             &superpoints,
             (0..blocks.len() as u32).collect(),
             &blocks.iter().map(part).collect::<Vec<_>>(),

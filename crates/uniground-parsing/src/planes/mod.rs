@@ -16,7 +16,7 @@ mod sheet;
 use super::superpoints::{Patch, Superpoints};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sheet::{PlanePart, SuperpointPlane, fit, parts};
+use sheet::{PlanePart, SuperpointPlane, connected_components, fit};
 use std::collections::{BTreeMap, BTreeSet};
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{PointCloud, Structure};
@@ -63,7 +63,7 @@ impl Planes {
     #[must_use]
     pub fn with_patches(&self, superpoints: &Superpoints, region_of: &[u32]) -> Vec<u32> {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-        let regions = Patch::joined(&superpoints.patches, region_of, count);
+        let regions = Patch::merge_by_label(&superpoints.patches, region_of, count);
         let mut plane_of = vec![None; count];
         region_of.iter().zip(&self.of_superpoint).for_each(|(&region, &plane)| {
             plane_of[region as usize] = plane_of[region as usize].or(plane);
@@ -81,7 +81,7 @@ impl Planes {
                     .iter()
                     .copied()
                     .min_by(|&a, &b| differs(a).total_cmp(&differs(b)).then(a.cmp(&b)));
-                if let Some(whole) = alike.filter(|&r| differs(r) < SAME_COLOUR) {
+                if let Some(whole) = alike.filter(|&r| differs(r) < SAME_COLOR) {
                     sets.union(whole as u32, patch as u32);
                 }
             }
@@ -95,7 +95,7 @@ impl Planes {
 /// the building.
 const MAX_PATCH_M2: f32 = 0.15;
 /// CIELAB distance within which a patch has the color of its plane.
-const SAME_COLOUR: f32 = 10.0;
+const SAME_COLOR: f32 = 10.0;
 
 /// Points count as on a plane within three times the noise of the scan, but at least within this
 /// distance, meters.
@@ -160,11 +160,11 @@ pub fn find(
     for seed in seeds {
         progress.check()?;
         if left.contains(&seed) {
-            let members = scan.coplanar(seed, &left);
+            let members = scan.find_coplanar(seed, &left);
             members.iter().for_each(|s| {
                 left.remove(s);
             });
-            candidates.extend(scan.sheets(&members));
+            candidates.extend(scan.split_into_sheets(&members));
         }
     }
     let floors = candidates
@@ -174,7 +174,7 @@ pub fn find(
         floors.map(|sheet| sheet.middle.z).min_by(f32::total_cmp).unwrap_or(scan.lowest_z);
     let mut planes: Vec<(PlanePart, Structure)> = candidates
         .into_iter()
-        .filter_map(|sheet| scan.structure_of(&sheet, cameras, floor_z).map(|s| (sheet, s)))
+        .filter_map(|sheet| scan.classify_sheet(&sheet, cameras, floor_z).map(|s| (sheet, s)))
         .collect();
     let walls: Vec<(Point3<f32>, Vector3<f32>, f32)> = planes
         .iter()
@@ -182,7 +182,7 @@ pub fn find(
         .map(|(s, _)| (s.middle, s.normal, s.area_m2()))
         .collect();
     planes.retain(|(sheet, structure)| {
-        *structure != Structure::Wall || !scan.stands_before_a_wall(sheet, &walls, cameras)
+        *structure != Structure::Wall || !scan.is_in_front_of_wall(sheet, &walls, cameras)
     });
     // A plane a few centimeters above a larger floor is a rug.
     let floors: Vec<(f32, f32)> = planes
@@ -198,7 +198,7 @@ pub fn find(
     planes.retain(|(sheet, structure)| *structure != Structure::Floor || !on_floor(sheet));
     planes.sort_by(|a, b| b.0.area_m2().total_cmp(&a.0.area_m2()));
     progress.report("planes", 0.8)?;
-    let mut of_superpoint = scan.assigned(&planes);
+    let mut of_superpoint = scan.assign_superpoints(&planes);
     let planes: Vec<Plane> = planes
         .into_iter()
         .map(|(sheet, structure)| Plane {
@@ -208,7 +208,7 @@ pub fn find(
             area_m2: sheet.area_m2(),
         })
         .collect();
-    rugs::take_off(&scan, superpoints, &planes, cameras, &mut of_superpoint);
+    rugs::separate_rugs(&scan, superpoints, &planes, cameras, &mut of_superpoint);
     Ok(Planes { planes, of_superpoint })
 }
 
@@ -254,7 +254,7 @@ impl<'a> CloudBySuperpoint<'a> {
         self.members[superpoint as usize].iter().map(|&i| &self.cloud.positions[i as usize])
     }
 
-    fn share_on(&self, superpoint: u32, normal: &Vector3<f32>, middle: &Point3<f32>) -> f32 {
+    fn share_on_plane(&self, superpoint: u32, normal: &Vector3<f32>, middle: &Point3<f32>) -> f32 {
         let on = self
             .points(superpoint)
             .filter(|p| (*p - middle).dot(normal).abs() <= ASSIGNED_SLACKS * self.slack_m)
@@ -264,7 +264,7 @@ impl<'a> CloudBySuperpoint<'a> {
 
     /// Returns the superpoints of `left` that lie on one plane with `seed`. The plane is fitted
     /// twice.
-    fn coplanar(&self, seed: u32, left: &BTreeSet<u32>) -> BTreeSet<u32> {
+    fn find_coplanar(&self, seed: u32, left: &BTreeSet<u32>) -> BTreeSet<u32> {
         let SuperpointPlane { mut normal, mut middle, .. } = self.patches[seed as usize];
         let mut found = BTreeSet::from([seed]);
         for _ in 0..2 {
@@ -284,7 +284,7 @@ impl<'a> CloudBySuperpoint<'a> {
     }
 
     /// Splits a plane into connected parts and returns those that are large enough.
-    fn sheets(&self, members: &BTreeSet<u32>) -> Vec<PlanePart> {
+    fn split_into_sheets(&self, members: &BTreeSet<u32>) -> Vec<PlanePart> {
         let (normal, middle) = fit(members.iter().map(|&s| &self.patches[s as usize]));
         let level = normal.z.abs() > SAME_NORMAL;
         let along =
@@ -294,14 +294,14 @@ impl<'a> CloudBySuperpoint<'a> {
         let up = if up.z < 0.0 { -up } else { up };
         let mut whole = PlanePart { normal, middle, along, up, cells: BTreeSet::new() };
         whole.cells = members.iter().flat_map(|&s| self.points(s)).map(|p| whole.cell(p)).collect();
-        parts(&whole.cells, (GAP_M / CELL_M) as i32)
+        connected_components(&whole.cells, (GAP_M / CELL_M) as i32)
             .into_iter()
             .filter(|cells| cells.len() as f32 * CELL_M * CELL_M >= MIN_AREA_M2)
             .map(|cells| PlanePart { normal, middle, along, up, cells })
             .collect()
     }
 
-    fn structure_of(
+    fn classify_sheet(
         &self,
         sheet: &PlanePart,
         cameras: &[Point3<f32>],
@@ -391,7 +391,7 @@ impl<'a> CloudBySuperpoint<'a> {
 
     /// Whether a larger wall continues behind it, as behind a curtain or a wardrobe as high as the
     /// room.
-    fn stands_before_a_wall(
+    fn is_in_front_of_wall(
         &self,
         sheet: &PlanePart,
         walls: &[(Point3<f32>, Vector3<f32>, f32)],
@@ -412,7 +412,7 @@ impl<'a> CloudBySuperpoint<'a> {
     }
 
     /// The plane of each superpoint: the largest one that it lies on.
-    fn assigned(&self, planes: &[(PlanePart, Structure)]) -> Vec<Option<u32>> {
+    fn assign_superpoints(&self, planes: &[(PlanePart, Structure)]) -> Vec<Option<u32>> {
         (0..self.patches.len() as u32)
             .into_par_iter()
             .map(|s| {
@@ -423,7 +423,8 @@ impl<'a> CloudBySuperpoint<'a> {
                         && sheet.covers(&patch.middle);
                     let parallel = patch.area_m2 < MIN_SEED_M2 / 2.0
                         || patch.normal.dot(&sheet.normal).abs() > SAME_NORMAL;
-                    near && parallel && self.share_on(s, &sheet.normal, &sheet.middle) >= ON_PLANE
+                    near && parallel
+                        && self.share_on_plane(s, &sheet.normal, &sheet.middle) >= ON_PLANE
                 });
                 best.map(|(i, _)| i as u32).next()
             })
@@ -450,7 +451,7 @@ mod tests {
                     let at =
                         |axis: usize, k: u32| low[axis] + k as f32 * STEP_M + shake(axis as u32);
                     cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
-                    cloud.colours.push([grey; 3]);
+                    cloud.colors.push([grey; 3]);
                 }
             }
         }
@@ -513,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn small_patches_of_its_colour_return_to_the_wall() {
+    fn small_patches_of_its_color_return_to_the_wall() {
         let superpoints = Superpoints {
             of_point: vec![],
             patches: [(10_000, 80.0), (50, 78.0), (50, 20.0), (50, 80.0)]
@@ -521,7 +522,7 @@ mod tests {
                     points,
                     center: Point3::origin(),
                     normal: Vector3::z(),
-                    lab: uniground_geometry::colour::Lab::new(l, 0.0, 0.0),
+                    lab: uniground_geometry::color::Lab::new(l, 0.0, 0.0),
                 })
                 .to_vec(),
             adjacent: vec![],

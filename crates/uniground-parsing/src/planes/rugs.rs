@@ -9,14 +9,14 @@ use crate::superpoints::{Patch, Superpoints};
 use std::cell::LazyCell;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use uniground_geometry::boxes::{Aabb, OrientedBox};
-use uniground_geometry::colour::Lab;
+use uniground_geometry::color::Lab;
 use uniground_geometry::scene::Structure;
 use uniground_geometry::union_find::UnionFind;
 use uniground_geometry::voxels::VoxelKey;
 use uniground_geometry::{Point3, Vector3};
 
 /// CIELAB distance within which superpoints have one color, with lightness counted half.
-const SAME_COLOUR: f32 = 12.0;
+const SAME_COLOR: f32 = 12.0;
 /// Minimum distance between hues, at the floor's lightness. A superpoint below it is the floor
 /// under another light.
 const OTHER_HUE: f32 = 5.0;
@@ -44,7 +44,7 @@ const MOST_TRIED: usize = 200;
 /// Takes rugs off the floors they lie on, so that nothing joins them. `of_superpoint` has the plane
 /// of each superpoint. `cameras` are camera centers, meters; without any, every point counts as
 /// seen.
-pub(super) fn take_off(
+pub(super) fn separate_rugs(
     scan: &CloudBySuperpoint,
     superpoints: &Superpoints,
     planes: &[Plane],
@@ -58,14 +58,14 @@ pub(super) fn take_off(
             .filter(|(_, plane)| **plane == Some(k))
             .map(|(s, _)| s)
             .collect();
-        let Some(colour) = colour(&on, &superpoints.patches) else { continue };
+        let Some(color) = most_common_color(&on, &superpoints.patches) else { continue };
         let points = |group: &[u32]| {
             group.iter().map(|&s| superpoints.patches[s as usize].points).sum::<u32>() as f32
         };
         let m2_per_point = plane.area_m2 / points(&on);
         let (odd, own): (Vec<u32>, Vec<u32>) =
-            on.iter().partition(|&&s| is_other(&superpoints.patches[s as usize].lab, &colour));
-        let floor = LazyCell::new(|| cells(scan, own.into_iter()));
+            on.iter().partition(|&&s| is_other_color(&superpoints.patches[s as usize].lab, &color));
+        let floor = LazyCell::new(|| ground_cells(scan, own.into_iter()));
         let is_rug = |group: &Vec<u32>| {
             let area_m2 = points(group) * m2_per_point;
             if !(MIN_AREA_M2..=MAX_OF_FLOOR * plane.area_m2).contains(&area_m2) {
@@ -75,20 +75,23 @@ pub(super) fn take_off(
                 group.iter().flat_map(|&s| scan.points(s)).map(Point3::xy).collect();
             let size = OrientedBox::min_area(&ground, (0.0, 0.0))
                 .map_or_else(Default::default, |rectangle| rectangle.size);
-            let beside_floor = || share_beside(&cells(scan, group.iter().copied()), &floor);
+            let beside_floor = || share_beside(&ground_cells(scan, group.iter().copied()), &floor);
             size.x.min(size.y) >= MIN_WIDTH_M
                 && area_m2 >= MIN_FILLED * size.x * size.y
                 && beside_floor() >= MIN_BESIDE_FLOOR
-                && was_seen(scan, group, cameras)
+                && is_visible(scan, group, cameras)
         };
-        for s in connected(&odd, superpoints).into_iter().filter(is_rug).flatten() {
+        for s in group_connected(&odd, superpoints).into_iter().filter(is_rug).flatten() {
             of_superpoint[s as usize] = None;
         }
     }
 }
 
 /// The ground cells, [`CELL_M`] wide, that superpoints lie on.
-fn cells(scan: &CloudBySuperpoint, superpoints: impl Iterator<Item = u32>) -> BTreeSet<(i32, i32)> {
+fn ground_cells(
+    scan: &CloudBySuperpoint,
+    superpoints: impl Iterator<Item = u32>,
+) -> BTreeSet<(i32, i32)> {
     let at = |v: f32| (v / CELL_M).floor() as i32;
     superpoints.flat_map(|s| scan.points(s)).map(|p| (at(p.x), at(p.y))).collect()
 }
@@ -108,7 +111,7 @@ fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f
 }
 
 /// Whether cameras could see most of a group on a floor: nothing that rises from it is in the way.
-fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) -> bool {
+fn is_visible(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) -> bool {
     let points: Vec<Point3<f32>> = group.iter().flat_map(|&s| scan.points(s)).copied().collect();
     let Some(around) = Aabb::around(&points) else { return false };
     let rises = ASSIGNED_SLACKS * scan.slack_m;
@@ -116,7 +119,7 @@ fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) ->
     let near = Aabb::from_corners(around.min() - reach, around.max() + reach);
     let above_z = around.center.z + rises;
     let rising = scan.cloud.positions.iter().filter(|p| p.z > above_z && near.contains(p));
-    let in_the_way: HashSet<VoxelKey> = rising.map(|p| VoxelKey::of(p, VOXEL_M)).collect();
+    let in_the_way: HashSet<VoxelKey> = rising.map(|p| VoxelKey::containing(p, VOXEL_M)).collect();
     let sees = |camera: &Point3<f32>, p: &Point3<f32>| {
         let towards = (camera - p).cap_magnitude(IN_THE_WAY_M);
         let steps = (2.0 * IN_THE_WAY_M / VOXEL_M) as usize;
@@ -124,7 +127,7 @@ fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) ->
         camera.z > above_z
             && way
                 .filter(|p| p.z > above_z)
-                .all(|p| !in_the_way.contains(&VoxelKey::of(&p, VOXEL_M)))
+                .all(|p| !in_the_way.contains(&VoxelKey::containing(&p, VOXEL_M)))
     };
     let cameras: Vec<&Point3<f32>> =
         cameras.iter().step_by((cameras.len() / MOST_CAMERAS).max(1)).collect();
@@ -135,32 +138,34 @@ fn was_seen(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) ->
 }
 
 /// The most common color of these superpoints.
-fn colour(on: &[u32], patches: &[Patch]) -> Option<Lab> {
+fn most_common_color(on: &[u32], patches: &[Patch]) -> Option<Lab> {
     let patch = |s: u32| &patches[s as usize];
-    let alike =
-        |s: u32| on.iter().copied().filter(move |&other| is_same(&patch(other).lab, &patch(s).lab));
+    let alike = |s: u32| {
+        on.iter().copied().filter(move |&other| is_same_color(&patch(other).lab, &patch(s).lab))
+    };
     // A sample is enough to find it: a house has many superpoints.
     let most = on.iter().copied().step_by((on.len() / MOST_TRIED).max(1)).max_by_key(|&s| {
         (alike(s).map(|other| patch(other).points).sum::<u32>(), std::cmp::Reverse(s))
     })?;
     let same: Vec<Patch> = alike(most).map(|s| *patch(s)).collect();
-    Patch::joined(&same, &vec![0; same.len()], 1).first().map(|mean| mean.lab)
+    Patch::merge_by_label(&same, &vec![0; same.len()], 1).first().map(|mean| mean.lab)
 }
 
-fn is_same(a: &Lab, b: &Lab) -> bool {
+fn is_same_color(a: &Lab, b: &Lab) -> bool {
     let apart = a - b;
-    Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOUR
+    Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOR
 }
 
 /// Whether it is another color, and not the floor's color under more or less light. Light scales
 /// all components of a color alike: in CIELAB, L* + 16, a* and b*.
-fn is_other(lab: &Lab, floor: &Lab) -> bool {
+fn is_other_color(lab: &Lab, floor: &Lab) -> bool {
     let light = (lab.x + 16.0) / (floor.x + 16.0);
-    !is_same(lab, floor) && (lab.y - light * floor.y).hypot(lab.z - light * floor.z) >= OTHER_HUE
+    !is_same_color(lab, floor)
+        && (lab.y - light * floor.y).hypot(lab.z - light * floor.z) >= OTHER_HUE
 }
 
 /// Groups of connected superpoints.
-fn connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>> {
+fn group_connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>> {
     let mut is_member = vec![false; superpoints.patches.len()];
     superpoints_of.iter().for_each(|&s| is_member[s as usize] = true);
     let mut sets = UnionFind::new(superpoints.patches.len());
@@ -181,7 +186,7 @@ fn connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>>
 mod tests {
     use super::*;
     use uniground_geometry::Vector3;
-    use uniground_geometry::colour::lab_of_srgb;
+    use uniground_geometry::color::srgb_to_lab;
     use uniground_geometry::scene::PointCloud;
 
     const WOOD: [u8; 3] = [120, 85, 55];
@@ -218,7 +223,7 @@ mod tests {
             points: 100,
             center: place(s),
             normal: Vector3::z(),
-            lab: lab_of_srgb(rgb(s)),
+            lab: srgb_to_lab(rgb(s)),
         };
         let right = (0..16).filter(|s| s % 4 < 3).map(|s| (s, s + 1));
         let superpoints = Superpoints {
@@ -236,7 +241,7 @@ mod tests {
         let before: Vec<Option<u32>> =
             (0..16).map(|s| (!absent.contains(&s)).then_some(0)).collect();
         let mut after = before.clone();
-        take_off(
+        separate_rugs(
             &CloudBySuperpoint::of(&cloud, &superpoints),
             &superpoints,
             &[floor],
@@ -247,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rug_of_another_colour_is_no_floor() {
+    fn a_rug_of_another_color_is_no_floor() {
         assert_eq!(taken_off(&[(5, RED), (6, RED), (9, RED), (10, RED)]), [5, 6, 9, 10]);
         assert_eq!(taken_off(&[(12, RED)]), [12], "in a corner");
         assert_eq!(taken_off(&[(5, [200, 170, 140])]), [5], "a light one");

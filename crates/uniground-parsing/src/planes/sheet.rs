@@ -57,14 +57,14 @@ impl PlanePart {
 impl SuperpointPlane {
     pub(super) fn of(cloud: &PointCloud, points: &[u32]) -> Self {
         let positions: Vec<_> = points.iter().map(|&i| cloud.positions[i as usize]).collect();
-        let Moments { mean, covariance } = Moments::of(&positions);
+        let Moments { mean, covariance } = Moments::from_points(&positions);
         let (_, normal) = least_axis(&covariance);
         let cells: BTreeSet<(i32, i32)> = {
             let sheet = PlanePart {
                 normal,
                 middle: mean,
-                along: any_across(&normal),
-                up: normal.cross(&any_across(&normal)),
+                along: any_perpendicular(&normal),
+                up: normal.cross(&any_perpendicular(&normal)),
                 cells: BTreeSet::new(),
             };
             const FINE: f32 = 4.0;
@@ -75,7 +75,7 @@ impl SuperpointPlane {
 }
 
 /// Returns some unit vector at a right angle to this one.
-fn any_across(normal: &Vector3<f32>) -> Vector3<f32> {
+fn any_perpendicular(normal: &Vector3<f32>) -> Vector3<f32> {
     let axis = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     normal.cross(&axis).normalize()
 }
@@ -97,7 +97,10 @@ pub(super) fn fit<'a>(
 }
 
 /// Groups cells no farther from each other than `gap`, measured by the largest coordinate.
-pub(super) fn parts(cells: &BTreeSet<(i32, i32)>, gap: i32) -> Vec<BTreeSet<(i32, i32)>> {
+pub(super) fn connected_components(
+    cells: &BTreeSet<(i32, i32)>,
+    gap: i32,
+) -> Vec<BTreeSet<(i32, i32)>> {
     // On a grid as coarse as the gap, neighbors are within it.
     let coarse = |&(a, b): &(i32, i32)| (a.div_euclid(gap), b.div_euclid(gap));
     let mut left: BTreeMap<(i32, i32), Vec<(i32, i32)>> = BTreeMap::new();

@@ -6,14 +6,14 @@
 use super::voxel_cloud::VoxelCloud;
 use super::{Patch, SuperpointSettings};
 use rayon::prelude::*;
-use uniground_geometry::colour::Lab;
+use uniground_geometry::color::Lab;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::voxels::VoxelGrid;
 use uniground_geometry::{Point3, Vector3};
 
 const NONE: u32 = u32::MAX;
 /// CIELAB distance that counts as one unit.
-const COLOUR_UNIT: f32 = 50.0;
+const COLOR_UNIT: f32 = 50.0;
 /// Maximum extent of a supervoxel in seed distances: PCL's value, enough to meet neighbors around
 /// corners.
 const REACH: f32 = 1.8;
@@ -64,7 +64,7 @@ pub(super) fn grow(
         centers = recenter(voxels, &labels, &centers);
     }
     // Voxels that no seed reached still share one label: connected() separates them.
-    Ok(voxels.connected(&labels))
+    Ok(voxels.connected_labels(&labels))
 }
 
 /// Places one seed per occupied cell of the coarse grid: the voxel nearest the cell's center of
@@ -144,10 +144,10 @@ fn distance(voxels: &VoxelCloud, v: u32, center: &Patch, settings: &SuperpointSe
     let voxel = &voxels.patches[v as usize];
     let space = (voxel.center - center.center).norm() / settings.seed_m;
     let normal = 1.0 - voxel.normal.dot(&center.normal).abs();
-    let colour = (voxel.lab - center.lab).norm() / COLOUR_UNIT;
+    let color = (voxel.lab - center.lab).norm() / COLOR_UNIT;
     settings.spatial_weight * space
         + settings.normal_weight * normal
-        + settings.colour_weight * colour
+        + settings.colour_weight * color
 }
 
 /// Unweighted means over the voxels of each supervoxel, so that dense parts of a scan do not pull

@@ -1,8 +1,8 @@
 //! Superpoints of a cloud that has grown. Superpoints of points that stayed do not change, so that
 //! what frames saw of them stays valid. New points are divided into new superpoints.
 
-use super::{Patch, Superpoints, coarsened_to, compute, relabelled};
-use uniground_geometry::colour::{Lab, lab_of_srgb};
+use super::{Patch, Superpoints, coarsen_settings, compute, relabel_pairs};
+use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{Addition, PointCloud};
@@ -17,7 +17,7 @@ use uniground_types::settings::SuperpointSettings;
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn grown(
+pub fn grow_superpoints(
     before: &Superpoints,
     addition: &Addition,
     cloud: &PointCloud,
@@ -46,7 +46,7 @@ pub fn grown(
         .collect();
     let mut roughness_m: Vec<f32> =
         (0..left.len()).filter(|&s| stays(s)).map(|s| before.roughness_m[s]).collect();
-    let mut patches = shrunk(before, &left, &of_point, cloud);
+    let mut patches = shrink_patches(before, &left, &of_point, cloud);
     let mut adjacent: Vec<(u32, u32)> = before
         .adjacent
         .iter()
@@ -59,20 +59,26 @@ pub fn grown(
         roughness_m.extend(new.roughness_m);
         adjacent.extend(new.adjacent.iter().map(|(a, b)| (a + count, b + count)));
         progress.check()?;
-        let voxel_m = coarsened_to(*settings, typical_spacing_m(&addition.new.positions)).voxel_m;
+        let voxel_m =
+            coarsen_settings(*settings, typical_spacing_m(&addition.new.positions)).voxel_m;
         // A floor continues beyond the gap between new and known points.
         let reach_m = voxel_m.max(REACH * addition.apart_m);
         adjacent.extend(borders(cloud, &of_point, addition.kept.len(), reach_m));
     }
     let same: Vec<u32> = (0..patches.len() as u32).collect();
     Ok((
-        Superpoints { of_point, patches, adjacent: relabelled(&adjacent, &same), roughness_m },
+        Superpoints { of_point, patches, adjacent: relabel_pairs(&adjacent, &same), roughness_m },
         number,
     ))
 }
 
 /// The patches that remain; those that lost points are measured again.
-fn shrunk(before: &Superpoints, left: &[u32], of_kept: &[u32], cloud: &PointCloud) -> Vec<Patch> {
+fn shrink_patches(
+    before: &Superpoints,
+    left: &[u32],
+    of_kept: &[u32],
+    cloud: &PointCloud,
+) -> Vec<Patch> {
     let stay = || left.iter().zip(&before.patches).filter(|(left, _)| **left > 0);
     let has_lost: Vec<bool> = stay().map(|(left, patch)| *left < patch.points).collect();
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); has_lost.len()];
@@ -103,7 +109,7 @@ fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
         .fold(Matrix3::zeros(), |sum, d: Vector3<f32>| sum + d * d.transpose());
     let lab = points
         .iter()
-        .map(|&point| lab_of_srgb(cloud.colours[point as usize]))
+        .map(|&point| srgb_to_lab(cloud.colors[point as usize]))
         .fold(Lab::zeros(), |sum, lab| sum + lab);
     Patch {
         points: points.len() as u32,
@@ -127,14 +133,14 @@ fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> V
         }
     };
     for (p, &superpoint) in cloud.positions[kept..].iter().zip(&of_point[kept..]) {
-        let key = VoxelKey::of(p, reach_m);
+        let key = VoxelKey::containing(p, reach_m);
         add(key, superpoint);
         NEIGHBOURS_26.iter().for_each(|&d| add(key.offset(d), superpoint));
     }
     let mut pairs: Vec<(u32, u32)> = cloud.positions[..kept]
         .iter()
         .zip(of_point)
-        .filter_map(|(p, &old)| Some((old, near.get(&VoxelKey::of(p, reach_m))?)))
+        .filter_map(|(p, &old)| Some((old, near.get(&VoxelKey::containing(p, reach_m))?)))
         .flat_map(|(old, new)| new.iter().map(move |&new| (old, new)))
         .collect();
     pairs.sort_unstable();
@@ -147,12 +153,12 @@ mod tests {
     use super::*;
 
     /// A square of one meter in the plane, with a point every centimeter, starting at `x`.
-    fn square(x: f32, z: f32, colour: [u8; 3]) -> PointCloud {
+    fn square(x: f32, z: f32, color: [u8; 3]) -> PointCloud {
         let at = (0..100).flat_map(|i| {
             (0..100).map(move |j| Point3::new(x + i as f32 * 0.01, j as f32 * 0.01, z))
         });
         let positions: Vec<Point3<f32>> = at.collect();
-        PointCloud { colours: vec![colour; positions.len()], positions }
+        PointCloud { colors: vec![color; positions.len()], positions }
     }
 
     fn addition(kept: Vec<u32>, new: PointCloud) -> Addition {
@@ -174,7 +180,8 @@ mod tests {
         let (settings, silent) = (SuperpointSettings::default(), Progress::silent());
         let first = compute(before, &settings, &silent).unwrap();
         let (now, number) =
-            grown(&first, addition, &addition.applied_to(before), &settings, &silent).unwrap();
+            grow_superpoints(&first, addition, &addition.apply_to(before), &settings, &silent)
+                .unwrap();
         (first, now, number)
     }
 
@@ -191,8 +198,8 @@ mod tests {
     fn what_stays_keeps_its_superpoint_and_touches_what_is_new() {
         let (mut floor, more) = (square(0.0, 0.0, [120; 3]), square(1.0, 0.0, [120; 3]));
         // The red half, nearer to the origin, is removed.
-        let reds = floor.positions.iter().zip(&mut floor.colours).filter(|(p, _)| p.x < 0.5);
-        reds.for_each(|(_, colour)| *colour = [200, 40, 40]);
+        let reds = floor.positions.iter().zip(&mut floor.colors).filter(|(p, _)| p.x < 0.5);
+        reds.for_each(|(_, color)| *color = [200, 40, 40]);
         let kept: Vec<u32> =
             (0..floor.len() as u32).filter(|&i| floor.positions[i as usize].x >= 0.5).collect();
         let (first, now, number) = grow(&floor, &addition(kept.clone(), more));

@@ -8,11 +8,11 @@ mod growth;
 mod region_growing;
 mod voxel_cloud;
 
-pub use growth::grown;
+pub use growth::grow_superpoints;
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use uniground_geometry::colour::Lab;
+use uniground_geometry::color::Lab;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::voxels::typical_spacing_m;
@@ -24,12 +24,12 @@ pub(super) use voxel_cloud::WIDEST_RING;
 /// Edge of the voxels from which this cloud's superpoints are made, meters.
 #[must_use]
 pub fn voxel_m(cloud: &PointCloud, settings: &SuperpointSettings) -> f32 {
-    coarsened_to(*settings, typical_spacing_m(&cloud.positions)).voxel_m
+    coarsen_settings(*settings, typical_spacing_m(&cloud.positions)).voxel_m
 }
 
 /// Coarsens the settings to the density of the cloud: voxels smaller than the gaps between points
 /// would fall apart into islands.
-fn coarsened_to(settings: SuperpointSettings, spacing_m: f32) -> SuperpointSettings {
+fn coarsen_settings(settings: SuperpointSettings, spacing_m: f32) -> SuperpointSettings {
     let voxel_m = settings.voxel_m.max(VOXEL_SPACINGS * spacing_m);
     let seed_voxels = (settings.seed_m / settings.voxel_m).min(ENOUGH_SEED_VOXELS);
     SuperpointSettings { voxel_m, seed_m: settings.seed_m.max(seed_voxels * voxel_m), ..settings }
@@ -73,7 +73,7 @@ pub struct Patch {
 impl Superpoints {
     /// Returns the region of each point, given that of each superpoint.
     #[must_use]
-    pub fn spread(&self, region_of: &[u32]) -> Vec<u32> {
+    pub fn regions_of_points(&self, region_of: &[u32]) -> Vec<u32> {
         self.of_point.iter().map(|&superpoint| region_of[superpoint as usize]).collect()
     }
 }
@@ -81,7 +81,7 @@ impl Superpoints {
 impl Patch {
     /// Merges patches by label `0..count`: point-weighted means of `parts`.
     #[must_use]
-    pub fn joined(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
+    pub fn merge_by_label(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
         let mut sums =
             vec![(0_u32, nalgebra::Vector3::<f64>::zeros(), Matrix3::zeros(), Lab::zeros()); count];
         for (part, &label) in parts.iter().zip(labels) {
@@ -121,10 +121,10 @@ pub fn compute(
     progress: &Progress,
 ) -> Result<Superpoints, Cancelled> {
     progress.report("superpoints", 0.0)?;
-    let settings = &coarsened_to(*settings, typical_spacing_m(&cloud.positions));
+    let settings = &coarsen_settings(*settings, typical_spacing_m(&cloud.positions));
     let voxels = VoxelCloud::new(cloud, settings.voxel_m, progress)?;
     progress.report("superpoints", 0.4)?;
-    let labels = flow::grow(&voxels, settings, &progress.part(0.4, 0.8))?;
+    let labels = flow::grow(&voxels, settings, &progress.sub_range(0.4, 0.8))?;
     progress.report("superpoints", 0.8)?;
     let adjacent = voxels.adjacent_labels(&labels);
     progress.check()?;
@@ -132,15 +132,15 @@ pub fn compute(
     let labels: Vec<u32> = labels.into_iter().map(|l| region_of[l as usize]).collect();
     progress.report("superpoints", 0.95)?;
     let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    let patches = Patch::joined(&voxels.patches, &labels, count);
-    let adjacent = relabelled(&adjacent, &region_of);
+    let patches = Patch::merge_by_label(&voxels.patches, &labels, count);
+    let adjacent = relabel_pairs(&adjacent, &region_of);
     let of_point = voxels.grid.of_point.iter().map(|&v| labels[v as usize]).collect();
     let roughness_m = mean_per_label(&labels, &voxels.roughness_m, count);
     Ok(Superpoints { of_point, patches, adjacent, roughness_m })
 }
 
 /// Pairs `(low, high)` of neighbors after `label_of` has joined some of them, sorted.
-pub(super) fn relabelled(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u32, u32)> {
+pub(super) fn relabel_pairs(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u32, u32)> {
     let mut pairs: Vec<(u32, u32)> = adjacent
         .iter()
         .map(|&(a, b)| (label_of[a as usize], label_of[b as usize]))
@@ -178,23 +178,23 @@ mod tests {
             for j in 0..50 {
                 let (a, b) = (i as f32 * 0.01, j as f32 * 0.01);
                 cloud.positions.push(Point3::new(a, b, 0.0));
-                cloud.colours.push([200, 40, 40]);
+                cloud.colors.push([200, 40, 40]);
                 cloud.positions.push(Point3::new(a, 0.0, b + 0.01));
-                cloud.colours.push([40, 40, 200]);
+                cloud.colors.push([40, 40, 200]);
             }
         }
         cloud
     }
 
     #[test]
-    fn a_coloured_corner_is_not_straddled() {
+    fn a_colored_corner_is_not_straddled() {
         let cloud = corner();
         let superpoints = compute_silently(&cloud);
         let mut red = vec![0_u32; superpoints.patches.len()];
         let mut all = red.clone();
-        for (label, colour) in superpoints.of_point.iter().zip(&cloud.colours) {
+        for (label, color) in superpoints.of_point.iter().zip(&cloud.colors) {
             all[*label as usize] += 1;
-            red[*label as usize] += u32::from(colour[0] > 100);
+            red[*label as usize] += u32::from(color[0] > 100);
         }
         let pure: u32 = red.iter().zip(&all).map(|(&r, &n)| r.max(n - r)).sum();
         let purity = pure as f32 / cloud.len() as f32;
@@ -212,10 +212,8 @@ mod tests {
                 })
             };
             let positions: Vec<_> = piece(0.0).chain(piece(0.5 + gap_m)).collect();
-            let superpoints = compute_silently(&PointCloud {
-                colours: vec![[90; 3]; positions.len()],
-                positions,
-            });
+            let superpoints =
+                compute_silently(&PointCloud { colors: vec![[90; 3]; positions.len()], positions });
             let (lower, upper) = (superpoints.of_point[199], superpoints.of_point[200]);
             // Neighbors that continue each other become one superpoint.
             lower == upper || superpoints.adjacent.contains(&(lower.min(upper), lower.max(upper)))
@@ -226,14 +224,15 @@ mod tests {
     #[test]
     fn finer_settings_never_give_coarser_superpoints() {
         let asked = |voxel_m: f32| SuperpointSettings { voxel_m, ..SuperpointSettings::default() };
-        let (fine, default) = (coarsened_to(asked(0.002), 0.02), coarsened_to(asked(0.025), 0.02));
+        let (fine, default) =
+            (coarsen_settings(asked(0.002), 0.02), coarsen_settings(asked(0.025), 0.02));
         assert_eq!((fine.voxel_m, fine.seed_m), (default.voxel_m, default.seed_m));
         assert!(
             (fine.voxel_m - 0.03).abs() < 1e-6 && (fine.seed_m - 0.18).abs() < 1e-6,
             "{fine:?}"
         );
         assert_eq!(
-            coarsened_to(asked(0.05), 0.02),
+            coarsen_settings(asked(0.05), 0.02),
             asked(0.05),
             "what the cloud bears is left alone"
         );
@@ -243,10 +242,10 @@ mod tests {
     fn odd_clouds_are_labelled_too() {
         let same = PointCloud {
             positions: vec![Point3::new(1.0, 2.0, 3.0); 100],
-            colours: vec![[9; 3]; 100],
+            colors: vec![[9; 3]; 100],
         };
         assert_eq!(compute_silently(&same).patches.len(), 1);
-        let one = PointCloud { positions: vec![Point3::origin()], colours: vec![[0; 3]] };
+        let one = PointCloud { positions: vec![Point3::origin()], colors: vec![[0; 3]] };
         assert_eq!(compute_silently(&one).of_point, [0]);
         let none = compute_silently(&PointCloud::default());
         assert!(none.of_point.is_empty() && none.patches.is_empty());
@@ -258,7 +257,7 @@ mod tests {
         #[test]
         fn labels_are_a_partition(points in prop::collection::vec((-1.0_f32..1.0, -1.0_f32..1.0, -0.2_f32..0.2), 1..400)) {
             let positions: Vec<_> = points.into_iter().map(|(x, y, z)| Point3::new(x, y, z)).collect();
-            let cloud = PointCloud { colours: vec![[120, 90, 60]; positions.len()], positions };
+            let cloud = PointCloud { colors: vec![[120, 90, 60]; positions.len()], positions };
             let superpoints = compute_silently(&cloud);
             let mut counts = vec![0; superpoints.patches.len()];
             superpoints.of_point.iter().for_each(|&l| counts[l as usize] += 1);

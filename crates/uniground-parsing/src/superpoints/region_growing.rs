@@ -16,7 +16,7 @@ pub(super) fn join(
     settings: &SuperpointSettings,
 ) -> Vec<u32> {
     let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
-    let patches = Patch::joined(&voxels.patches, labels, count);
+    let patches = Patch::merge_by_label(&voxels.patches, labels, count);
     let roughness = mean_per_label(labels, &voxels.curvatures, count);
     let mut neighbours = vec![Vec::new(); count];
     for &(a, b) in adjacent {

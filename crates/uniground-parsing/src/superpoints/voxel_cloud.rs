@@ -2,7 +2,7 @@
 
 use super::Patch;
 use rayon::prelude::*;
-use uniground_geometry::colour::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
@@ -38,7 +38,7 @@ impl ScatterMoments {
     }
 
     /// Moments of both sets together (Chan's pairwise update): no cancellation far from the origin.
-    fn joined(self, other: &Self) -> Self {
+    fn merge(self, other: &Self) -> Self {
         let count = self.count + other.count;
         if count == 0.0 {
             return self;
@@ -65,8 +65,10 @@ impl VoxelCloud {
         let surfaces: Vec<VoxelSurface> = (0..grid.len())
             .into_par_iter()
             .map(|v| {
-                let around = neighbours.of(v as u32);
-                surface(&around.iter().fold(moments[v], |sum, &n| sum.joined(&moments[n as usize])))
+                let around = neighbours.neighbors_of(v as u32);
+                estimate_surface(
+                    &around.iter().fold(moments[v], |sum, &n| sum.merge(&moments[n as usize])),
+                )
             })
             .collect();
         let curvatures = surfaces.iter().map(|s| s.curvature).collect();
@@ -90,12 +92,12 @@ impl VoxelCloud {
     }
 
     pub fn neighbours(&self, voxel: u32) -> &[u32] {
-        self.neighbours.of(voxel)
+        self.neighbours.neighbors_of(voxel)
     }
 
     /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is
     /// one piece.
-    pub fn connected(&self, labels: &[u32]) -> Vec<u32> {
+    pub fn connected_labels(&self, labels: &[u32]) -> Vec<u32> {
         const NONE: u32 = u32::MAX;
         let mut pieces = vec![NONE; self.len()];
         let mut count = 0;
@@ -167,10 +169,9 @@ impl VoxelCloud {
                 break;
             }
             let before = voxels.len();
-            voxels.extend(
-                ring.iter()
-                    .filter_map(|&step| self.grid.get(self.grid.keys[v as usize].stepped(step))),
-            );
+            voxels.extend(ring.iter().filter_map(|&step| {
+                self.grid.get(self.grid.keys[v as usize].offset_by_step(step))
+            }));
             found += voxels.len() - before;
         }
         voxels
@@ -205,7 +206,7 @@ fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<ScatterMoments>, Vec
                 continue;
             };
             m.add(&cloud.positions[i]);
-            labs[v as usize - first] += lab_of_srgb(cloud.colours[i]);
+            labs[v as usize - first] += srgb_to_lab(cloud.colors[i]);
         }
         for (lab, m) in labs.iter_mut().zip(moments) {
             *lab /= m.count;
@@ -221,7 +222,7 @@ struct VoxelSurface {
     roughness_m: f32,
 }
 
-fn surface(moments: &ScatterMoments) -> VoxelSurface {
+fn estimate_surface(moments: &ScatterMoments) -> VoxelSurface {
     let covariance = moments.scatter / moments.count.max(1.0);
     let total = covariance.trace();
     if total <= f32::EPSILON * f32::EPSILON {

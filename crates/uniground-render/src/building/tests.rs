@@ -1,5 +1,5 @@
 use crate::render_scene::Cutaway;
-use crate::{BoxStyle, GlobalView, LabelledBox, Orbit, RenderScene, Subjects};
+use crate::{BoxStyle, GlobalView, LabeledBox, Orbit, RenderScene, Subjects};
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Instance, InstanceId, PointCloud, Structure, Support};
 use uniground_geometry::{Point3, Vector3};
@@ -34,7 +34,7 @@ impl Scene {
     fn sheet(
         &mut self,
         sides: [f32; 2],
-        colour: [u8; 3],
+        color: [u8; 3],
         structure: Option<Structure>,
         at: impl Fn(f32, f32) -> Point3<f32>,
     ) {
@@ -48,7 +48,7 @@ impl Scene {
                 self.cloud
                     .positions
                     .push(at(i as f32 / steps[0] as f32, j as f32 / steps[1] as f32) + shake);
-                self.cloud.colours.push(colour);
+                self.cloud.colors.push(color);
             }
         }
         let aabb = Aabb::around(&self.cloud.positions[first..]).unwrap();
@@ -66,13 +66,13 @@ impl Scene {
     }
 
     /// Adds the outside of a cube on the floor.
-    fn cube(&mut self, center: [f32; 2], side: f32, colour: [u8; 3]) {
+    fn cube(&mut self, center: [f32; 2], side: f32, color: [u8; 3]) {
         let low = Point3::new(center[0] - side / 2.0, center[1] - side / 2.0, 0.0);
         let first = self.cloud.len();
         for axis in 0..3 {
             for end in [0.0, 1.0] {
                 let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
-                self.sheet([side; 2], colour, None, |u, v| {
+                self.sheet([side; 2], color, None, |u, v| {
                     low + side * (Vector3::ith(axis, end) + Vector3::ith(a, u) + Vector3::ith(b, v))
                 });
                 self.instances.pop();
@@ -90,9 +90,9 @@ impl Scene {
         scene.sheet([6.0, 4.0], FLOOR, Some(Structure::Floor), |u, v| {
             Point3::new(6.0 * u - 3.0, 4.0 * v - 2.0, 0.0)
         });
-        for (colour, side) in WALLS {
+        for (color, side) in WALLS {
             let length = if side.x == 0.0 { 6.0 } else { 4.0 };
-            scene.sheet([length, 2.4], colour, Some(Structure::Wall), |u, v| {
+            scene.sheet([length, 2.4], color, Some(Structure::Wall), |u, v| {
                 let (across, along) =
                     (u * length - length / 2.0, Vector3::new(side.y, side.x, 0.0).abs());
                 let at = Vector3::new(side.x * 3.0, side.y * 2.0, 0.0) + along * across;
@@ -103,8 +103,8 @@ impl Scene {
             let x = 6.0 * covered * u - 3.0;
             Point3::new(x, 4.0 * v - 2.0, top(x))
         });
-        for (colour, x) in INNER.into_iter().zip([-0.05, 0.05]) {
-            scene.sheet([3.0, 2.4], colour, Some(Structure::Wall), |u, v| {
+        for (color, x) in INNER.into_iter().zip([-0.05, 0.05]) {
+            scene.sheet([3.0, 2.4], color, Some(Structure::Wall), |u, v| {
                 Point3::new(x, 3.0 * u - 2.0, v * top(x))
             });
         }
@@ -115,14 +115,14 @@ impl Scene {
 
     fn rendered(&self) -> (RenderScene, Aabb) {
         (
-            RenderScene::of_parsed(self.cloud.clone(), &self.instances),
+            RenderScene::with_building(self.cloud.clone(), &self.instances),
             Aabb::around(&self.cloud.positions).unwrap(),
         )
     }
 
-    fn box_of(&self, colour: [u8; 3]) -> Aabb {
-        let points = self.cloud.positions.iter().zip(&self.cloud.colours);
-        Aabb::around(points.filter(|(_, c)| **c == colour).map(|(p, _)| p)).unwrap()
+    fn box_of(&self, color: [u8; 3]) -> Aabb {
+        let points = self.cloud.positions.iter().zip(&self.cloud.colors);
+        Aabb::around(points.filter(|(_, c)| **c == color).map(|(p, _)| p)).unwrap()
     }
 }
 
@@ -133,8 +133,8 @@ fn counted(
     cutaway: Cutaway,
     subjects: &[Aabb],
 ) -> impl Fn([u8; 3]) -> usize + use<> {
-    let drawn = scene.0.drawn(&orbit.camera(&scene.1), cutaway, subjects);
-    move |colour| drawn.picture.pixels().filter(|p| p.0[3] > 0 && p.0[..3] == colour).count()
+    let drawn = scene.0.draw_from_outside(&orbit.camera(&scene.1), cutaway, subjects);
+    move |color| drawn.picture.pixels().filter(|p| p.0[3] > 0 && p.0[..3] == color).count()
 }
 
 fn orbit(azimuth_deg: f32, tilt_deg: f32) -> Orbit {
@@ -161,17 +161,15 @@ fn one_looks_in(scene: &Scene) {
             // From steeply above, the eye may be over the room: then no wall in its way has its
             // back to it.
             let eye = orbit(azimuth_deg, tilt_deg).camera(&rendered.1).center();
-            for (colour, side) in WALLS {
+            for (color, side) in WALLS {
                 let outside_m =
                     eye.coords.dot(&side) - Vector3::new(3.0, 2.0, 0.0).dot(&side.abs());
                 match outside_m {
-                    outside if outside > 0.2 => assert!(
-                        pixels(colour) < SLIVER_PX,
-                        "{from}: {} of {colour:?}",
-                        pixels(colour)
-                    ),
+                    outside if outside > 0.2 => {
+                        assert!(pixels(color) < SLIVER_PX, "{from}: {} of {color:?}", pixels(color))
+                    }
                     outside if outside < -2.0 => {
-                        assert!(pixels(colour) > 500, "{from}: {} of {colour:?}", pixels(colour));
+                        assert!(pixels(color) > 500, "{from}: {} of {color:?}", pixels(color));
                     }
                     // Walls seen edge on may be either.
                     _ => {}
@@ -251,11 +249,11 @@ fn what_hangs_on_a_wall_goes_with_it_unless_it_is_meant() {
 fn the_paper_s_filter_is_at_hand() {
     let scene = Scene::room(|x| 2.6 + 0.3 * x, 1.0);
     let (known, extent) = scene.rendered();
-    let unknown = RenderScene::of(scene.cloud.clone());
+    let unknown = RenderScene::new(scene.cloud.clone());
     let camera = orbit(-90.0, 35.0).camera(&extent);
-    let paper = known.drawn(&camera, Cutaway::HighestPoints, &[]).picture;
-    assert_eq!(paper, unknown.drawn(&camera, Cutaway::HighestPoints, &[]).picture);
-    assert_eq!(paper, unknown.drawn(&camera, Cutaway::Building, &[]).picture);
+    let paper = known.draw_from_outside(&camera, Cutaway::HighestPoints, &[]).picture;
+    assert_eq!(paper, unknown.draw_from_outside(&camera, Cutaway::HighestPoints, &[]).picture);
+    assert_eq!(paper, unknown.draw_from_outside(&camera, Cutaway::Building, &[]).picture);
     assert!(
         paper.pixels().filter(|p| p.0[..3] == CEILING).count() > 10_000,
         "a sloped ceiling hides the room from it"
@@ -267,13 +265,13 @@ fn the_global_render_shows_the_room_under_its_ceiling() {
     let scene = Scene::room(|_| 2.5, 1.0);
     let (rendered, extent) = scene.rendered();
     let label =
-        |aabb, label: &str| LabelledBox { aabb, label: label.into(), style: BoxStyle::Candidate };
+        |aabb, label: &str| LabeledBox { aabb, label: label.into(), style: BoxStyle::Candidate };
     let boxes = vec![label(scene.box_of(RED), "1"), label(scene.box_of(GREEN), "2")];
     let subjects = Subjects { boxes, words: Vec::new(), target: Point3::new(0.0, 0.0, 0.25) };
     let view = GlobalView { shading: 0.0, ..GlobalView::default() };
     let seen = |cutaway| {
         let picture = GlobalView { cutaway, ..view.clone() }.draw(&rendered, &extent, &subjects);
-        [RED, GREEN, CEILING].map(|colour| picture.pixels().filter(|p| p.0 == colour).count())
+        [RED, GREEN, CEILING].map(|color| picture.pixels().filter(|p| p.0 == color).count())
     };
     let [red, green, ceiling] = seen(Cutaway::Building);
     assert!(red > 3000 && green > 3000 && ceiling == 0, "{red} {green} {ceiling}");

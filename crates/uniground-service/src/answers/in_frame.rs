@@ -30,13 +30,13 @@ impl CoordinateFrameView {
             FrameChoice::Source => {
                 let source = source_to_scene
                     .ok_or_else(|| Error::NoSourceFrame { scene_id: scene.id.clone() })?;
-                (None, SceneToFrame::to_source(&source))
+                (None, SceneToFrame::scene_to_source(&source))
             }
             FrameChoice::Map => {
                 let map = scene
                     .scene_to_map
                     .ok_or_else(|| Error::NoMap { scene_id: scene.id.clone() })?;
-                (scene.map_frame_id.clone(), SceneToFrame::to_map(&map))
+                (scene.map_frame_id.clone(), SceneToFrame::scene_to_map(&map))
             }
         };
         Ok(Some(Self { choice, id, from_scene }))
@@ -46,7 +46,7 @@ impl CoordinateFrameView {
     pub fn with_targets(self, targets: &[Target]) -> InFrame {
         let boxes = targets
             .iter()
-            .map(|target| self.from_scene.place(target.id, &target.oriented_box))
+            .map(|target| self.from_scene.transform_box(target.id, &target.oriented_box))
             .collect();
         InFrame {
             frame: self.choice,
@@ -59,7 +59,8 @@ impl CoordinateFrameView {
 
     /// Returns these standing poses in this frame.
     pub fn with_poses(self, poses: &[StandingPose]) -> PosesInFrame {
-        let poses = poses.iter().map(|pose| PlacedPose::of(pose, &self.from_scene)).collect();
+        let poses =
+            poses.iter().map(|pose| PlacedPose::from_pose(pose, &self.from_scene)).collect();
         PosesInFrame {
             frame: self.choice,
             frame_id: self.id,

@@ -44,7 +44,7 @@ impl GroundingService {
         for scene in request.scenes.iter_mut().flatten() {
             *scene = self.scene_lookup.resolve(mem::take(scene)).await?;
         }
-        let (start, question) = (Instant::now(), request.of_one());
+        let (start, question) = (Instant::now(), request.to_ground_request());
         // Fails early for a question that insists on a model that cannot be had.
         QuestionModels::decide(self.vlm.as_ref(), &question, &caller, Vec::new())?;
         let (rows, narrowed) = self.select_scenes(&request).await?;

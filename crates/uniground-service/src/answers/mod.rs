@@ -29,7 +29,7 @@ use uniground_geometry::scene::InstanceId;
 use uniground_grounding::pipeline::{self, Answered, Shortlist};
 use uniground_grounding::reasoner::builtin;
 use uniground_grounding::{Grounding, ShortlistScoring, Status};
-use uniground_models::chat::{Budget, CallRecord, usage_of};
+use uniground_models::chat::{Budget, CallRecord, total_usage};
 use uniground_storage::{AnswerRepository, Blobs, IdGenerator, NewAnswer, SceneRepository};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace};
@@ -162,7 +162,9 @@ impl GroundingService {
             CoordinateFrameView::resolve(request.frame, &scene, source.parse.source_to_scene)?;
         let request = match &frame {
             Some(frame) => GroundRequest {
-                observer: request.observer.map(|observer| frame.from_scene.observer(&observer)),
+                observer: request
+                    .observer
+                    .map(|observer| frame.from_scene.observer_to_scene(&observer)),
                 ..request
             },
             None => request,
@@ -386,7 +388,7 @@ impl GroundingService {
             frame: CoordinateFrame::default(),
             in_frame: None,
             trace: Some(Trace { calls: calls.iter().map(to_call).collect(), corrections }),
-            usage: usage_of(&calls),
+            usage: total_usage(&calls),
             timings_ms,
         }
     }

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use uniground_geometry::scene::InstanceId;
 use uniground_grounding::pipeline::SceneSource;
-use uniground_render::{BoxStyle, LabelledBox, ROOM_VIEW, jpeg, scene_picture};
+use uniground_render::{BoxStyle, LabeledBox, ROOM_VIEW, draw_scene, encode_jpeg};
 
 /// The name of the picture that every answer has.
 pub(super) const GLOBAL: &str = "global";
@@ -121,13 +121,13 @@ impl StoredScene {
         let last: BTreeMap<InstanceId, usize> =
             marks.iter().enumerate().map(|(at, (id, _))| (*id, at)).collect();
         let lasting = marks.into_iter().enumerate().filter(|(at, (id, _))| last[id] == *at);
-        let labelled = |(_, (id, style)): (usize, (InstanceId, BoxStyle))| {
+        let labeled = |(_, (id, style)): (usize, (InstanceId, BoxStyle))| {
             let instance = instances.get((id.0 as usize).wrapping_sub(1))?;
             let name = names.get(&id.0).cloned().unwrap_or_else(|| instance.label().to_owned());
-            Some(LabelledBox { aabb: instance.aabb, label: format!("{id} {name}"), style })
+            Some(LabeledBox { aabb: instance.aabb, label: format!("{id} {name}"), style })
         };
-        let boxes: Vec<LabelledBox> = lasting.filter_map(labelled).collect();
+        let boxes: Vec<LabeledBox> = lasting.filter_map(labeled).collect();
         let render_scene = self.render_scene()?;
-        Ok(jpeg(&scene_picture(&render_scene, &self.extent(), &ROOM_VIEW, &boxes)))
+        Ok(encode_jpeg(&draw_scene(&render_scene, &self.extent(), &ROOM_VIEW, &boxes)))
     }
 }

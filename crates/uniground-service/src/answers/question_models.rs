@@ -42,7 +42,7 @@ impl QuestionModels {
         let is_spending_forbidden = is_spending_forbidden(vlm, request, caller);
         if let Some(vlm) = vlm.filter(|_| {
             wants_model(request) && !is_spending_forbidden && request.max_cost_usd.is_some()
-        }) && !vlm.prices().are_known()
+        }) && !vlm.prices().has_prices()
         {
             return Err(Error::invalid(
                 "/max_cost_usd",
@@ -67,12 +67,13 @@ impl QuestionModels {
         let reader = vlm
             .filter(|_| !is_spending_forbidden)
             .map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.clone() });
-        let parser: Arc<dyn QueryParser> = match (request.parser.beside(request.reasoner), reader) {
-            (ParserChoice::Vlm, _) if vlm.is_none() => return Err(Error::VlmNotConfigured),
-            (ParserChoice::Vlm, Some(reader)) => Arc::new(reader),
-            (ParserChoice::Auto, Some(reader)) => Arc::new(AutoParser(reader)),
-            (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
-        };
+        let parser: Arc<dyn QueryParser> =
+            match (request.parser.resolve_for(request.reasoner), reader) {
+                (ParserChoice::Vlm, _) if vlm.is_none() => return Err(Error::VlmNotConfigured),
+                (ParserChoice::Vlm, Some(reader)) => Arc::new(reader),
+                (ParserChoice::Auto, Some(reader)) => Arc::new(AutoParser(reader)),
+                (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
+            };
         let reviewer = reviewer.map(|vlm| {
             let options = Options {
                 ablation: request.ablation,
@@ -107,7 +108,7 @@ impl QuestionModels {
     pub fn into_ask(self, request: &GroundRequest) -> Ask {
         let question = Question {
             query: request.query.clone(),
-            top_k: request.evidence.candidates(request.top_k) as usize,
+            top_k: request.evidence.candidate_limit(request.top_k) as usize,
             convention: request.direction_convention,
             observer: request.observer,
             target_name: None,
@@ -135,5 +136,5 @@ pub(super) fn wants_model(request: &GroundRequest) -> bool {
 fn is_spending_forbidden(vlm: Option<&Arc<Vlm>>, request: &GroundRequest, caller: &Caller) -> bool {
     let has_budget = caller.key.as_ref().is_some_and(|key| key.row.daily_usd.is_some());
     request.max_cost_usd == Some(0.0)
-        || (has_budget && vlm.is_some_and(|vlm| !vlm.prices().are_known()))
+        || (has_budget && vlm.is_some_and(|vlm| !vlm.prices().has_prices()))
 }

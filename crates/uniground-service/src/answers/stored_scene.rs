@@ -116,17 +116,17 @@ impl SceneSource for StoredScene {
             }
         };
         let cloud = uniground_ingest::read_cloud(&file).map_err(damaged)?;
-        let render_scene = Arc::new(RenderScene::of_parsed(cloud, &self.parse.instances));
+        let render_scene = Arc::new(RenderScene::with_building(cloud, &self.parse.instances));
         known.put(self.parse.id.clone(), render_scene.clone(), render_scene.cloud.len());
         Ok(render_scene)
     }
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
-        if instance.came_later() {
+        if instance.is_added_after_parse() {
             let shots = instance
                 .views
                 .iter()
-                .filter_map(|view| Some(Shot::of_view(self.photograph(view.frame)?, view)));
+                .filter_map(|view| Some(Shot::from_view(self.photograph(view.frame)?, view)));
             return shots.take(most).collect();
         }
         let folder = self.folder();
@@ -184,7 +184,7 @@ impl SceneSource for StoredScene {
             segmenter: segmenter.map(|s| &**s),
             settings: &settings,
         };
-        match pointing.find(place, &self.parse.instances, is_not) {
+        match pointing.find_at(place, &self.parse.instances, is_not) {
             Ok(found) => Ok(found),
             // An answer does not need the scan's own pictures.
             Err(ParseError::Frame(error)) => {
@@ -256,7 +256,7 @@ fn read_shot(
             .ok()
     };
     if of.mask.is_some() {
-        return Some(Shot::of_view(read(photograph(parse, of.frame))?, of));
+        return Some(Shot::from_view(read(photograph(parse, of.frame))?, of));
     }
     let drawn = |picture| read(view(parse, id, at, picture));
     Some(Shot::new(drawn(Picture::Crop)?, drawn(Picture::Frame)?, of.box_px))

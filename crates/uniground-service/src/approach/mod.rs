@@ -195,7 +195,7 @@ fn builtin_question(query: &str) -> GroundRequest {
     GroundRequest {
         reasoner: ReasonerChoice::Builtin,
         allow_builtin: true,
-        ..GroundRequest::of(query)
+        ..GroundRequest::new(query)
     }
 }
 

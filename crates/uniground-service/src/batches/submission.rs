@@ -13,7 +13,7 @@ use tokio::task::yield_now;
 use uniground_jobs::JobRequest;
 use uniground_storage::{BatchRepository, NewBatch, NewItem, ReceivedBatch, SubmitOutcome};
 use uniground_types::batch::{Batch, BatchRequest};
-use uniground_types::numbers::zero_or_more;
+use uniground_types::numbers::check_zero_or_more;
 
 /// Metadata of a batch.
 #[derive(Debug, Clone, Default)]
@@ -60,7 +60,7 @@ impl Submission {
         if self.concurrency.is_some_and(|c| !(1..=MAX_CONCURRENCY).contains(&c)) {
             return Err(Error::invalid("/concurrency", format!("must be 1 to {MAX_CONCURRENCY}")));
         }
-        self.max_cost_usd.map_or(Ok(()), |usd| zero_or_more("/max_cost_usd", usd))?;
+        self.max_cost_usd.map_or(Ok(()), |usd| check_zero_or_more("/max_cost_usd", usd))?;
         if self.label.as_ref().is_some_and(|label| {
             label.chars().count() > MAX_LABEL_CHARS || label.chars().any(char::is_control)
         }) {

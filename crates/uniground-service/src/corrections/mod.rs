@@ -147,11 +147,16 @@ impl StoredScene {
     fn merge_instances(&self, members: &[InstanceId]) -> Result<Instance, Error> {
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         let (known, of_point) = (self.instances(), self.instance_of_point()?);
-        let owners = Owners::of(&of_point, known);
+        let owners = Owners::new(&of_point, known);
         let owner =
-            |point: usize| owners.of_point(of_point[point], &render_scene.cloud.positions[point]);
-        let merged =
-            instances::merged(&render_scene.cloud, owner, members, known, &settings.instances);
+            |point: usize| owners.owner_of(of_point[point], &render_scene.cloud.positions[point]);
+        let merged = instances::merge_points(
+            &render_scene.cloud,
+            owner,
+            members,
+            known,
+            &settings.instances,
+        );
         merged.ok_or(Error::NotAThing { id: members[0] })
     }
 }

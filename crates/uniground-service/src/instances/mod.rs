@@ -39,7 +39,7 @@ fn to_view(
         oriented_box,
         point_count,
         mean_rgb,
-        colours,
+        colors,
         planarity,
         structure,
         support,
@@ -52,10 +52,10 @@ fn to_view(
         dismissed,
         gone,
     } = instance;
-    let colours = colours
+    let colours = colors
         .dominant()
         .into_iter()
-        .map(|(name, share)| (name.word().to_owned(), share))
+        .map(|(name, share)| (name.as_str().to_owned(), share))
         .collect();
     InstanceView {
         id,
@@ -110,7 +110,7 @@ impl InstanceService {
         let listed = parse
             .instances
             .iter()
-            .filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed));
+            .filter(|i| i.id.0 > cursor && levels.includes(i.level, i.dismissed));
         let mut page = self.to_views(&parse, listed.take(limit as usize + 1)).await?;
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);

@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 use uniground_storage::{IdGenerator, KeyRepository, KeyRow, LockTable, Store, now, split_page};
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
-use uniground_types::numbers::zero_or_more;
+use uniground_types::numbers::check_zero_or_more;
 
 /// The length of the prefix by which a key is looked up: `ug_` and eight more characters.
 const PREFIX_CHARS: usize = 11;
@@ -437,7 +437,7 @@ fn check(new: &NewKey) -> Result<Option<String>, Error> {
             "must be at least 1; to refuse all of them, revoke the key",
         ));
     }
-    new.daily_usd.map_or(Ok(()), |usd| zero_or_more("/daily_usd", usd))?;
+    new.daily_usd.map_or(Ok(()), |usd| check_zero_or_more("/daily_usd", usd))?;
     let Some(at) = &new.expires_at else { return Ok(None) };
     let at: Timestamp = at
         .parse()

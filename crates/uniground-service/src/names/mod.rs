@@ -131,7 +131,7 @@ impl NamingService {
     /// Returns an error if a key has a budget but the model's prices are unknown, because nothing
     /// can be charged to that budget.
     fn check_paid(&self, caller: &Caller) -> Result<(), Error> {
-        let unknown = self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known());
+        let unknown = self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().has_prices());
         match caller.key.as_ref().and_then(|key| key.row.daily_usd).filter(|_| unknown) {
             Some(limit_usd) => Err(Error::OverBudget(OverBudget {
                 of: OF_KEY,

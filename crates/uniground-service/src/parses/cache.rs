@@ -99,7 +99,7 @@ impl ParseCache {
     }
 
     /// Returns the number of cache hits and of cache misses.
-    pub fn looks(&self) -> (u64, u64) {
-        self.loaded.looks()
+    pub fn hits_and_misses(&self) -> (u64, u64) {
+        self.loaded.hits_and_misses()
     }
 }

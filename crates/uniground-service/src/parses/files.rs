@@ -14,7 +14,7 @@ use uniground_geometry::scene::{
 use uniground_parsing::evidence::Picture;
 use uniground_parsing::scan::ParsedScan;
 use uniground_parsing::{ParseError, report_pictures};
-use uniground_render::{RenderScene, jpeg};
+use uniground_render::{RenderScene, encode_jpeg};
 use uniground_storage::{Blobs, Scratch};
 
 /// A file of a parse that callers can download.
@@ -88,8 +88,8 @@ pub fn read_photograph(
         Ok(_) => {
             let frames = read_frames(blobs, parse, content).ok()??;
             let frame = frames.into_iter().find(|of| of.index == frame)?;
-            let colour = blobs.pin_file(content, &frame.colour).map_err(|error| error.to_string());
-            colour.and_then(|_colour| frame.decode_colour().map_err(|error| error.to_string()))
+            let color = blobs.pin_file(content, &frame.color).map_err(|error| error.to_string());
+            color.and_then(|_color| frame.decode_color().map_err(|error| error.to_string()))
         }
         Err(error) => Err(error.to_string()),
     };
@@ -197,9 +197,11 @@ pub fn write(
     for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
         let file = photograph(parse, frame.index);
         // The pixel coordinates of views refer to pinhole pictures.
-        match frame.optics.colour_lens {
-            None => drop(fs::copy(&frame.colour, file)?),
-            Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
+        match frame.optics.color_lens {
+            None => drop(fs::copy(&frame.color, file)?),
+            Some(_) => {
+                fs::write(file, encode_jpeg(&frame.decode_color().map_err(ParseError::from)?))?
+            }
         }
     }
     Ok(())
@@ -229,7 +231,7 @@ fn write_rest(
     fs::write(
         ParseFile::Thumbnail.path_in(parse),
         report_pictures::thumbnail(
-            &RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances),
+            &RenderScene::with_building(parsed.cloud.clone(), &parsed.instances),
             &parsed.extent,
         ),
     )?;

@@ -21,14 +21,15 @@ use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
 use uniground_models::neural::Models;
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{
-    ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import,
+    ImportedScan, ParsedScan, STAGE_1_VERSION, import_share, load_stored_import,
+    parse_imported_scan, select_models,
 };
 use uniground_storage::{
     Blobs, ContinuedParse, CorrectionRepository, HealthProbe, IdGenerator, NewParse,
     ParseRepository, SceneRepository, SceneRow,
 };
 use uniground_telemetry::metrics::Metrics;
-use uniground_types::settings::{ParseSettings, with_names_of_today};
+use uniground_types::settings::{ParseSettings, rename_deprecated_settings};
 
 /// Parses scenes one at a time, because a parse uses every core it gets.
 pub struct ParseJob {
@@ -55,7 +56,7 @@ fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(
     deserializer: D,
 ) -> Result<ParseSettings, D::Error> {
     let mut settings = serde_json::Value::deserialize(deserializer)?;
-    with_names_of_today(&mut settings);
+    rename_deprecated_settings(&mut settings);
     serde_json::from_value(settings).map_err(serde::de::Error::custom)
 }
 
@@ -179,30 +180,30 @@ impl ParseRunner {
         let (blobs, pool, models, job_settings) =
             (self.blobs.clone(), self.parse_pool.clone(), self.models.clone(), settings.clone());
         let (service, entered, scan_folder, parsing) =
-            (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
+            (self.clone(), span.clone(), content.clone(), progress.sub_range(0.0, parsed_by));
         let work = move || {
             let _entered = entered.enter();
             let folder = blobs.open_checkpoints(&hash)?;
-            let checkpoints = Checkpoints::kept_in(&folder, &origin);
-            let imported = share_of_import(&chosen(job_settings.models, &models));
+            let checkpoints = Checkpoints::in_folder(&folder, &origin);
+            let imported = import_share(&select_models(job_settings.models, &models));
             let scan = if let Some(scan) =
-                stored_import(&scan_folder, &job_settings.import, &checkpoints)?
+                load_stored_import(&scan_folder, &job_settings.import, &checkpoints)?
             {
                 scan
             } else {
                 let (content, settings) = (scan_folder.to_path_buf(), job_settings.import.clone());
                 let task = Task::Import { content, settings, checkpoints: folder, origin };
-                service.import(&task, &checkpoints, &parsing.part(0.0, imported))?
+                service.import(&task, &checkpoints, &parsing.sub_range(0.0, imported))?
             };
             // Parallel work stays in the pool of parses, whose threads have a low priority.
             pool.install(|| {
-                service.capacity.check_memory(scan.memory_wanted())?;
-                Ok::<_, Error>(cut_scan(
+                service.capacity.check_memory(scan.estimate_memory())?;
+                Ok::<_, Error>(parse_imported_scan(
                     scan,
                     &job_settings,
                     &models,
                     &checkpoints,
-                    &parsing.part(imported, 1.0),
+                    &parsing.sub_range(imported, 1.0),
                 )?)
             })
         };
@@ -235,10 +236,14 @@ impl ParseRunner {
             let inherited = pool.install(|| {
                 let inherited = previous
                     .map(|previous| {
-                        previous.continue_in(&mut scan, &how, &progress.part(parsed_by, parsed_by))
+                        previous.continue_in(
+                            &mut scan,
+                            &how,
+                            &progress.sub_range(parsed_by, parsed_by),
+                        )
                     })
                     .transpose()?;
-                files::write(&scan, &content, &folder, &progress.part(parsed_by, 1.0))?;
+                files::write(&scan, &content, &folder, &progress.sub_range(parsed_by, 1.0))?;
                 Ok::<_, Error>(inherited)
             })?;
             blobs.publish(folder, &place)?;
@@ -305,7 +310,7 @@ impl ParseRunner {
                 "the reader of scans answered another question",
             )));
         };
-        let scan = stored_import(content, settings, checkpoints)?;
+        let scan = load_stored_import(content, settings, checkpoints)?;
         // Most likely the disk is full: checkpoints are not written then.
         let scan = scan
             .ok_or_else(|| Error::Io(io::Error::other("the scan's import could not be stored")))?;

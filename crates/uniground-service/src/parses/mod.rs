@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use uniground_jobs::{Job, JobRequest, Jobs};
 use uniground_models::neural::Models;
-use uniground_parsing::scan::{STAGE_1_VERSION, names_of};
+use uniground_parsing::scan::{STAGE_1_VERSION, model_names};
 use uniground_storage::{Blobs, JobRepository, PinnedPath, SceneRepository};
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
@@ -55,7 +55,7 @@ impl ParseService {
     /// Returns the models of a parse that starts now, unless it requests others.
     #[must_use]
     pub fn parse_models(&self) -> ParseModels {
-        names_of(&self.models)
+        model_names(&self.models)
     }
 
     /// Parses a scene in the background. A stored parse of the same content and settings is used at

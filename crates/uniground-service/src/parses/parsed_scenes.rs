@@ -15,7 +15,7 @@ use uniground_grounding::vlm::naming;
 use uniground_grounding::{NameIndex, PictureCache};
 use uniground_jobs::{JobRequest, Jobs};
 use uniground_models::neural::Models;
-use uniground_parsing::scan::{chosen, names_of};
+use uniground_parsing::scan::{model_names, select_models};
 use uniground_storage::{
     Blobs, CheckDepth, CorrectionRepository, DamagedFile, NameRepository, ParseRecord,
     ParseRepository, PinnedPath, SceneRepository,
@@ -57,7 +57,8 @@ impl ParsedScenes {
         content_hash: &str,
         settings: &ParseSettings,
     ) -> Result<Option<String>, Error> {
-        let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
+        let hash =
+            settings_hash(settings, &model_names(&select_models(settings.models, &self.models)))?;
         let Some(parse) = self.parse_repository.find_parse(content_hash, &hash).await? else {
             return Ok(None);
         };
@@ -197,13 +198,13 @@ impl ParsedScenes {
             // Instances that were found later have no embedding. Merged instances get the joint
             // embedding of their members.
             let embeddings = files::read_embeddings(&blobs, &folder)?.map(|seen| {
-                let seen = seen.padded_to(instances.len());
+                let seen = seen.pad_to(instances.len());
                 let merged = instances
                     .iter()
                     .enumerate()
                     .filter(|(_, instance)| !instance.merged_from.is_empty());
                 merged.fold(seen, |seen, (at, merged)| {
-                    seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at)
+                    seen.with_mean_row(merged.merged_from.iter().map(|id| id.0 as usize - 1), at)
                 })
             });
             let around = || {

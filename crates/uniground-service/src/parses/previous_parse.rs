@@ -12,7 +12,9 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point,
 };
-use uniground_parsing::changes::{Counterparts, RoomState, carried, compare, continued, pairs};
+use uniground_parsing::changes::{
+    Counterparts, RoomState, carry_over_corrections, compare, continue_ids, match_things,
+};
 use uniground_parsing::scan::ParsedScan;
 use uniground_storage::{Blobs, PinnedPath};
 use uniground_types::changes::Changes;
@@ -78,18 +80,19 @@ impl PreviousParse {
                 "files of the previous parse could not be read; matching instances by their boxes"
             );
             let same = identical_instances(&self.found, &scan.scene.instances);
-            scan.scene = continued(&self.found, scan.scene.clone(), &same);
-            let corrections = carried(&self.corrections, &mut scan.scene, settings);
+            scan.scene = continue_ids(&self.found, scan.scene.clone(), &same);
+            let corrections = carry_over_corrections(&self.corrections, &mut scan.scene, settings);
             return Ok(InheritedState {
                 parse_id: self.parse_id,
                 changes: Changes::default(),
                 corrections,
             });
         };
-        let counterparts = Counterparts::same_points(&cloud.positions, &scan.scene.cloud.positions);
-        let same = pairs(&of_point, &scan.scene.instance_of_point, &counterparts);
-        scan.scene = continued(&self.found, scan.scene.clone(), &same);
-        let corrections = carried(&self.corrections, &mut scan.scene, settings);
+        let counterparts =
+            Counterparts::match_identical(&cloud.positions, &scan.scene.cloud.positions);
+        let same = match_things(&of_point, &scan.scene.instance_of_point, &counterparts);
+        scan.scene = continue_ids(&self.found, scan.scene.clone(), &same);
+        let corrections = carry_over_corrections(&self.corrections, &mut scan.scene, settings);
         let mut now = scan.scene.instances.clone();
         correct(&mut now, &corrections);
         let frames_before =
@@ -148,10 +151,10 @@ fn point_owners(
     of_point: &[InstanceId],
     cloud: &PointCloud,
 ) -> Vec<InstanceId> {
-    let owners = Owners::of(of_point, instances);
+    let owners = Owners::new(of_point, instances);
     of_point
         .iter()
         .zip(&cloud.positions)
-        .map(|(found, position)| owners.of_point(*found, position))
+        .map(|(found, position)| owners.owner_of(*found, position))
         .collect()
 }

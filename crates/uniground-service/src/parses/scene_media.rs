@@ -138,7 +138,7 @@ impl MediaService {
         }
         // Pictures of merged instances are not cached: a merge may be undone, and its id may be
         // given to another instance.
-        let stays = !instance.came_later();
+        let stays = !instance.is_added_after_parse();
         if let Some(drawn) = self.parse_cache.drawn.get(file.as_str()).filter(|_| stays) {
             return Ok(Some(EvidenceFile::Drawn(drawn)));
         }
@@ -157,7 +157,7 @@ impl MediaService {
             };
             let photograph = read_photograph(&service.blobs, &folder, &parse.content, seen.frame);
             Ok(photograph
-                .map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
+                .map(|photograph| Bytes::from(evidence::draw_picture(&photograph, &seen, picture))))
         });
         let Some(drawn) = drawn.await? else { return Ok(None) };
         if stays {
@@ -179,7 +179,7 @@ impl MediaService {
         let blobs = self.blobs.clone();
         let frames = spawn_blocking(move || read_frames(&blobs, &folder, &content)).await??;
         let view = |frame: FrameRef| {
-            let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
+            let Intrinsics { width, height, fx, fy, cx, cy } = frame.color_intrinsics;
             let pose = frame.camera_to_world.to_homogeneous();
             let camera_to_world =
                 std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
@@ -212,15 +212,15 @@ impl MediaService {
                 .into_iter()
                 .find(|frame| frame.index.0 == index)
                 .ok_or(Error::FrameNotFound { index })?;
-            let colour = blobs.pin_file(&content, &frame.colour)?;
-            Ok::<_, Error>((frame, colour))
+            let color = blobs.pin_file(&content, &frame.color)?;
+            Ok::<_, Error>((frame, color))
         });
-        let (frame, colour) = found.await??;
+        let (frame, color) = found.await??;
         if !with_instances {
-            return Ok(EvidenceFile::Stored(colour));
+            return Ok(EvidenceFile::Stored(color));
         }
         let drawn = self.draw(scene, move |_, scene| {
-            let _colour = colour;
+            let _color = color;
             scene.photograph_with_instances(&frame)
         });
         drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
@@ -251,9 +251,9 @@ impl StoredScene {
 
     fn photograph_with_instances(&self, frame: &FrameRef) -> Result<Vec<u8>, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
-        let owners = Owners::of(&of_point, self.instances());
+        let owners = Owners::new(&of_point, self.instances());
         let shown_as = |point: usize| match of_point.get(point) {
-            Some(found) => owners.of_point(*found, &render_scene.cloud.positions[point]),
+            Some(found) => owners.owner_of(*found, &render_scene.cloud.positions[point]),
             None => InstanceId::default(),
         };
         let drawn = report_pictures::photograph_with_instances(

@@ -15,7 +15,7 @@ use uniground_geometry::{Isometry3, Vector3};
 use uniground_grounding::pipeline::SceneSource;
 use uniground_parsing::ParseError;
 use uniground_parsing::changes::{
-    Alignment, Counterparts, RoomState, SAME_PLACE_M, align, compare, pairs,
+    Alignment, Counterparts, RoomState, SAME_PLACE_M, align, compare, match_things,
 };
 use uniground_render::RenderScene;
 use uniground_storage::{PinnedPath, SceneRepository, SceneRow};
@@ -67,7 +67,7 @@ impl ChangeService {
             return Err(Error::VersionsApart { since, renumbered: next });
         }
         for (_, later) in known {
-            changes = changes.then(later);
+            changes = changes.followed_by(later);
         }
         Ok(SceneChanges {
             from: SceneVersion { scene_id: scene_id.to_owned(), version: since },
@@ -155,7 +155,8 @@ fn transform_between_maps(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
     if from.map_frame_id != to.map_frame_id {
         return Isometry3::identity();
     }
-    let (out, back) = (SceneToFrame::to_map(from_place), SceneToFrame::to_map(to_place));
+    let (out, back) =
+        (SceneToFrame::scene_to_map(from_place), SceneToFrame::scene_to_map(to_place));
     let through = |p: [f64; 3]| Vector3::from(back.invert(out.apply(p)));
     let origin = through([0.0; 3]);
     let axes = [
@@ -186,10 +187,15 @@ fn compare_scenes(
     }
     let (positions_before, positions_after) =
         (&before.scene.cloud.positions, &after.scene.cloud.positions);
-    let counterparts =
-        Counterparts::nearest(positions_before, positions_after, &place, SAME_PLACE_M, progress);
+    let counterparts = Counterparts::match_nearest(
+        positions_before,
+        positions_after,
+        &place,
+        SAME_PLACE_M,
+        progress,
+    );
     let counterparts = counterparts.map_err(ParseError::from)?;
-    let same = pairs(&before.owner_of_point, &after.owner_of_point, &counterparts);
+    let same = match_things(&before.owner_of_point, &after.owner_of_point, &counterparts);
     let changes = compare(
         &before.as_room_state(from),
         &after.as_room_state(to),
@@ -221,11 +227,11 @@ struct ComparedParse {
 impl ComparedParse {
     fn from_scene(scene: &StoredScene) -> Result<Self, Error> {
         let (render_scene, of_point) = (scene.render_scene()?, scene.instance_of_point()?);
-        let owners = Owners::of(&of_point, scene.instances());
+        let owners = Owners::new(&of_point, scene.instances());
         let owned = of_point
             .iter()
             .zip(&render_scene.cloud.positions)
-            .map(|(found, p)| owners.of_point(*found, p));
+            .map(|(found, p)| owners.owner_of(*found, p));
         let owner_of_point = owned.collect();
         let blobs = scene.blobs();
         let scan = blobs.pin_folder(&scene.parse.content)?;

@@ -242,7 +242,7 @@ mod tests {
     #[test]
     fn frames_in_map_coordinates_are_transformed_to_the_scene() {
         let s = std::f64::consts::FRAC_1_SQRT_2;
-        let map = SceneToFrame::to_map(&SceneToMap {
+        let map = SceneToFrame::scene_to_map(&SceneToMap {
             rotation: [0.0, 0.0, s, s],
             translation_m: [100.0, -40.0, 0.5],
         });

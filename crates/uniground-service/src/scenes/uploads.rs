@@ -17,7 +17,7 @@ use tempfile::NamedTempFile;
 use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use uniground_ingest::archive::UnpackLimits;
-use uniground_ingest::{ArchiveFormat, what_it_is};
+use uniground_ingest::{ArchiveFormat, describe_content};
 use uniground_isolation::{ScanReader, Task, TaskOutcome};
 use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
@@ -104,7 +104,7 @@ impl ArchiveReceiver {
 
 /// Detects the archive's format from its first bytes and file name.
 pub fn detect_format(head: &[u8], file_name: &str) -> Result<ArchiveFormat, Error> {
-    ArchiveFormat::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
+    ArchiveFormat::from_head(head, file_name).ok_or(Error::NoScan { what: describe_content(head) })
 }
 
 impl ReceivedArchive {

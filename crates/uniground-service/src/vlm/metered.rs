@@ -104,10 +104,10 @@ impl MeteredModel {
     async fn ask_paid(&self, request: &ChatRequest) -> Result<ChatReply, ChatFailure> {
         let prices = self.model.prices();
         let key_daily_usd = self.key.as_ref().and_then(|key| key.row.daily_usd);
-        if !prices.are_known() && self.daily_usd.is_none() && key_daily_usd.is_none() {
+        if !prices.has_prices() && self.daily_usd.is_none() && key_daily_usd.is_none() {
             return self.model.ask(request).await;
         }
-        let thought_usd = prices.thought_usd(request);
+        let thought_usd = prices.estimated_usd(request);
         // A caller that leaves before the call is made pays nothing, even if the money is already
         // reserved. A caller that leaves while the model computes pays for the call.
         let mut call =
@@ -134,7 +134,7 @@ impl MeteredModel {
         }
         call.open = call.open.take().map(|(id, _)| (id, thought_usd));
         let outcome = self.model.ask(request).await;
-        call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
+        call.open = call.open.take().map(|(id, _)| (id, prices.billed_usd(request, &outcome)));
         call.settle_reservation().await;
         outcome
     }
@@ -191,7 +191,7 @@ impl ChatModel for MeteredModel {
             let mut counted = CallCounter {
                 metered: self,
                 start: Instant::now(),
-                thought_usd: Some(self.prices().thought_usd(request)),
+                thought_usd: Some(self.prices().estimated_usd(request)),
             };
             let answered = self.ask_paid(request).instrument(span.clone()).await;
             counted.thought_usd = None;
@@ -202,9 +202,9 @@ impl ChatModel for MeteredModel {
             let (attempts, usd) = match &answered {
                 Ok(reply) => {
                     self.metrics.vlm.record_tokens(reply.prompt_tokens, reply.completion_tokens);
-                    (reply.attempts, self.prices().paid_usd(request, &answered))
+                    (reply.attempts, self.prices().billed_usd(request, &answered))
                 }
-                Err(failure) => (failure.attempts, self.prices().paid_usd(request, &answered)),
+                Err(failure) => (failure.attempts, self.prices().billed_usd(request, &answered)),
             };
             let outcome = outcome_name(&answered);
             span.record("outcome", outcome).record("attempts", attempts);

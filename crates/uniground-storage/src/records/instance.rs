@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use uniground_geometry::boxes::{Aabb, OrientedBox};
-use uniground_geometry::colour::ColourHistogram;
+use uniground_geometry::color::ColorHistogram;
 use uniground_geometry::scene::{Instance, InstanceId, Level, NameGuess, Structure, Support, View};
 
 /// One object candidate. Lengths in meters, world frame (Z up). Only the id and the box are
@@ -23,8 +23,8 @@ pub struct InstanceRecord {
     point_count: u32,
     #[serde(default)]
     mean_rgb: [u8; 3],
-    #[serde(default)]
-    colours: ColourHistogram,
+    #[serde(default, rename = "colours")]
+    colors: ColorHistogram,
     #[serde(default)]
     planarity: f32,
     #[serde(default)]
@@ -59,7 +59,7 @@ impl From<&Instance> for InstanceRecord {
             oriented_box,
             point_count,
             mean_rgb,
-            colours,
+            colors,
             planarity,
             structure,
             support,
@@ -81,7 +81,7 @@ impl From<&Instance> for InstanceRecord {
             oriented_box: Some(oriented_box),
             point_count,
             mean_rgb,
-            colours,
+            colors,
             planarity,
             structure,
             support: Some(support),
@@ -107,7 +107,7 @@ impl From<InstanceRecord> for Instance {
             oriented_box,
             point_count,
             mean_rgb,
-            colours,
+            colors,
             planarity,
             structure,
             support,
@@ -132,7 +132,7 @@ impl From<InstanceRecord> for Instance {
             }),
             point_count,
             mean_rgb,
-            colours,
+            colors,
             planarity,
             structure,
             support: support.unwrap_or(Support::Nothing),

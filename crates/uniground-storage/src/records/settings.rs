@@ -1,13 +1,13 @@
 //! Settings of a stored parse.
 
 use serde_json::Value;
-use uniground_types::settings::{ParseSettings, with_names_of_today};
+use uniground_types::settings::{ParseSettings, rename_deprecated_settings};
 
 /// Reads settings, and translates old names of fields. A value that is not valid today is left at
 /// its default. Stored settings are shown to people, and used to parse the scenes of a retired
 /// parse again.
 pub(super) fn read(mut stored: Value) -> ParseSettings {
-    with_names_of_today(&mut stored);
+    rename_deprecated_settings(&mut stored);
     remove_steps_without_settings(&mut stored);
     if let Ok(settings) = serde_json::from_value(stored.clone()) {
         return settings;

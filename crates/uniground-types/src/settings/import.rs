@@ -76,7 +76,8 @@ pub fn check_metres_per_unit(
     pointer: &str,
     metres_per_unit: Option<f64>,
 ) -> Result<(), FieldError> {
-    metres_per_unit.map_or(Ok(()), |metres| numbers::in_range(pointer, metres, METRES_PER_UNIT))
+    metres_per_unit
+        .map_or(Ok(()), |metres| numbers::check_in_range(pointer, metres, METRES_PER_UNIT))
 }
 
 /// Import settings. Part of the parse settings because they affect the result.

@@ -101,7 +101,7 @@ impl ParseSettings {
         let unreadable = |error: serde_json::Error| FieldError::new("/settings", error.to_string());
         let mut merged = serde_json::to_value(base).map_err(unreadable)?;
         if let Some(mut overrides) = overrides {
-            with_names_of_today(&mut overrides);
+            rename_deprecated_settings(&mut overrides);
             merge(&mut merged, overrides, "/settings")?;
         }
         let settings: Self = serde_path_to_error::deserialize(merged).map_err(|e| {
@@ -143,7 +143,7 @@ impl ParseSettings {
 const RENAMED: [(&str, &str, &str); 1] = [("/parsing", "wholes", "part_merging")];
 
 /// Renames old settings to their current names, in complete or partial settings.
-pub fn with_names_of_today(settings: &mut serde_json::Value) {
+pub fn rename_deprecated_settings(settings: &mut serde_json::Value) {
     for (place, old, new) in RENAMED {
         let Some(object) = settings.pointer_mut(place).and_then(serde_json::Value::as_object_mut)
         else {

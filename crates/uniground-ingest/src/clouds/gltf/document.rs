@@ -1,7 +1,7 @@
 //! The parts of a glTF file that are read, and the numbers in its buffers.
 
 use crate::IngestError;
-use crate::clouds::obj::beside;
+use crate::clouds::obj::sibling_path;
 use camino::Utf8Path;
 use serde::Deserialize;
 use std::borrow::Cow;
@@ -71,9 +71,9 @@ pub(super) struct Material {
 #[serde(default)]
 pub(super) struct PbrMaterial {
     #[serde(rename = "baseColorTexture")]
-    pub base_colour_texture: Option<TextureReference>,
+    pub base_color_texture: Option<TextureReference>,
     #[serde(rename = "baseColorFactor")]
-    pub base_colour_factor: Option<[f32; 4]>,
+    pub base_color_factor: Option<[f32; 4]>,
 }
 
 #[derive(Deserialize)]
@@ -167,7 +167,7 @@ impl<'a> Buffers<'a> {
                 None => blob
                     .take()
                     .ok_or_else(|| IngestError::malformed(file, "its binary part is missing"))?,
-                Some(uri) => own.uri(uri)?,
+                Some(uri) => own.read_uri(uri)?,
             };
             own.bytes.push(bytes);
         }
@@ -175,15 +175,15 @@ impl<'a> Buffers<'a> {
     }
 
     /// Returns bytes from a data URI, or of a file next to the document.
-    fn uri(&self, uri: &str) -> Result<Vec<u8>, IngestError> {
+    fn read_uri(&self, uri: &str) -> Result<Vec<u8>, IngestError> {
         if let Some(data) = uri.strip_prefix("data:") {
             let text = data.split_once(";base64,").map(|(_, text)| text);
-            return text.and_then(base64).ok_or_else(|| {
+            return text.and_then(decode_base64).ok_or_else(|| {
                 IngestError::malformed(self.file, "a data address that is not base64")
             });
         }
         let name = uri.replace("%20", " ");
-        let path = beside(self.file, &name).ok_or_else(|| IngestError::UnsafeEntry {
+        let path = sibling_path(self.file, &name).ok_or_else(|| IngestError::UnsafeEntry {
             entry: name,
             reason: "points outside the upload",
         })?;
@@ -194,17 +194,23 @@ impl<'a> Buffers<'a> {
         Ok(bytes)
     }
 
-    pub fn image(&self, document: &Document, number: usize) -> Result<Cow<'_, [u8]>, String> {
+    pub fn read_image(&self, document: &Document, number: usize) -> Result<Cow<'_, [u8]>, String> {
         let image =
             document.images.get(number).ok_or_else(|| format!("image {number} is not there"))?;
         match (&image.uri, image.buffer_view) {
-            (Some(uri), _) => self.uri(uri).map(Cow::Owned).map_err(|e| e.to_string()),
-            (None, Some(view)) => self.view(document, view).map(|(bytes, _)| Cow::Borrowed(bytes)),
+            (Some(uri), _) => self.read_uri(uri).map(Cow::Owned).map_err(|e| e.to_string()),
+            (None, Some(view)) => {
+                self.read_view(document, view).map(|(bytes, _)| Cow::Borrowed(bytes))
+            }
             (None, None) => Err(format!("image {number} has no bytes")),
         }
     }
 
-    fn view(&self, document: &Document, number: usize) -> Result<(&[u8], Option<usize>), String> {
+    fn read_view(
+        &self,
+        document: &Document,
+        number: usize,
+    ) -> Result<(&[u8], Option<usize>), String> {
         let view = document
             .buffer_views
             .get(number)
@@ -222,7 +228,7 @@ impl<'a> Buffers<'a> {
     }
 
     /// Returns numbers with at least `columns` columns.
-    pub fn accessor(
+    pub fn read_accessor(
         &self,
         document: &Document,
         number: usize,
@@ -237,7 +243,7 @@ impl<'a> Buffers<'a> {
         }
         let view =
             accessor.buffer_view.ok_or_else(|| format!("accessor {number} has no numbers"))?;
-        let (bytes, stride) = self.view(document, view)?;
+        let (bytes, stride) = self.read_view(document, view)?;
         let found = match accessor.shape.as_str() {
             "SCALAR" => 1,
             "VEC2" => 2,
@@ -304,7 +310,7 @@ impl AccessorRows<'_> {
 }
 
 /// Decodes base64 (RFC 4648), with or without padding.
-fn base64(text: &str) -> Option<Vec<u8>> {
+fn decode_base64(text: &str) -> Option<Vec<u8>> {
     let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
     let (mut bits, mut held) = (0_u32, 0);
     for c in text.trim_end_matches('=').bytes() {

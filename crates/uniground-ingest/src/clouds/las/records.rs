@@ -20,7 +20,7 @@ pub(super) struct LasRecords {
     /// Number of bytes of the file from its first record on.
     file_bytes: u64,
     /// Offset of red, green and blue, 16 bits each.
-    colour: Option<usize>,
+    color: Option<usize>,
     scale: [f64; 3],
     offset: [f64; 3],
 }
@@ -40,27 +40,27 @@ impl LasRecords {
         if format & 0b1100_0000 != 0 {
             return Ok(None);
         }
-        fn at<const N: usize>(header: &[u8], from: usize) -> [u8; N] {
+        fn bytes_at<const N: usize>(header: &[u8], from: usize) -> [u8; N] {
             std::array::from_fn(|i| header[from + i])
         }
-        let three = |from: usize| [0, 1, 2].map(|i| f64::from_le_bytes(at(&header, from + 8 * i)));
-        let bytes = usize::from(u16::from_le_bytes(at(&header, 105)));
-        let colour = match format {
+        let three = |from: usize| [0, 1, 2].map(|i| f64::from_le_bytes(bytes_at(&header, from + 8 * i)));
+        let bytes = usize::from(u16::from_le_bytes(bytes_at(&header, 105)));
+        let color = match format {
             2 => Some(20),
             3 | 5 => Some(28),
             7 | 8 | 10 => Some(30),
             0 | 1 | 4 | 6 | 9 => None,
             _ => return Err(malformed("its points are of a format that is not read")),
         };
-        if bytes < colour.map_or(20, |colour| colour + 6) {
+        if bytes < color.map_or(20, |color| color + 6) {
             return Err(malformed("its point records are too short"));
         }
         let is_long = header[25] >= 4 && header.len() == LONG_HEADER;
         let points = match is_long {
-            true => u64::from_le_bytes(at(&header, 247)),
-            false => u64::from(u32::from_le_bytes(at(&header, 107))),
+            true => u64::from_le_bytes(bytes_at(&header, 247)),
+            false => u64::from(u32::from_le_bytes(bytes_at(&header, 107))),
         };
-        let start = u64::from(u32::from_le_bytes(at(&header, 96)));
+        let start = u64::from(u32::from_le_bytes(bytes_at(&header, 96)));
         let file_bytes = source.metadata().map_err(io)?.len().saturating_sub(start);
         source.seek(SeekFrom::Start(start)).map_err(io)?;
         let source = BufReader::with_capacity(BLOCK_BYTES, source);
@@ -69,7 +69,7 @@ impl LasRecords {
             points,
             bytes,
             file_bytes,
-            colour,
+            color,
             scale: three(131),
             offset: three(155),
         }))
@@ -96,7 +96,7 @@ impl LasRecords {
         mut gathered: CloudBuilder,
     ) -> Result<CloudBuilder, IngestError> {
         gathered.expect(file, usize::try_from(self.points).unwrap_or(usize::MAX))?;
-        gathered.coloured(self.colour.is_some());
+        gathered.set_has_color(self.color.is_some());
         let per_block = (BLOCK_BYTES / self.bytes).max(1);
         let mut block = vec![0; per_block * self.bytes];
         let mut wide: Vec<[u16; 3]> = Vec::new();
@@ -119,19 +119,18 @@ impl LasRecords {
                 };
                 let before = gathered.len();
                 gathered.push([axis(0), axis(1), axis(2)], GREY);
-                if let Some(colour) = self.colour
+                if let Some(color) = self.color
                     && gathered.len() > before
                 {
                     wide.push(
-                        [0, 2, 4]
-                            .map(|i| u16::from_le_bytes([row[colour + i], row[colour + i + 1]])),
+                        [0, 2, 4].map(|i| u16::from_le_bytes([row[color + i], row[color + i + 1]])),
                     );
                 }
             }
             left -= rows as u64;
         }
-        if self.colour.is_some() {
-            super::recolour(&mut gathered, &wide);
+        if self.color.is_some() {
+            super::set_colors(&mut gathered, &wide);
         }
         Ok(gathered)
     }
@@ -173,9 +172,9 @@ mod tests {
     }
 
     #[test]
-    fn colours_of_eight_bits_are_taken_as_such() {
+    fn colors_of_eight_bits_are_taken_as_such() {
         let loaded = read(&las()).unwrap();
-        assert_eq!((loaded.cloud.positions[1].z, loaded.cloud.colours[0]), (3.5, [10, 20, 200]));
+        assert_eq!((loaded.cloud.positions[1].z, loaded.cloud.colors[0]), (3.5, [10, 20, 200]));
     }
 
     #[test]

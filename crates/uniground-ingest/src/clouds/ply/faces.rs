@@ -21,11 +21,11 @@ pub(super) fn sample_if_sparse(
     count: usize,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some(vertices) = gathered.complete() else { return Ok(()) };
-    let metres_per_unit = guess_units::guess(&vertices.positions, &mut Vec::new());
+    let Some(vertices) = gathered.as_complete() else { return Ok(()) };
+    let metres_per_unit = guess_units::guess_meters_per_unit(&vertices.positions, &mut Vec::new());
     let start = source.stream_position().map_err(|e| e.to_string())?;
     let (mut area, mut large_area) = (0.0, 0.0);
-    triangles(rows, source, count, vertices, |triangle| {
+    for_each_triangle(rows, source, count, vertices, |triangle| {
         let own = triangle.area();
         area += own;
         if longest_side(triangle) * metres_per_unit > LARGE_M {
@@ -33,16 +33,16 @@ pub(super) fn sample_if_sparse(
         }
     })?;
     let Some(mut sampling) =
-        MeshSampler::of(area, metres_per_unit).filter(|_| large_area > area / 2.0)
+        MeshSampler::for_area(area, metres_per_unit).filter(|_| large_area > area / 2.0)
     else {
         return Ok(());
     };
     source.seek(SeekFrom::Start(start)).map_err(|e| e.to_string())?;
     let mut sampled = PointCloud::default();
-    triangles(rows, source, count, vertices, |triangle| {
-        sampling.points(triangle, &[], |position, colour| {
+    for_each_triangle(rows, source, count, vertices, |triangle| {
+        sampling.sample_triangle(triangle, &[], |position, color| {
             sampled.positions.push(position.map(|c| c as f32).into());
-            sampled.colours.push(colour);
+            sampled.colors.push(color);
         });
     })?;
     gathered.replace(sampled);
@@ -50,7 +50,7 @@ pub(super) fn sample_if_sparse(
 }
 
 /// Calls a function with every triangle. Polygons are split into fans.
-fn triangles(
+fn for_each_triangle(
     rows: &PlyRows,
     source: &mut impl BufRead,
     count: usize,
@@ -63,14 +63,14 @@ fn triangles(
         let position = vertices.positions.get(at).filter(|_| at as f64 == index);
         let position =
             position.ok_or_else(|| format!("{index} names a vertex that is not there"))?;
-        let tint = vertices.colours[at].map(|c| f32::from(c) / 255.0);
+        let tint = vertices.colors[at].map(|c| f32::from(c) / 255.0);
         Ok::<_, String>(MeshVertex {
             at: [position.x, position.y, position.z].map(f64::from),
             tint,
             uv: None,
         })
     };
-    rows.faces(source, count, |corners| {
+    rows.for_each_face(source, count, |corners| {
         let [first, rest @ ..] = corners else { return Ok(()) };
         let first = corner(*first)?;
         for pair in rest.windows(2) {
@@ -149,8 +149,8 @@ mod tests {
             );
             assert_eq!(mesh.cloud.len(), (steps + 1) * (steps + 1));
             assert_eq!(
-                (mesh.cloud.positions, mesh.cloud.colours),
-                (points.cloud.positions, points.cloud.colours)
+                (mesh.cloud.positions, mesh.cloud.colors),
+                (points.cloud.positions, points.cloud.colors)
             );
         }
     }
@@ -159,8 +159,8 @@ mod tests {
     fn a_mesh_of_few_corners_is_sampled_a_centimetre_apart() {
         let [ascii, binary] =
             [true, false].map(|ascii| read_bytes(&square(2, ascii, true)).unwrap());
-        assert_eq!((ascii.cloud.positions.len(), ascii.has_colour), (10_000, true));
-        assert!(ascii.cloud.colours.iter().all(|c| *c == [250, 0, 50]));
+        assert_eq!((ascii.cloud.positions.len(), ascii.has_color), (10_000, true));
+        assert!(ascii.cloud.colors.iter().all(|c| *c == [250, 0, 50]));
         for quarter in 0..4 {
             let inside = |p: &&uniground_geometry::Point3<f32>| {
                 (p.x > 0.5) == (quarter % 2 == 1) && (p.y > 0.5) == (quarter / 2 == 1)

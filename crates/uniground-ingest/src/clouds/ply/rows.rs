@@ -46,9 +46,11 @@ pub(super) struct PlyRows {
 }
 
 impl PlyRows {
-    pub fn of(element: &ElementDef, encoding: &Encoding) -> Self {
+    pub fn new(element: &ElementDef, encoding: &Encoding) -> Self {
         let column = |name: &str, data_type: &PropertyType| match data_type {
-            PropertyType::Scalar(scalar) => PlyColumn::Scalar(scalar.clone(), Field::of(name)),
+            PropertyType::Scalar(scalar) => {
+                PlyColumn::Scalar(scalar.clone(), Field::from_name(name))
+            }
             PropertyType::List(count, item)
                 if ["vertex_indices", "vertex_index"].contains(&name) =>
             {
@@ -80,7 +82,7 @@ impl PlyRows {
     pub fn skip(&self, source: &mut impl BufRead, count: usize) -> Result<(), String> {
         match (self.order, self.bytes) {
             (Some(_), Some(bytes)) => skip_bytes(source, bytes as u64 * count as u64),
-            (Some(_), None) => self.each_uneven(source, count, |_, _| Ok(())),
+            (Some(_), None) => self.for_each_variable_row(source, count, |_, _| Ok(())),
             (None, _) => {
                 let mut line = Vec::new();
                 (0..count).try_for_each(|row| next_line(source, &mut line, row, count))
@@ -95,26 +97,26 @@ impl PlyRows {
         gathered: &mut CloudBuilder,
     ) -> Result<(), String> {
         if let (Some(order), Some(bytes)) = (self.order, self.bytes) {
-            return self.read_even(source, count, bytes, order, gathered);
+            return self.read_fixed_rows(source, count, bytes, order, gathered);
         }
-        self.each_uneven(source, count, |vertex, _| {
-            vertex.hand_to(gathered);
+        self.for_each_variable_row(source, count, |vertex, _| {
+            vertex.push_to(gathered);
             Ok(())
         })
     }
 
     /// Calls a function with the corners of every face.
-    pub fn faces(
+    pub fn for_each_face(
         &self,
         source: &mut impl BufRead,
         count: usize,
         mut face: impl FnMut(&[f64]) -> Result<(), String>,
     ) -> Result<(), String> {
-        self.each_uneven(source, count, |_, corners| face(corners))
+        self.for_each_variable_row(source, count, |_, corners| face(corners))
     }
 
     /// Calls a function with the values of every row. Used for ascii rows and rows with lists.
-    fn each_uneven(
+    fn for_each_variable_row(
         &self,
         source: &mut impl BufRead,
         count: usize,
@@ -125,7 +127,7 @@ impl PlyRows {
             let mut vertex = Vertex::new();
             corners.clear();
             if let Some(order) = self.order {
-                self.read_uneven(source, order, &mut vertex, &mut corners)?;
+                self.read_variable_row(source, order, &mut vertex, &mut corners)?;
             } else {
                 next_line(source, &mut line, row, count)?;
                 self.read_line(&line, row, &mut vertex, &mut corners)?;
@@ -172,7 +174,7 @@ impl PlyRows {
 
     /// Reads rows of fixed size: one block at a time, column by column, so that a column's type is
     /// checked once per block.
-    fn read_even(
+    fn read_fixed_rows(
         &self,
         source: &mut impl BufRead,
         count: usize,
@@ -199,18 +201,18 @@ impl PlyRows {
             vertices.fill(Vertex::new());
             for &(field, offset, scalar) in &fields {
                 let column = block.chunks_exact(bytes).map(|row| &row[offset..]);
-                numbers(column, scalar, order, vertices.iter_mut(), |vertex, value| {
+                decode_column(column, scalar, order, vertices.iter_mut(), |vertex, value| {
                     vertex.set(field, value, scalar);
                 });
             }
-            vertices.iter().for_each(|vertex| vertex.hand_to(gathered));
+            vertices.iter().for_each(|vertex| vertex.push_to(gathered));
             left -= rows;
         }
         Ok(())
     }
 
     /// Reads a binary row that contains lists.
-    fn read_uneven(
+    fn read_variable_row(
         &self,
         source: &mut impl BufRead,
         order: ByteOrder,
@@ -285,13 +287,13 @@ fn next_number(
         .read_exact(&mut bytes[..size_of_scalar(scalar)])
         .map_err(|e| format!("truncated: {e}"))?;
     let mut number = 0.0;
-    numbers([&bytes[..]], scalar, order, [&mut number], |number, value| *number = value);
+    decode_column([&bytes[..]], scalar, order, [&mut number], |number, value| *number = value);
     Ok(number)
 }
 
 /// Decodes the number at the start of each chunk and passes it to its destination.
 #[inline]
-fn numbers<'a, P>(
+fn decode_column<'a, P>(
     bytes: impl IntoIterator<Item = &'a [u8]>,
     scalar: &ScalarType,
     order: ByteOrder,

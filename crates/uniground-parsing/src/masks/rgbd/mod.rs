@@ -37,10 +37,10 @@ impl RgbdMasks {
     /// Returns the masks of one frame.
     #[must_use]
     pub fn id_image(&self, frame: &Frame) -> IdImage {
-        let surfaces = SurfaceGrid::of(frame, self.settings.stride);
-        let patches = patches::cut(&surfaces, &self.settings);
-        let things = things::join(&surfaces, &patches, &self.settings);
-        spread(&surfaces, &things, frame)
+        let surfaces = SurfaceGrid::from_frame(frame, self.settings.stride);
+        let patches = patches::cut_patches(&surfaces, &self.settings);
+        let things = things::join_patches(&surfaces, &patches, &self.settings);
+        to_id_image(&surfaces, &things, frame)
     }
 }
 
@@ -49,24 +49,27 @@ impl RgbdMasks {
     /// image for each of these multiples of the settings' unevenness.
     #[must_use]
     pub fn levels(&self, frame: &Frame, unevenness: &[f32]) -> Vec<IdImage> {
-        let surfaces = SurfaceGrid::of(frame, self.settings.stride);
-        let things =
-            things::join(&surfaces, &patches::cut(&surfaces, &self.settings), &self.settings);
+        let surfaces = SurfaceGrid::from_frame(frame, self.settings.stride);
+        let things = things::join_patches(
+            &surfaces,
+            &patches::cut_patches(&surfaces, &self.settings),
+            &self.settings,
+        );
         let finer = unevenness.iter().map(|times| {
             let settings =
                 RgbdSettings { patch_scale: self.settings.patch_scale * times, ..self.settings };
-            patches::cut(&surfaces, &settings)
+            patches::cut_patches(&surfaces, &settings)
         });
         std::iter::once(things)
             .chain(finer)
-            .map(|labels| spread(&surfaces, &labels, frame))
+            .map(|labels| to_id_image(&surfaces, &labels, frame))
             .collect()
     }
 }
 
 /// Converts grid labels to an id image at full depth resolution. Pixels without depth, and ids past
 /// `u16`, get no mask.
-fn spread(surfaces: &SurfaceGrid, things: &[u32], frame: &Frame) -> IdImage {
+fn to_id_image(surfaces: &SurfaceGrid, things: &[u32], frame: &Frame) -> IdImage {
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];
     for v in 0..height {

@@ -7,7 +7,7 @@ use uniground_geometry::Vector3;
 
 /// Signed bend between two neighboring elements, radians: positive where the surface is concave (a
 /// valley).
-pub(super) fn bend(surfaces: &SurfaceGrid, a: usize, b: usize) -> f32 {
+pub(super) fn signed_bend(surfaces: &SurfaceGrid, a: usize, b: usize) -> f32 {
     let (na, nb): (Vector3<f32>, Vector3<f32>) = (surfaces.normals[a], surfaces.normals[b]);
     let angle = na.dot(&nb).clamp(-1.0, 1.0).acos();
     let across = surfaces.points[b] - surfaces.points[a];
@@ -16,19 +16,19 @@ pub(super) fn bend(surfaces: &SurfaceGrid, a: usize, b: usize) -> f32 {
 }
 
 /// Patch label `0..n` of each element.
-pub(super) fn cut(surfaces: &SurfaceGrid, settings: &RgbdSettings) -> Vec<u32> {
+pub(super) fn cut_patches(surfaces: &SurfaceGrid, settings: &RgbdSettings) -> Vec<u32> {
     let mut edges: Vec<(f32, u32, u32)> = surfaces
-        .links()
-        .filter(|&(a, b)| surfaces.continuous(a, b))
+        .adjacent_pairs()
+        .filter(|&(a, b)| surfaces.is_continuous(a, b))
         .map(|(a, b)| {
-            let colour = (surfaces.labs[a] - surfaces.labs[b]).norm() / settings.colour_edge;
-            let bend = bend(surfaces, a, b).to_degrees();
+            let color = (surfaces.labs[a] - surfaces.labs[b]).norm() / settings.colour_edge;
+            let bend = signed_bend(surfaces, a, b).to_degrees();
             let shape = if bend > 0.0 {
                 bend / settings.concave_edge_deg
             } else {
                 -bend / settings.convex_edge_deg
             };
-            (colour.max(shape), a as u32, b as u32)
+            (color.max(shape), a as u32, b as u32)
         })
         .collect();
     edges.sort_unstable_by(|x, y| x.0.total_cmp(&y.0).then((x.1, x.2).cmp(&(y.1, y.2))));

@@ -1,6 +1,6 @@
 //! A frame as a grid of surface elements in camera axes.
 
-use uniground_geometry::colour::{Lab, lab_of_srgb};
+use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::scene::{DepthImage, Frame};
 use uniground_geometry::{Point3, Vector3};
 
@@ -21,14 +21,14 @@ pub(super) struct SurfaceGrid {
 }
 
 impl SurfaceGrid {
-    pub fn of(frame: &Frame, stride: u32) -> Self {
+    pub fn from_frame(frame: &Frame, stride: u32) -> Self {
         let stride = stride.max(1);
         let intrinsics = frame.depth_camera.intrinsics;
         let (width, height) = (
             (frame.depth.width / stride).max(1) as usize,
             (frame.depth.height / stride).max(1) as usize,
         );
-        let colours = frame.colour_on_depth_grid();
+        let colors = frame.color_on_depth_grid();
         let (mut depth_m, mut points, mut labs) = (Vec::new(), Vec::new(), Vec::new());
         for row in 0..height as u32 {
             for column in 0..width as u32 {
@@ -36,7 +36,7 @@ impl SurfaceGrid {
                 let z = depth_or_bridge(&frame.depth, u, v);
                 depth_m.push(z);
                 points.push(intrinsics.unproject(u as f32, v as f32, z));
-                labs.push(lab_of_srgb(block_mean(&colours, &frame.depth, u, v, stride)));
+                labs.push(srgb_to_lab(block_mean(&colors, &frame.depth, u, v, stride)));
             }
         }
         let spacing_per_m = stride as f32 / intrinsics.fx;
@@ -62,7 +62,7 @@ impl SurfaceGrid {
 
     /// Whether the surface continues from one element to another: their depths differ by no more
     /// than noise and slant explain.
-    pub fn continuous(&self, a: usize, b: usize) -> bool {
+    pub fn is_continuous(&self, a: usize, b: usize) -> bool {
         let (za, zb) = (self.depth_m[a], self.depth_m[b]);
         if za <= 0.0 || zb <= 0.0 {
             return false;
@@ -76,7 +76,7 @@ impl SurfaceGrid {
     }
 
     /// Pairs of each element with those right of and below it.
-    pub fn links(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+    pub fn adjacent_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let (w, n) = (self.width, self.width * self.height);
         (0..n).flat_map(move |i| {
             let right = (i % w + 1 < w).then_some((i, i + 1));
@@ -183,13 +183,13 @@ fn depth_or_bridge(depth: &DepthImage, u: u32, v: u32) -> f32 {
 }
 
 /// Mean color of a block of pixels: halves noise and texture before edges are detected.
-fn block_mean(colours: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
+fn block_mean(colors: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
     let mut sum = [0_u32; 3];
     let mut count = 0;
     for row in v..(v + stride).min(depth.height) {
         for column in u..(u + stride).min(depth.width) {
-            let colour = colours[(row * depth.width + column) as usize];
-            (0..3).for_each(|c| sum[c] += u32::from(colour[c]));
+            let color = colors[(row * depth.width + column) as usize];
+            (0..3).for_each(|c| sum[c] += u32::from(color[c]));
             count += 1;
         }
     }

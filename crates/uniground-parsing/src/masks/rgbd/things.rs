@@ -2,12 +2,12 @@
 //! agree.
 
 use super::RgbdSettings;
-use super::patches::bend;
+use super::patches::signed_bend;
 use super::surfaces::SurfaceGrid;
 use nalgebra::SymmetricEigen;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
-use uniground_geometry::colour::Lab;
+use uniground_geometry::color::Lab;
 use uniground_geometry::union_find::UnionFind;
 use uniground_geometry::{Matrix3, Vector3};
 
@@ -40,7 +40,11 @@ struct RegionBorder {
 type MergeOffer = (Reverse<u32>, Reverse<(u32, u32)>, u32, u32);
 
 /// Thing label `0..n` of each element.
-pub(super) fn join(surfaces: &SurfaceGrid, patches: &[u32], settings: &RgbdSettings) -> Vec<u32> {
+pub(super) fn join_patches(
+    surfaces: &SurfaceGrid,
+    patches: &[u32],
+    settings: &RgbdSettings,
+) -> Vec<u32> {
     let count = patches.iter().max().map_or(0, |&p| p as usize + 1);
     let mut regions = regions(surfaces, patches, count);
     let mut borders = borders(surfaces, patches, count);
@@ -51,7 +55,7 @@ pub(super) fn join(surfaces: &SurfaceGrid, patches: &[u32], settings: &RgbdSetti
                 a: u32,
                 b: u32,
                 border: &RegionBorder| {
-        let cost = cost(&regions[a as usize], &regions[b as usize], border, settings);
+        let cost = join_cost(&regions[a as usize], &regions[b as usize], border, settings);
         if cost < settings.join_cost {
             // Costs are never negative, so their bits sort like the numbers.
             queue.push((
@@ -73,7 +77,7 @@ pub(super) fn join(surfaces: &SurfaceGrid, patches: &[u32], settings: &RgbdSetti
         }
         let root = sets.union(a, b);
         let gone = if root == a { b } else { a };
-        regions[root as usize] = merged(&regions[a as usize], &regions[b as usize]);
+        regions[root as usize] = merge_regions(&regions[a as usize], &regions[b as usize]);
         regions[gone as usize].version = u32::MAX;
         let moved = std::mem::take(&mut borders[gone as usize]);
         borders[root as usize].remove(&gone);
@@ -100,12 +104,17 @@ pub(super) fn join(surfaces: &SurfaceGrid, patches: &[u32], settings: &RgbdSetti
 }
 
 /// Cost of joining: color difference and concavity along the border, each divided by its own unit.
-fn cost(a: &PatchRegion, b: &PatchRegion, border: &RegionBorder, settings: &RgbdSettings) -> f32 {
+fn join_cost(
+    a: &PatchRegion,
+    b: &PatchRegion,
+    border: &RegionBorder,
+    settings: &RgbdSettings,
+) -> f32 {
     // The border is mostly a depth step: one region hides the other.
     if border.continuous < 0.5 * border.links {
         return f32::INFINITY;
     }
-    let colour = (a.lab - b.lab).norm() / settings.join_colour;
+    let color = (a.lab - b.lab).norm() / settings.join_colour;
     let bend_deg = (border.bend / border.continuous).to_degrees();
     let concave = bend_deg.max(0.0) / settings.join_concave_deg;
     // A thing on a plane meets it in a valley and is separate. The sides of a box meet in a ridge
@@ -117,7 +126,7 @@ fn cost(a: &PatchRegion, b: &PatchRegion, border: &RegionBorder, settings: &Rgbd
         [false, false] => 0.0,
         _ => 0.3,
     };
-    colour + concave + apart
+    color + concave + apart
 }
 
 /// Concave bend above which a plane ends, degrees.
@@ -134,7 +143,7 @@ impl PatchRegion {
     }
 }
 
-fn merged(a: &PatchRegion, b: &PatchRegion) -> PatchRegion {
+fn merge_regions(a: &PatchRegion, b: &PatchRegion) -> PatchRegion {
     let pixels = a.pixels + b.pixels;
     PatchRegion {
         pixels,
@@ -180,16 +189,16 @@ fn borders(
     count: usize,
 ) -> Vec<BTreeMap<u32, RegionBorder>> {
     let mut borders = vec![BTreeMap::<u32, RegionBorder>::new(); count];
-    for (i, j) in surfaces.links() {
+    for (i, j) in surfaces.adjacent_pairs() {
         let (a, b) = (patches[i], patches[j]);
         if a == b {
             continue;
         }
-        let continuous = surfaces.continuous(i, j);
+        let continuous = surfaces.is_continuous(i, j);
         // Measures the bend across a border a few elements away from it, because normals at an edge
         // are smoothed.
-        let (far_i, far_j) = beyond(surfaces, patches, i, j);
-        let bend = if continuous { bend(surfaces, far_i, far_j) } else { 0.0 };
+        let (far_i, far_j) = extend_pair(surfaces, patches, i, j);
+        let bend = if continuous { signed_bend(surfaces, far_i, far_j) } else { 0.0 };
         for (from, to) in [(a, b), (b, a)] {
             let border = borders[from as usize].entry(to).or_default();
             border.links += 1.0;
@@ -201,7 +210,7 @@ fn borders(
 }
 
 /// Extends the link `(i, j)` by up to [`STRETCH`] elements into both patches.
-fn beyond(surfaces: &SurfaceGrid, patches: &[u32], i: usize, j: usize) -> (usize, usize) {
+fn extend_pair(surfaces: &SurfaceGrid, patches: &[u32], i: usize, j: usize) -> (usize, usize) {
     let step = j - i;
     let row_bound = step == 1;
     let (mut back, mut ahead) = (i, j);

@@ -39,7 +39,7 @@ impl EncodedFrames {
     ///
     /// # Errors
     /// [`ModelError`] when the picture cannot be encoded. A full disk only costs time.
-    pub fn of(&self, frame: FrameIndex, picture: &RgbImage) -> Result<Encoded, ModelError> {
+    pub fn encode(&self, frame: FrameIndex, picture: &RgbImage) -> Result<Encoded, ModelError> {
         let file = self.file(frame);
         if let Ok(bytes) = fs::read(&file)
             && let Ok(encoded) = postcard::from_bytes(&bytes)
@@ -47,12 +47,12 @@ impl EncodedFrames {
             return Ok(encoded);
         }
         let encoded = self.segmenter.encode(picture)?;
-        self.keep(&file, &encoded);
+        self.store(&file, &encoded);
         Ok(encoded)
     }
 
     /// Removes a frame from the cache once it is not needed again.
-    pub fn forget(&self, frame: FrameIndex) {
+    pub fn remove(&self, frame: FrameIndex) {
         let file = self.file(frame);
         if let Ok(metadata) = file.metadata()
             && fs::remove_file(&file).is_ok()
@@ -65,7 +65,7 @@ impl EncodedFrames {
         self.folder.path().join(frame.to_string())
     }
 
-    fn keep(&self, file: &std::path::Path, encoded: &Encoded) {
+    fn store(&self, file: &std::path::Path, encoded: &Encoded) {
         if self.bytes_left.load(Ordering::Relaxed) == 0 {
             return;
         }
@@ -91,13 +91,13 @@ mod tests {
     fn what_is_kept_is_what_was_encoded_and_the_disk_is_bounded() {
         let picture = |v: u8| RgbImage::from_pixel(40, 30, image::Rgb([v, 80, 90]));
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 1 << 20).unwrap();
-        let first = frames.of(FrameIndex(1), &picture(10)).unwrap();
+        let first = frames.encode(FrameIndex(1), &picture(10)).unwrap();
         // Another picture under the same index: the cached encoding comes back.
-        assert_eq!(frames.of(FrameIndex(1), &picture(200)).unwrap(), first);
-        frames.forget(FrameIndex(1));
-        assert_ne!(frames.of(FrameIndex(1), &picture(200)).unwrap(), first);
+        assert_eq!(frames.encode(FrameIndex(1), &picture(200)).unwrap(), first);
+        frames.remove(FrameIndex(1));
+        assert_ne!(frames.encode(FrameIndex(1), &picture(200)).unwrap(), first);
         let full = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 100).unwrap();
-        full.of(FrameIndex(1), &picture(10)).unwrap();
-        assert_ne!(full.of(FrameIndex(1), &picture(200)).unwrap(), first, "nothing fits");
+        full.encode(FrameIndex(1), &picture(10)).unwrap();
+        assert_ne!(full.encode(FrameIndex(1), &picture(200)).unwrap(), first, "nothing fits");
     }
 }

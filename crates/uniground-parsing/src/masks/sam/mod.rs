@@ -60,7 +60,7 @@ struct MaskPatch {
 
 impl MaskPatch {
     /// Crops to the inside and one cell around it: the border runs between these.
-    fn around_inside(logits: &[f32], threshold: f32) -> Self {
+    fn crop(logits: &[f32], threshold: f32) -> Self {
         let size = logits.len().isqrt();
         let inside = |i: usize| logits[i] > threshold;
         let rows = || (0..size).filter(|v| (0..size).any(|u| inside(v * size + u)));
@@ -82,7 +82,7 @@ impl MaskPatch {
     }
 
     /// Writes the patch into a mask whose other cells are all `outside`.
-    fn spread(&self, outside: f32, logits: &mut [f32]) {
+    fn write_into(&self, outside: f32, logits: &mut [f32]) {
         logits.fill(outside);
         let size = logits.len().isqrt();
         for (row, of_row) in self.logits.chunks(self.width.max(1)).enumerate() {
@@ -111,18 +111,18 @@ impl MaskSource for SamMasks<'_> {
 
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         let mut candidates = Vec::new();
-        let (width, height) = frame.colour.dimensions();
+        let (width, height) = frame.color.dimensions();
         let points = self.settings.points_per_side;
         let wanted = match self.settings.prompts {
-            SamPrompts::Grid => spots::grid((width, height), points, true),
+            SamPrompts::Grid => spots::grid_points((width, height), points, true),
             SamPrompts::Segments => {
                 let segments = RgbdMasks { settings: self.segments }.id_image(frame);
-                let mut wanted = spots::middles(&segments, frame, self.settings.min_area);
-                wanted.extend(spots::grid((width, height), points.div_ceil(2), false));
+                let mut wanted = spots::segment_centers(&segments, frame, self.settings.min_area);
+                wanted.extend(spots::grid_points((width, height), points.div_ceil(2), false));
                 wanted
             }
         };
-        let encoded = self.frames.of(frame.index, &frame.colour)?;
+        let encoded = self.frames.encode(frame.index, &frame.color)?;
         let whole = CropWindow {
             left: 0,
             top: 0,
@@ -130,14 +130,14 @@ impl MaskSource for SamMasks<'_> {
             height,
             scale: self.frames.segmenter.low_scale(&encoded),
         };
-        self.ask(&encoded, whole, wanted, (width, height), &mut candidates, progress)?;
+        self.prompt_points(&encoded, whole, wanted, (width, height), &mut candidates, progress)?;
         drop(encoded);
         if self.settings.quarters {
             let reach =
                 |length: u32| ((length as f32 * (0.5 + QUARTER_OVERLAP)) as u32).clamp(1, length);
             let (w, h) = (reach(width), reach(height));
             for (left, top) in [(0, 0), (width - w, 0), (0, height - h), (width - w, height - h)] {
-                let quarter = imageops::crop_imm(&frame.colour, left, top, w, h).to_image();
+                let quarter = imageops::crop_imm(&frame.color, left, top, w, h).to_image();
                 let encoded = self.frames.segmenter.encode(&quarter)?;
                 let window = CropWindow {
                     left,
@@ -146,18 +146,30 @@ impl MaskSource for SamMasks<'_> {
                     height: h,
                     scale: self.frames.segmenter.low_scale(&encoded),
                 };
-                let wanted = spots::grid((w, h), points.div_ceil(2), true);
-                self.ask(&encoded, window, wanted, (width, height), &mut candidates, progress)?;
+                let wanted = spots::grid_points((w, h), points.div_ceil(2), true);
+                self.prompt_points(
+                    &encoded,
+                    window,
+                    wanted,
+                    (width, height),
+                    &mut candidates,
+                    progress,
+                )?;
             }
         }
-        Ok(paint::paint(&self.select(candidates), &self.frames.segmenter, &self.settings, frame))
+        Ok(paint::paint(
+            &self.suppress_overlaps(candidates),
+            &self.frames.segmenter,
+            &self.settings,
+            frame,
+        ))
     }
 }
 
 impl SamMasks<'_> {
     /// Prompts at spots within a window, a few at a time. Skips spots that existing masks already
     /// cover.
-    fn ask(
+    fn prompt_points(
         &self,
         encoded: &Encoded,
         window: CropWindow,
@@ -175,8 +187,8 @@ impl SamMasks<'_> {
             let batch: Vec<Prompt> = wanted
                 .by_ref()
                 .filter(open)
-                .take(segmenter.batch())
-                .map(|spot| Prompt::inside([spot.at]))
+                .take(segmenter.batch_size())
+                .map(|spot| Prompt::from_inside_points([spot.at]))
                 .collect();
             if batch.is_empty() {
                 return Ok(());
@@ -220,7 +232,7 @@ impl SamMasks<'_> {
         if !(settings.min_area..=settings.max_area).contains(&share) || area == 0 {
             return None;
         }
-        let patch = MaskPatch::around_inside(&mask.logits, threshold);
+        let patch = MaskPatch::crop(&mask.logits, threshold);
         Some(MaskCandidate {
             quality: mask.predicted_iou * stability.sqrt(),
             cells,
@@ -231,7 +243,7 @@ impl SamMasks<'_> {
     }
 
     /// Sorts masks best first and drops those that overlap a better one too much.
-    fn select(&self, mut candidates: Vec<MaskCandidate>) -> Vec<MaskCandidate> {
+    fn suppress_overlaps(&self, mut candidates: Vec<MaskCandidate>) -> Vec<MaskCandidate> {
         candidates.sort_by(|a, b| b.quality.total_cmp(&a.quality));
         let mut kept: Vec<MaskCandidate> = Vec::new();
         for candidate in candidates {
@@ -248,7 +260,7 @@ impl SamMasks<'_> {
 
 impl MaskCandidate {
     /// Whether it contains a pixel of a picture of this size.
-    fn holds(&self, (x, y): (f32, f32), (width, height): (u32, u32)) -> bool {
+    fn contains_pixel(&self, (x, y): (f32, f32), (width, height): (u32, u32)) -> bool {
         let cell = |at: f32, length: u32| {
             (((at + 0.5) / length as f32 * GRID as f32) as usize).min(GRID - 1)
         };
@@ -296,7 +308,7 @@ pub(super) mod tests {
         let intrinsics =
             Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 47.5, cy: 31.5 };
         let camera = Camera::new(intrinsics, &Isometry3::identity());
-        let colour = RgbImage::from_fn(96, 64, |x, y| {
+        let color = RgbImage::from_fn(96, 64, |x, y| {
             if (30..60).contains(&x) && (20..44).contains(&y) {
                 Rgb([220, 30, 30])
             } else {
@@ -304,7 +316,7 @@ pub(super) mod tests {
             }
         });
         let depth = DepthImage { width: 96, height: 64, depth_m: vec![2.0; 96 * 64] }.into();
-        Frame { index: FrameIndex(0), colour, depth, colour_camera: camera, depth_camera: camera }
+        Frame { index: FrameIndex(0), color, depth, color_camera: camera, depth_camera: camera }
     }
 
     fn masks(bundle: &str, settings: SamSettings) -> IdImage {
@@ -385,7 +397,7 @@ pub(super) mod tests {
                 quality,
                 cells: bits.chunks(64).map(word).collect(),
                 area,
-                patch: MaskPatch::around_inside(&logits, 0.0),
+                patch: MaskPatch::crop(&logits, 0.0),
                 window,
             }
         };
@@ -430,12 +442,12 @@ pub(super) mod tests {
                 }
             })
             .collect();
-        let patch = MaskPatch::around_inside(&logits, 0.0);
+        let patch = MaskPatch::crop(&logits, 0.0);
         assert_eq!((patch.left, patch.top, patch.width, patch.logits.len()), (1, 2, 5, 20));
         let mut spread = vec![0.0; 64];
-        patch.spread(-99.0, &mut spread);
+        patch.write_into(-99.0, &mut spread);
         assert_eq!((spread[3 * 8 + 2], spread[3 * 8 + 1], spread[3 * 8]), (4.0, -25.0, -99.0));
-        assert!(MaskPatch::around_inside(&[-1.0; 16], 0.0).logits.is_empty());
+        assert!(MaskPatch::crop(&[-1.0; 16], 0.0).logits.is_empty());
     }
 
     #[test]
@@ -465,8 +477,11 @@ pub(super) mod tests {
             patch: MaskPatch::default(),
             window,
         };
-        let kept =
-            sam.select(vec![candidate(0.6, 0xff), candidate(0.9, 0x7f), candidate(0.5, 0xff00)]);
+        let kept = sam.suppress_overlaps(vec![
+            candidate(0.6, 0xff),
+            candidate(0.9, 0x7f),
+            candidate(0.5, 0xff00),
+        ]);
         assert_eq!(kept.iter().map(|c| c.quality).collect::<Vec<_>>(), [0.9, 0.5]);
     }
 }

@@ -22,35 +22,35 @@ pub(super) fn paint(
         ordered = masks.iter().collect();
         ordered.sort_by_key(|mask| std::cmp::Reverse(mask.area));
     }
-    let mut images = vec![one_image(&ordered, segmenter, frame)];
+    let mut images = vec![paint_image(&ordered, segmenter, frame)];
     if settings.wholes {
         let largest = LARGEST_WHOLE * (GRID * GRID) as f32;
         ordered = masks.iter().filter(|mask| mask.area as f32 <= largest).collect();
         ordered.sort_by_key(|mask| mask.area);
-        images.push(one_image(&ordered, segmenter, frame));
+        images.push(paint_image(&ordered, segmenter, frame));
     }
     images
 }
 
 /// Paints masks over each other in this order, with ids from 1.
-fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
+fn paint_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
     // So far below the threshold that the border does not move.
     const OUTSIDE: f32 = -1e3;
     let threshold = segmenter.threshold();
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];
     // The position of each column and row of the depth image in the color picture.
-    let columns: Vec<f32> = (0..width).map(|u| frame.colour_position(u as f32, 0.0).0).collect();
-    let rows: Vec<f32> = (0..height).map(|v| frame.colour_position(0.0, v as f32).1).collect();
+    let columns: Vec<f32> = (0..width).map(|u| frame.color_position(u as f32, 0.0).0).collect();
+    let rows: Vec<f32> = (0..height).map(|v| frame.color_position(0.0, v as f32).1).collect();
     let mut low = LowMask {
         logits: vec![OUTSIDE; segmenter.mask_size().pow(2)],
         predicted_iou: 0.0,
         index: 0,
     };
     for (id, mask) in (1..=u16::MAX).zip(masks) {
-        mask.patch.spread(threshold + OUTSIDE, &mut low.logits);
-        let (colour_width, colour_height) = frame.colour.dimensions();
-        let [left, top, right, bottom] = bounds(mask, colour_width, colour_height);
+        mask.patch.write_into(threshold + OUTSIDE, &mut low.logits);
+        let (color_width, color_height) = frame.color.dimensions();
+        let [left, top, right, bottom] = mask_bounds(mask, color_width, color_height);
         for (v, y) in rows.iter().enumerate().filter(|(_, y)| (top..=bottom).contains(*y)) {
             for (u, x) in columns.iter().enumerate().filter(|(_, x)| (left..=right).contains(*x)) {
                 let at = (x - mask.window.left as f32, y - mask.window.top as f32);
@@ -65,7 +65,7 @@ fn one_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -> 
 
 /// Left, top, right and bottom of a mask in picture pixels, extended by two cells on every side,
 /// within its window.
-fn bounds(mask: &MaskCandidate, width: u32, height: u32) -> [f32; 4] {
+fn mask_bounds(mask: &MaskCandidate, width: u32, height: u32) -> [f32; 4] {
     let (mut low, mut high) = ([GRID; 2], [0; 2]);
     for (i, word) in mask.cells.iter().enumerate().filter(|(_, word)| **word != 0) {
         for bit in (0..64).filter(|bit| word >> bit & 1 == 1) {

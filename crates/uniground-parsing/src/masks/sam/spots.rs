@@ -38,13 +38,17 @@ impl PromptPoint {
                 (1.0 / SAME_SIZE..=SAME_SIZE).contains(&ratio)
             }
         };
-        found.iter().any(|mask| fits(mask) && mask.holds(self.at, picture))
+        found.iter().any(|mask| fits(mask) && mask.contains_pixel(self.at, picture))
     }
 }
 
 /// A grid of prompt points over a picture, row by row: always prompted, or only where no mask
 /// exists.
-pub(super) fn grid((width, height): (u32, u32), per_side: u32, always: bool) -> Vec<PromptPoint> {
+pub(super) fn grid_points(
+    (width, height): (u32, u32),
+    per_side: u32,
+    always: bool,
+) -> Vec<PromptPoint> {
     let at = |i: u32, length: u32| (i as f32 + 0.5) * length as f32 / per_side as f32 - 0.5;
     let unless = if always { SkipCondition::Never } else { SkipCondition::Any };
     (0..per_side * per_side)
@@ -54,7 +58,11 @@ pub(super) fn grid((width, height): (u32, u32), per_side: u32, always: bool) -> 
 
 /// Returns the centers of segments that are not specks, the largest segment first. The center is
 /// the pixel farthest from the segment's border.
-pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<PromptPoint> {
+pub(super) fn segment_centers(
+    segments: &IdImage,
+    frame: &Frame,
+    min_share: f32,
+) -> Vec<PromptPoint> {
     struct SegmentInfo {
         pixels: u32,
         middle: (u32, usize),
@@ -82,13 +90,12 @@ pub(super) fn middles(segments: &IdImage, frame: &Frame, min_share: f32) -> Vec<
     segments_found
         .into_iter()
         .map(|s| {
-            let at =
-                frame.colour_position((s.middle.1 % width) as f32, (s.middle.1 / width) as f32);
+            let at = frame.color_position((s.middle.1 % width) as f32, (s.middle.1 / width) as f32);
             PromptPoint { at, unless: SkipCondition::OfSize(s.pixels as f32 / total) }
         })
         .filter(|spot| {
             let inside = |at: f32, length: u32| at > -0.5 && at < length as f32 - 0.5;
-            inside(spot.at.0, frame.colour.width()) && inside(spot.at.1, frame.colour.height())
+            inside(spot.at.0, frame.color.width()) && inside(spot.at.1, frame.color.height())
         })
         .collect()
 }
@@ -139,7 +146,7 @@ mod tests {
 
     #[test]
     fn middles_lie_far_from_borders_and_specks_have_none() {
-        let found = middles(&segments(), &frame(), 0.001);
+        let found = segment_centers(&segments(), &frame(), 0.001);
         assert_eq!(found.len(), 2);
         let ((x, y), (inner_x, inner_y)) = (found[0].at, found[1].at);
         assert!((46.0..75.0).contains(&x) && (28.0..36.0).contains(&y), "{x} {y}");
@@ -151,7 +158,7 @@ mod tests {
 
     #[test]
     fn a_mask_of_the_same_size_answers_and_one_of_another_does_not() {
-        let spots = middles(&segments(), &frame(), 0.001);
+        let spots = segment_centers(&segments(), &frame(), 0.001);
         let mask = |reach: usize| {
             let bits: Vec<bool> =
                 (0..GRID * GRID).map(|i| i % GRID < reach && i / GRID < reach * 2).collect();
@@ -187,7 +194,7 @@ mod tests {
             window,
         };
         let open = |always| {
-            grid((96, 64), 4, always)
+            grid_points((96, 64), 4, always)
                 .iter()
                 .filter(|s| !s.is_answered((96, 64), std::slice::from_ref(&mask)))
                 .count()

@@ -9,7 +9,7 @@ pub type Lab = Vector3<f32>;
 
 /// Converts 8-bit sRGB to CIELAB under D65.
 #[must_use]
-pub fn lab_of_srgb(rgb: [u8; 3]) -> Lab {
+pub fn srgb_to_lab(rgb: [u8; 3]) -> Lab {
     let [r, g, b] = rgb.map(|channel| LINEAR[usize::from(channel)]);
     // sRGB primaries to XYZ, divided by the D65 white point.
     let x = (0.412_456 * r + 0.357_576 * g + 0.180_438 * b) / 0.950_47;
@@ -46,7 +46,7 @@ fn lab_curve(t: f32) -> f32 {
 /// The eleven basic color terms of English (Berlin and Kay), plus beige, which furniture needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum ColourName {
+pub enum ColorName {
     /// CIELAB lightness below 20 with chroma below 12, or below 28 with chroma below 9.
     Black,
     /// Lightness from 72, chroma below 9.
@@ -73,8 +73,8 @@ pub enum ColourName {
     Beige,
 }
 
-impl ColourName {
-    /// In order of declaration, which is the order of [`ColourHistogram`].
+impl ColorName {
+    /// In order of declaration, which is the order of [`ColorHistogram`].
     pub const ALL: [Self; 12] = [
         Self::Black,
         Self::White,
@@ -92,7 +92,7 @@ impl ColourName {
 
     /// The English word, lower case.
     #[must_use]
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Self::Black => "black",
             Self::White => "white",
@@ -114,7 +114,7 @@ impl ColourName {
     /// Thresholds follow the usual centroids of the basic terms: browns are dark oranges, beiges
     /// pale ones, pinks pale reds.
     #[must_use]
-    pub fn of(lab: &Lab) -> Self {
+    pub fn from_lab(lab: &Lab) -> Self {
         let lightness = lab.x;
         let chroma = lab.y.hypot(lab.z);
         let hue_deg = lab.z.atan2(lab.y).to_degrees().rem_euclid(360.0);
@@ -198,8 +198,8 @@ impl ColourName {
 
     /// How well this name may stand for `other`, since people disagree at the borders, in `0..=1`.
     #[must_use]
-    pub fn kinship(self, other: Self) -> f32 {
-        use ColourName::{
+    pub fn similarity(self, other: Self) -> f32 {
+        use ColorName::{
             Beige, Black, Blue, Brown, Grey, Orange, Pink, Purple, Red, White, Yellow,
         };
         if self == other {
@@ -223,17 +223,17 @@ impl ColourName {
     }
 }
 
-/// Share of each color name among an instance's points, in the order of [`ColourName::ALL`]; sums
+/// Share of each color name among an instance's points, in the order of [`ColorName::ALL`]; sums
 /// to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct ColourHistogram(pub [f32; 12]);
+pub struct ColorHistogram(pub [f32; 12]);
 
-impl ColourHistogram {
+impl ColorHistogram {
     /// Counts 8-bit sRGB colors by name; all shares are 0 when there are none.
-    pub fn of(colours: impl IntoIterator<Item = [u8; 3]>) -> Self {
+    pub fn from_colors(colors: impl IntoIterator<Item = [u8; 3]>) -> Self {
         let mut counts = [0_u32; 12];
-        for rgb in colours {
-            counts[ColourName::of(&lab_of_srgb(rgb)) as usize] += 1;
+        for rgb in colors {
+            counts[ColorName::from_lab(&srgb_to_lab(rgb)) as usize] += 1;
         }
         let total = counts.iter().sum::<u32>().max(1) as f32;
         Self(counts.map(|n| n as f32 / total))
@@ -241,7 +241,7 @@ impl ColourHistogram {
 
     /// A histogram with equal shares of these names.
     #[must_use]
-    pub fn even(names: &[ColourName]) -> Self {
+    pub fn uniform(names: &[ColorName]) -> Self {
         let mut shares = [0.0; 12];
         names.iter().for_each(|&name| shares[name as usize] += 1.0 / names.len() as f32);
         Self(shares)
@@ -249,14 +249,14 @@ impl ColourHistogram {
 
     /// Share of the points with exactly this name, `0..=1`; similar names do not count.
     #[must_use]
-    pub fn share(&self, name: ColourName) -> f32 {
+    pub fn share(&self, name: ColorName) -> f32 {
         self.0[name as usize]
     }
 
     /// Names by descending share, without those under 10 %.
     #[must_use]
-    pub fn dominant(&self) -> Vec<(ColourName, f32)> {
-        let mut named: Vec<_> = ColourName::ALL
+    pub fn dominant(&self) -> Vec<(ColorName, f32)> {
+        let mut named: Vec<_> = ColorName::ALL
             .into_iter()
             .map(|n| (n, self.share(n)))
             .filter(|(_, s)| *s >= 0.1)
@@ -269,11 +269,11 @@ impl ColourHistogram {
     /// the points with this name. Similar names count less: a brown desk may be called orange, but
     /// not if an orange one is next to it.
     #[must_use]
-    pub fn describes(&self, name: ColourName) -> f32 {
-        let kin: f32 = ColourName::ALL
+    pub fn name_fit(&self, name: ColorName) -> f32 {
+        let kin: f32 = ColorName::ALL
             .into_iter()
             .filter(|other| *other != name)
-            .map(|other| self.share(other) * name.kinship(other))
+            .map(|other| self.share(other) * name.similarity(other))
             .sum();
         (self.share(name) / 0.6 + kin).min(1.0)
     }
@@ -291,14 +291,14 @@ mod tests {
             ([0, 0, 255], [32.30, 79.19, -107.86]),
             ([128, 128, 128], [53.59, 0.0, 0.0]),
         ] {
-            let lab = lab_of_srgb(rgb);
+            let lab = srgb_to_lab(rgb);
             assert!((lab - Lab::from(expected)).norm() < 0.3, "{rgb:?} gave {lab:?}");
         }
     }
 
     #[test]
-    fn everyday_colours_get_their_names() {
-        use ColourName::*;
+    fn everyday_colors_get_their_names() {
+        use ColorName::*;
         for (rgb, name) in [
             ([10, 10, 10], Black),
             ([240, 240, 240], White),
@@ -316,15 +316,20 @@ mod tests {
             ([90, 120, 200], Blue),
             ([160, 110, 60], Brown),
         ] {
-            assert_eq!(ColourName::of(&lab_of_srgb(rgb)), name, "{rgb:?} {:?}", lab_of_srgb(rgb));
+            assert_eq!(
+                ColorName::from_lab(&srgb_to_lab(rgb)),
+                name,
+                "{rgb:?} {:?}",
+                srgb_to_lab(rgb)
+            );
         }
     }
 
     #[test]
     fn kinship_is_symmetric() {
-        for a in ColourName::ALL {
-            for b in ColourName::ALL {
-                assert_eq!(a.kinship(b), b.kinship(a));
+        for a in ColorName::ALL {
+            for b in ColorName::ALL {
+                assert_eq!(a.similarity(b), b.similarity(a));
             }
         }
     }

@@ -30,32 +30,35 @@ pub(super) struct PixelSample {
     /// Weight of the measurement. Near and frontal views have the largest weight.
     pub weight: f32,
     /// Weight of the color. Sharp pictures have the largest weight.
-    pub colour_weight: f32,
-    pub colour: [u8; 3],
+    pub color_weight: f32,
+    pub color: [u8; 3],
 }
 
 const TILE: u32 = 16;
 
 impl FusionFrame {
-    pub fn of(frame: &Frame, settings: &FusionSettings) -> Self {
+    pub fn new(frame: &Frame, settings: &FusionSettings) -> Self {
         let (width, height) = (frame.depth.width, frame.depth.height);
-        let colours = frame.colour_on_depth_grid();
-        let sharpness = sharpness(&colours, width);
-        let mut pixels = Vec::with_capacity(colours.len());
+        let colors = frame.color_on_depth_grid();
+        let sharpness = sharpness(&colors, width);
+        let mut pixels = Vec::with_capacity(colors.len());
         for v in 0..height {
             for u in 0..width {
                 let z_m = frame.depth.at((u, v));
                 let usable = z_m > 0.0
                     && z_m <= settings.max_depth_m
                     && !on_silhouette(frame, u, v, z_m, settings.silhouette_tolerance);
-                let weight =
-                    if usable { facing(frame, u, v, z_m) / (z_m * z_m).max(0.01) } else { 0.0 };
-                let colour = colours[(v * width + u) as usize];
+                let weight = if usable {
+                    view_cosine(frame, u, v, z_m) / (z_m * z_m).max(0.01)
+                } else {
+                    0.0
+                };
+                let color = colors[(v * width + u) as usize];
                 pixels.push(PixelSample {
                     depth_m: if usable { z_m } else { 0.0 },
                     weight,
-                    colour_weight: weight * weight * sharpness,
-                    colour,
+                    color_weight: weight * weight * sharpness,
+                    color,
                 });
             }
         }
@@ -75,7 +78,7 @@ impl FusionFrame {
             tiles_wide,
             blocks: Vec::new(),
         };
-        look.blocks = look.touched(settings);
+        look.blocks = look.touched_voxels(settings);
         look
     }
 
@@ -114,7 +117,7 @@ impl FusionFrame {
         )
     }
 
-    fn touched(&self, settings: &FusionSettings) -> Vec<VoxelKey> {
+    fn touched_voxels(&self, settings: &FusionSettings) -> Vec<VoxelKey> {
         let block_m = super::volume::SIDE as f32 * settings.voxel_m;
         let truncation_m = settings.truncation_m();
         let to_world = self.camera.world_to_camera().inverse();
@@ -125,15 +128,20 @@ impl FusionFrame {
         for (i, seen) in self.pixels.iter().enumerate().filter(|(_, seen)| seen.depth_m > 0.0) {
             let (u, v) = ((i as u32 % self.width) as f32, (i as u32 / self.width) as f32);
             // Neighboring pixels mostly fall into the same block: compare with it before hashing.
-            let here =
-                VoxelKey::of(&(to_world * camera.unproject(u, v, seen.depth_m)), block_m / 4.0);
+            let here = VoxelKey::containing(
+                &(to_world * camera.unproject(u, v, seen.depth_m)),
+                block_m / 4.0,
+            );
             if last.replace(here) == Some(here) {
                 continue;
             }
             for step in 0..=steps as u32 {
                 let z_m = seen.depth_m - truncation_m + 2.0 * truncation_m * step as f32 / steps;
                 if z_m > 0.0 {
-                    keys.insert(VoxelKey::of(&(to_world * camera.unproject(u, v, z_m)), block_m));
+                    keys.insert(VoxelKey::containing(
+                        &(to_world * camera.unproject(u, v, z_m)),
+                        block_m,
+                    ));
                 }
             }
         }
@@ -145,7 +153,7 @@ impl FusionFrame {
 
 /// Returns the cosine between the view and the surface normal, from the depths around a pixel; at
 /// least 0.1.
-fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
+fn view_cosine(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
     /// Distance of the neighboring pixels on either side. With adjacent pixels, noise dominates.
     const REACH: u32 = 3;
     let camera = frame.depth_camera.intrinsics;
@@ -163,15 +171,15 @@ fn facing(frame: &Frame, u: u32, v: u32, z_m: f32) -> f32 {
 
 /// Returns the mean difference of brightness between neighboring pixels of a row. Pictures with
 /// motion blur have small differences.
-fn sharpness(colours: &[[u8; 3]], width: u32) -> f32 {
+fn sharpness(colors: &[[u8; 3]], width: u32) -> f32 {
     let brightness = |c: &[u8; 3]| c.iter().map(|&v| i32::from(v)).sum::<i32>();
     let differences = |row: &[[u8; 3]]| {
         row.windows(2)
             .map(|pair| i64::from((brightness(&pair[0]) - brightness(&pair[1])).abs()))
             .sum::<i64>()
     };
-    let sum: i64 = colours.chunks(width.max(1) as usize).map(differences).sum();
-    1.0 + sum as f32 / colours.len().max(1) as f32
+    let sum: i64 = colors.chunks(width.max(1) as usize).map(differences).sum();
+    1.0 + sum as f32 / colors.len().max(1) as f32
 }
 
 fn on_silhouette(frame: &Frame, u: u32, v: u32, z_m: f32, tolerance: f32) -> bool {

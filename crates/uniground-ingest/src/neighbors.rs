@@ -32,14 +32,14 @@ pub struct NeighborAgreement {
 /// Compares a sample of neighboring frames. Returns `None` where they do not overlap or cannot be
 /// read.
 #[must_use]
-pub fn neighbours(frames: &[FrameRef]) -> Option<NeighborAgreement> {
+pub fn compare_neighbors(frames: &[FrameRef]) -> Option<NeighborAgreement> {
     let pairs: Vec<&[FrameRef]> = frames.windows(2).collect();
     let sample: Vec<&[FrameRef]> =
         pairs.iter().step_by(pairs.len().div_ceil(PAIRS).max(1)).copied().collect();
     let told: Vec<(f32, f32, FrameIndex)> = sample
         .into_par_iter()
         .filter_map(|pair| {
-            let (error_m, drift_m) = difference(
+            let (error_m, drift_m) = depth_difference(
                 &pair[0],
                 &pair[0].decode_depth().ok()?,
                 &pair[1],
@@ -59,7 +59,7 @@ pub fn neighbours(frames: &[FrameRef]) -> Option<NeighborAgreement> {
 
 /// Returns the median absolute difference of depth, and the absolute value of the median
 /// difference.
-fn difference(
+fn depth_difference(
     from: &FrameRef,
     depth: &DepthImage,
     to: &FrameRef,
@@ -104,9 +104,9 @@ mod tests {
             Intrinsics { width: 64, height: 64, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
         FrameRef {
             index: FrameIndex(index),
-            colour: depth.clone(),
+            color: depth.clone(),
             depth,
-            colour_intrinsics: intrinsics,
+            color_intrinsics: intrinsics,
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::translation(0.0, 0.0, at_m),
@@ -125,14 +125,14 @@ mod tests {
             frame(folder, 2, 0.2, 1800),
             frame(folder, 5, 0.3, 1740),
         ];
-        let told = neighbours(&frames).unwrap();
+        let told = compare_neighbors(&frames).unwrap();
         assert!(told.depth_error_m < 0.001 && told.drift_m < 0.001, "{told:?}");
         assert!(
             (told.worst_drift_m - 0.04).abs() < 1e-3 && told.worst_after == FrameIndex(2),
             "{told:?}"
         );
-        assert_eq!(neighbours(&frames[..1]), None);
+        assert_eq!(compare_neighbors(&frames[..1]), None);
         let away = frame(folder, 7, 50.0, 2000);
-        assert_eq!(neighbours(&[frames[0].clone(), away]), None, "nothing in common");
+        assert_eq!(compare_neighbors(&[frames[0].clone(), away]), None, "nothing in common");
     }
 }
