@@ -4,7 +4,7 @@
 //! The uses are those of the lexicon; `uses.tsv` has other words for them.
 
 use super::cost;
-use super::tokenize::{BREAK, stem};
+use super::tokens::{BREAK, stem};
 use super::words::{self, Meaning};
 use std::collections::{BTreeSet, HashMap};
 use std::sync::LazyLock;

@@ -4,7 +4,7 @@
 //! (`uniground_grounding::choose_reading`).
 
 use super::pieces::longest_noun;
-use super::tokenize::BREAK;
+use super::tokens::BREAK;
 use super::words::{self, Meaning as Word};
 use super::{Meaning, ParsedQuery, With, affordances, zones};
 use uniground_models::attributes::WordNet;

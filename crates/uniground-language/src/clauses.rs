@@ -2,7 +2,7 @@
 //! dear and fetch the mug", "the lamp needs a new bulb".
 
 use super::pieces::longest_noun;
-use super::tokenize::BREAK;
+use super::tokens::BREAK;
 use super::words::{self, Meaning};
 use uniground_models::attributes::Lexicon;
 

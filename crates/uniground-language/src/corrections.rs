@@ -1,7 +1,7 @@
 //! Applies self-corrections: "the brown bag. No, I mean the box" asks for the box.
 
 use super::pieces::longest_noun;
-use super::tokenize::BREAK;
+use super::tokens::BREAK;
 use super::words::{self, Meaning};
 
 /// Words that withdraw what was said before; longest first.

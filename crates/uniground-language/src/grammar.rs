@@ -12,7 +12,7 @@ use super::observers;
 use super::pieces::{Piece, address, has_noun_ahead, is_bare_noun, is_filler, pieces};
 use super::rewrites::rewrite;
 use super::situations;
-use super::tokenize::{correct_spelling, tokenize};
+use super::tokens::{correct_spelling, tokenize};
 use super::words::{self, Meaning};
 use super::{
     Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative,

@@ -1,6 +1,6 @@
 //! Detects whether a question is in English, the only language that the grammar reads.
 
-use super::tokenize::{BREAK, correct_small_word, correct_spelling};
+use super::tokens::{BREAK, correct_small_word, correct_spelling};
 use super::words;
 use uniground_models::attributes::{Lexicon, WordNet};
 

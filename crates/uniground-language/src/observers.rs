@@ -2,7 +2,7 @@
 //! "if I'm sitting over there on the sofa and look at the TV" becomes "when you stand at the sofa
 //! when you face the TV".
 
-use super::tokenize::BREAK;
+use super::tokens::BREAK;
 use uniground_models::attributes::Lexicon;
 
 /// The action of a viewer.

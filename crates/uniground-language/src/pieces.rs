@@ -1,6 +1,6 @@
 //! Splits tokens into pieces: nouns of the lexicon, words of the grammar, and the rest.
 
-use super::tokenize::{BREAK, join_words};
+use super::tokens::{BREAK, join_words};
 use super::words::{self, Meaning};
 use super::{Measure, cost, zones};
 use uniground_models::attributes::Lexicon;

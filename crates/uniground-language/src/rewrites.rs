@@ -2,7 +2,7 @@
 
 use super::pieces::longest_noun;
 use super::sides;
-use super::tokenize::{BREAK, correct_small_word};
+use super::tokens::{BREAK, correct_small_word};
 use super::words::{self, Meaning};
 use super::{affordances, clauses};
 use uniground_models::attributes::Lexicon;

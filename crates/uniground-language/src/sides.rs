@@ -1,7 +1,7 @@
 //! Rewrites ends, corners and sides of things and of the room to the few forms that the tables
 //! have.
 
-use super::tokenize::BREAK;
+use super::tokens::BREAK;
 use super::words::{self, Meaning};
 use uniground_models::attributes::Lexicon;
 

@@ -2,7 +2,7 @@
 //! drips, where can I wash them?" asks for a place to wash.
 
 use super::affordances;
-use super::tokenize::BREAK;
+use super::tokens::BREAK;
 use super::words::{self, Meaning};
 use uniground_models::attributes::Lexicon;
 

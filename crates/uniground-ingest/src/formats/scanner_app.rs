@@ -2,7 +2,7 @@
 //! `conf_00000.png` in one folder. OpenGL cameras in a world that ARKit made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::list_files::{DEPTHS, FolderListing, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::matrix_from_values;
 use super::{incomplete, intrinsics, pairing};
 use crate::IngestError;
