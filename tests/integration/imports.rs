@@ -56,7 +56,10 @@ async fn a_scan_below_the_import_folder_needs_no_upload() {
         (client.scene(&zipped).await.unwrap(), client.scene(&unpacked).await.unwrap());
     assert_eq!((unpacked.status, &unpacked.counts), (SceneStatus::Ready, &zipped.counts));
     let stored = client
-        .import_scene(&ImportRequest { parse: false, ..ImportRequest::from_path("./room/../room.zip") })
+        .import_scene(&ImportRequest {
+            parse: false,
+            ..ImportRequest::from_path("./room/../room.zip")
+        })
         .await
         .unwrap();
     assert!(stored.job.is_none());

@@ -126,13 +126,13 @@ impl VoxelGrid {
 
     /// Returns the occupied ones among the 26 neighbors of every voxel, ascending.
     #[must_use]
-    pub fn neighbours(&self) -> VoxelNeighbors {
+    pub fn neighbors(&self) -> VoxelNeighbors {
         const CHUNK: usize = 4096;
         let chunks: Vec<(Vec<u32>, Vec<u32>)> = (0..self.len())
             .step_by(CHUNK)
             .collect::<Vec<_>>()
             .into_par_iter()
-            .map(|from| self.neighbours_of(from..(from + CHUNK).min(self.len())))
+            .map(|from| self.collect_neighbors(from..(from + CHUNK).min(self.len())))
             .collect();
         let mut starts = Vec::with_capacity(self.len() + 1);
         let mut total = 0;
@@ -150,7 +150,7 @@ impl VoxelGrid {
     ///
     /// Along Z, neighbors have consecutive keys. As voxels ascend, so do the keys of the nine
     /// columns around them. So nine cursors sweep the sorted keys once, without look-ups.
-    fn neighbours_of(&self, voxels: std::ops::Range<usize>) -> (Vec<u32>, Vec<u32>) {
+    fn collect_neighbors(&self, voxels: std::ops::Range<usize>) -> (Vec<u32>, Vec<u32>) {
         let columns: [i64; 9] =
             std::array::from_fn(|i| VoxelKey::step([i as i64 / 3 - 1, i as i64 % 3 - 1, -1]));
         let lowest = |voxel: usize, column: i64| self.keys[voxel].offset_by_step(column);
@@ -224,7 +224,7 @@ pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
 }
 
 /// Offsets of the 26 voxels around a voxel.
-pub const NEIGHBOURS_26: [[i64; 3]; 26] = {
+pub const NEIGHBORS_26: [[i64; 3]; 26] = {
     let mut all = [[0; 3]; 26];
     let (mut n, mut i) = (0, 0);
     while i < 27 {
@@ -263,11 +263,11 @@ mod tests {
             assert_eq!(grid.keys[v as usize], VoxelKey::containing(p, 0.05));
         }
         assert!(grid.len() < points.len());
-        let neighbours = grid.neighbours();
+        let neighbors = grid.neighbors();
         for (v, key) in grid.keys.iter().enumerate() {
             let looked_up: Vec<u32> =
-                NEIGHBOURS_26.iter().filter_map(|&d| grid.get(key.offset(d))).collect();
-            assert_eq!(neighbours.neighbors_of(v as u32), looked_up);
+                NEIGHBORS_26.iter().filter_map(|&d| grid.get(key.offset(d))).collect();
+            assert_eq!(neighbors.neighbors_of(v as u32), looked_up);
         }
     }
 

@@ -16,7 +16,7 @@ use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 
 /// Returns the duration of each step in milliseconds. The arguments are the times from the start to
 /// the end of each step.
-pub(super) fn timings(parsed: Duration, shortlisted: Duration, total: Duration) -> Timings {
+pub(super) fn to_timings(parsed: Duration, shortlisted: Duration, total: Duration) -> Timings {
     let ms = |d: Duration| (d.as_secs_f64() * 1e6).round() / 1e3;
     Timings {
         parse_query: ms(parsed),
@@ -116,9 +116,9 @@ pub(super) fn assemble(
     let asks_for_several = parsed.quantity != Quantity::One;
     let targets = match chosen {
         Some(_) if asks_for_several => {
-            several.iter().map(|&i| target(&scene.instances[i], beliefs[i])).collect()
+            several.iter().map(|&i| to_target(&scene.instances[i], beliefs[i])).collect()
         }
-        Some(chosen) => vec![target(chosen, confidence)],
+        Some(chosen) => vec![to_target(chosen, confidence)],
         None => Vec::new(),
     };
     let mut rivals: Vec<&Instance> = match status {
@@ -138,7 +138,7 @@ pub(super) fn assemble(
             explanation,
             candidate_names: candidates
                 .iter()
-                .map(|c| (c.id.0, described(&scene.instances[c.id.0 as usize - 1])))
+                .map(|c| (c.id.0, describe_instance(&scene.instances[c.id.0 as usize - 1])))
                 .collect(),
             target_name_matches: chosen.and(target_name_matches),
             anchor_id: anchor,
@@ -151,11 +151,11 @@ pub(super) fn assemble(
         alternatives: rivals
             .iter()
             .take(MAX_ALTERNATIVES)
-            .map(|i| alternative(i, described(i), belief(i)))
+            .map(|i| to_alternative(i, describe_instance(i), belief(i)))
             .collect(),
         count: asks_for_several.then_some(targets.len() as u32),
         targets,
-        parsed_query: summarise(parsed),
+        parsed_query: summarize(parsed),
         direction_convention: if question.observer.is_some() {
             "observer".into()
         } else {
@@ -167,7 +167,7 @@ pub(super) fn assemble(
 
 impl Grounding {
     /// Adds instances that were found after the candidates were chosen.
-    pub(super) fn offer(&mut self, context: &PromptContext, instances: &[Instance]) {
+    pub(super) fn add_found(&mut self, context: &PromptContext, instances: &[Instance]) {
         for (shown, rank) in context.candidates.iter().zip(1..) {
             let Some(instance) =
                 instances.get(shown.id.0 as usize - 1).filter(|i| i.found_for.is_some())
@@ -175,21 +175,21 @@ impl Grounding {
                 continue;
             };
             if self.candidates.iter().all(|c| c.id != shown.id) {
-                self.candidates.push(candidate(instance, rank, shown.score));
-                self.answer.candidate_names.insert(shown.id.0, described(instance));
+                self.candidates.push(to_candidate(instance, rank, shown.score));
+                self.answer.candidate_names.insert(shown.id.0, describe_instance(instance));
             }
         }
     }
 }
 
 /// Converts an instance to a candidate.
-pub(super) fn candidate(instance: &Instance, rank: u32, score: f32) -> Candidate {
+pub(super) fn to_candidate(instance: &Instance, rank: u32, score: f32) -> Candidate {
     let &Instance { id, aabb, oriented_box, .. } = instance;
     Candidate {
         id,
         rank,
         score,
-        name: described(instance),
+        name: describe_instance(instance),
         aabb,
         oriented_box: Some(oriented_box),
         view: None,
@@ -197,18 +197,18 @@ pub(super) fn candidate(instance: &Instance, rank: u32, score: f32) -> Candidate
 }
 
 /// Converts an instance to an alternative.
-pub(super) fn alternative(instance: &Instance, name: String, confidence: f32) -> Alternative {
+pub(super) fn to_alternative(instance: &Instance, name: String, confidence: f32) -> Alternative {
     let &Instance { id, aabb, oriented_box, .. } = instance;
     Alternative { id, name, confidence, aabb, oriented_box: Some(oriented_box), view: None }
 }
 
 /// Converts an instance to a target.
-pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
+pub(super) fn to_target(instance: &Instance, confidence: f32) -> Target {
     let &Instance { id, aabb, oriented_box, support, level, .. } = instance;
     let parent = instance.things.first().copied().filter(|_| level == Level::Part);
     Target {
         id,
-        name: described(instance),
+        name: describe_instance(instance),
         confidence,
         aabb,
         oriented_box,
@@ -219,7 +219,7 @@ pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
 
 impl Grounding {
     /// Makes the answer uncertain if its confidence is below `least`.
-    pub(super) fn hold_to(&mut self, least: f32) {
+    pub(super) fn require_confidence(&mut self, least: f32) {
         if self.status == Status::Grounded && self.confidence < least {
             self.status = Status::Uncertain;
         }
@@ -227,7 +227,7 @@ impl Grounding {
 }
 
 /// Returns dominant color and best name, such as "red sofa", whatever the question says.
-pub(super) fn described(instance: &Instance) -> String {
+pub(super) fn describe_instance(instance: &Instance) -> String {
     let says_color = |name: &String| {
         name.split_whitespace()
             .any(|word| ColorName::ALL.iter().any(|color| color.as_str() == word))
@@ -241,7 +241,7 @@ pub(super) fn described(instance: &Instance) -> String {
     }
 }
 
-fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
+fn summarize(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let target = &parsed.target;
     let traits = target.traits.iter().map(|s| s.as_str().to_owned());
     let colors = target.colors.iter().map(|c| c.as_str().to_owned());

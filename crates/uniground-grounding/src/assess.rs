@@ -15,7 +15,7 @@ use super::fit::{colors_fit, most_plausible, noun_fits, trait_fits};
 use super::relations::{self, SeenBy};
 use super::room::{Faced, Room};
 use super::solid::Solid;
-use places::ranked;
+use places::ranks_by_distance;
 use std::cell::OnceCell;
 use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
@@ -141,17 +141,17 @@ impl<'a> Assessor<'a> {
             if comparing(&phrase.relations[i])
                 && let Some(count) = counted.take()
             {
-                leave_best(count, &mut total);
+                keep_best(count, &mut total);
             }
-            bonds[i] = self.bonds(&phrase.relations[i], &total);
-            let least = contradicted(phrase.relations[i].kind);
+            bonds[i] = self.match_relation(&phrase.relations[i], &total);
+            let least = contradiction_factor(phrase.relations[i].kind);
             total
                 .iter_mut()
                 .zip(&bonds[i])
                 .for_each(|(score, bond)| *score *= least + (1.0 - least) * bond.score);
         }
         if let Some(count) = counted.filter(|_| compares) {
-            leave_best(count, &mut total);
+            keep_best(count, &mut total);
         }
         let place_seen_by = phrase
             .superlative
@@ -208,7 +208,7 @@ impl<'a> Assessor<'a> {
 
     /// Returns the mean position of all instances that a phrase's own words may mean; meters.
     #[must_use]
-    pub fn middle_of(&self, phrase: &Phrase) -> Option<Point3<f32>> {
+    pub fn mean_position(&self, phrase: &Phrase) -> Option<Point3<f32>> {
         let likely = most_plausible(&self.own_fits(phrase).1, MAX_ANCHORS);
         let sum =
             likely.iter().fold(Vector3::zeros(), |sum, &(i, _)| sum + self.solids[i].center.coords);
@@ -245,16 +245,16 @@ impl<'a> Assessor<'a> {
     }
 
     /// Returns, for every instance as target, its best anchors and how well the relation holds.
-    fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<RelationMatch> {
+    fn match_relation(&self, relation: &Relation, fits: &[f32]) -> Vec<RelationMatch> {
         let most = if relation.kind == RelationKind::Between {
             MAX_ANCHORS_OF_A_PAIR
         } else {
             MAX_ANCHORS
         };
         if let [zone] = &relation.anchors[..]
-            && let Some(nouns) = zones::made_of(&zone.head)
+            && let Some(nouns) = zones::nouns_of_zone(&zone.head)
         {
-            return self.within(nouns, fits, relation.negated);
+            return self.match_zone(nouns, fits, relation.negated);
         }
         if let [anchor] = &relation.anchors[..]
             && anchor.head == ME
@@ -264,12 +264,12 @@ impl<'a> Assessor<'a> {
             return self
                 .observer
                 .as_ref()
-                .map_or_else(unknown, |observer| self.to_observer(relation, observer, fits));
+                .map_or_else(unknown, |observer| self.match_to_observer(relation, observer, fits));
         }
         let assessed: Vec<Assessment> =
             relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
-        if let Some(share) = unchecked(&relation.anchors, &assessed, NOT_FOUND) {
-            return self.at_a_side(relation, fits, share);
+        if let Some(share) = unchecked_factor(&relation.anchors, &assessed, NOT_FOUND) {
+            return self.match_side_of_unknown(relation, fits, share);
         }
         let anchors: Vec<Vec<(usize, f32)>> =
             assessed.iter().map(|found| most_plausible(&found.total, most)).collect();
@@ -282,14 +282,14 @@ impl<'a> Assessor<'a> {
             }
             // "near" without an anchor: the parsed query reports it, the decision ignores it.
             (_, []) => vec![RelationMatch { score: 1.0, anchor: None }; fits.len()],
-            (kind, all) if kind.is_comparison() => self.by_distance(relation, fits, all),
-            (RelationKind::Between, [a, b, ..]) => each(&|t| self.between_pair(t, a, b)),
-            (RelationKind::Between, [only]) => each(&|t| self.between_pair(t, only, only)),
+            (kind, all) if kind.is_comparison() => self.match_by_distance(relation, fits, all),
+            (RelationKind::Between, [a, b, ..]) => each(&|t| self.match_between(t, a, b)),
+            (RelationKind::Between, [only]) => each(&|t| self.match_between(t, only, only)),
             // Several anchors ("next to the sofa and the lamp") must all hold.
             (_, all) => each(&|t| {
                 let mut joint = RelationMatch { score: 1.0, anchor: None };
                 for candidates in all {
-                    let bond = self.best_bond(relation, t, candidates);
+                    let bond = self.best_match(relation, t, candidates);
                     joint = RelationMatch {
                         score: joint.score * bond.score,
                         anchor: joint.anchor.or(bond.anchor),
@@ -314,7 +314,12 @@ impl<'a> Assessor<'a> {
 
     /// Scores a relation whose anchor is unknown or was not found. "Right of the mantel" then means
     /// the rightmost of its kind.
-    fn at_a_side(&self, relation: &Relation, fits: &[f32], share: f32) -> Vec<RelationMatch> {
+    fn match_side_of_unknown(
+        &self,
+        relation: &Relation,
+        fits: &[f32],
+        share: f32,
+    ) -> Vec<RelationMatch> {
         let side = match relation.kind {
             RelationKind::LeftOf => -self.directions.right,
             RelationKind::RightOf => self.directions.right,
@@ -324,7 +329,7 @@ impl<'a> Assessor<'a> {
         let mut order: Vec<(f32, usize)> =
             most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (along(t), t)).collect();
         let mut bonds = vec![NO_BOND; fits.len()];
-        for (t, factor) in ranked(relation, &mut order, fits) {
+        for (t, factor) in ranks_by_distance(relation, &mut order, fits) {
             bonds[t].score = share * if relation.negated { 1.0 - factor } else { factor };
         }
         bonds
@@ -332,7 +337,7 @@ impl<'a> Assessor<'a> {
 
     /// Returns how far each instance lies within the zone that instances of these nouns form: near
     /// one of them. Where there are none, any instance may.
-    fn within(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<RelationMatch> {
+    fn match_zone(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<RelationMatch> {
         const REACH_M: f32 = 1.5;
         let named = |noun: &&str| {
             noun_fits(self.scene, &Phrase { head: (*noun).to_owned(), ..Phrase::default() })
@@ -366,26 +371,26 @@ impl<'a> Assessor<'a> {
             .collect()
     }
 
-    fn best_bond(
+    fn best_match(
         &self,
         relation: &Relation,
         target: usize,
         anchors: &[(usize, f32)],
     ) -> RelationMatch {
         let score = |a: usize| {
-            self.geometry(relation.kind, target, &[a]).max(self.on_its_side(relation, target, a))
-                * self.hangs(relation.kind, target, a)
+            self.geometry(relation.kind, target, &[a]).max(self.score_on_side(relation, target, a))
+                * self.hanging_factor(relation.kind, target, a)
         };
         let bond = |&(a, fit): &(usize, f32)| RelationMatch {
             score: fit.sqrt() * score(a),
             anchor: Some(self.id(a)),
         };
-        anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better)
+        anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better_match)
     }
 
     /// Something on a wall hangs there; an instance that stands on the floor or on another only
     /// stands at the wall.
-    fn hangs(&self, kind: RelationKind, target: usize, anchor: usize) -> f32 {
+    fn hanging_factor(&self, kind: RelationKind, target: usize, anchor: usize) -> f32 {
         let of = |i: usize| &self.scene.instances[i];
         let held_below = matches!(of(target).support, Support::Floor | Support::Instance { .. });
         if kind == RelationKind::On && of(anchor).structure == Some(Structure::Wall) && held_below {
@@ -396,7 +401,7 @@ impl<'a> Assessor<'a> {
     }
 
     /// "On the left side of the desk" may also mean on the desk, to the left.
-    fn on_its_side(&self, relation: &Relation, target: usize, anchor: usize) -> f32 {
+    fn score_on_side(&self, relation: &Relation, target: usize, anchor: usize) -> f32 {
         let sign = match relation.kind {
             RelationKind::LeftOf => -1.0,
             RelationKind::RightOf => 1.0,
@@ -411,7 +416,12 @@ impl<'a> Assessor<'a> {
         }
     }
 
-    fn between_pair(&self, target: usize, a: &[(usize, f32)], b: &[(usize, f32)]) -> RelationMatch {
+    fn match_between(
+        &self,
+        target: usize,
+        a: &[(usize, f32)],
+        b: &[(usize, f32)],
+    ) -> RelationMatch {
         let pairs = a.iter().flat_map(|x| b.iter().map(move |y| (x, y)));
         pairs
             .filter(|(x, y)| x.0 != y.0 && x.0 != target && y.0 != target)
@@ -420,12 +430,12 @@ impl<'a> Assessor<'a> {
                     * self.geometry(RelationKind::Between, target, &[i, j]),
                 anchor: Some(self.id(i)),
             })
-            .fold(NO_BOND, better)
+            .fold(NO_BOND, better_match)
     }
 
     /// Scores "closest to": compares the instances that the target may be, and each rank further
     /// down counts less. Several anchors count by the sum of the distances to them.
-    fn by_distance(
+    fn match_by_distance(
         &self,
         relation: &Relation,
         fits: &[f32],
@@ -464,8 +474,8 @@ impl<'a> Assessor<'a> {
                     )
                 })
                 .collect();
-            for (t, factor) in ranked(relation, &mut order, fits) {
-                bonds[t] = better(
+            for (t, factor) in ranks_by_distance(relation, &mut order, fits) {
+                bonds[t] = better_match(
                     bonds[t],
                     RelationMatch { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) },
                 );
@@ -475,7 +485,7 @@ impl<'a> Assessor<'a> {
     }
 
     /// Scores relations to the observer: "closest to me", "in front of me".
-    fn to_observer(
+    fn match_to_observer(
         &self,
         relation: &Relation,
         observer: &Solid,
@@ -486,7 +496,7 @@ impl<'a> Assessor<'a> {
             let apart = |t: usize| relations::apart(&self.solids[t], observer, false, self.room());
             let mut order: Vec<(f32, usize)> =
                 most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (apart(t), t)).collect();
-            ranked(relation, &mut order, fits)
+            ranks_by_distance(relation, &mut order, fits)
                 .into_iter()
                 .for_each(|(t, factor)| scores[t] = factor);
         } else {
@@ -512,7 +522,7 @@ impl<'a> Assessor<'a> {
 
 /// Returns the factor of a score where nothing can be measured: 1 when a word is unknown, `share`
 /// when no such instance was found.
-fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32> {
+fn unchecked_factor(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32> {
     let shares = phrases.iter().zip(found).map(|(phrase, found)| {
         let there = found.nouns.iter().any(|fit| *fit >= FOUND);
         match phrase.meaning() {
@@ -526,7 +536,7 @@ fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32
 
 /// "The middle one of the three stools": keeps the three that fit best, and those that fit as well
 /// as the third.
-fn leave_best(count: usize, scores: &mut [f32]) {
+fn keep_best(count: usize, scores: &mut [f32]) {
     const AS_WELL: f32 = 0.95;
     let mut best = scores.to_vec();
     best.sort_by(|a, b| b.total_cmp(a));
@@ -534,11 +544,11 @@ fn leave_best(count: usize, scores: &mut [f32]) {
     scores.iter_mut().filter(|score| **score < least).for_each(|score| *score = 0.0);
 }
 
-fn contradicted(kind: RelationKind) -> f32 {
+fn contradiction_factor(kind: RelationKind) -> f32 {
     if kind.depends_on_who_looks() { LOOSELY_CONTRADICTED } else { CONTRADICTED }
 }
 
-fn better(best: RelationMatch, other: RelationMatch) -> RelationMatch {
+fn better_match(best: RelationMatch, other: RelationMatch) -> RelationMatch {
     if other.score > best.score { other } else { best }
 }
 
@@ -606,13 +616,17 @@ mod tests {
 
     fn scores(instances: &[Instance], relation: &Relation, fits: &[f32]) -> Vec<f32> {
         with_assessor(instances, |assessor| {
-            assessor.bonds(relation, fits).iter().map(|bond| bond.score).collect()
+            assessor.match_relation(relation, fits).iter().map(|bond| bond.score).collect()
         })
     }
 
     fn anchors(instances: &[Instance], relation: &Relation, fits: &[f32]) -> Vec<Option<u32>> {
         with_assessor(instances, |assessor| {
-            assessor.bonds(relation, fits).iter().map(|bond| bond.anchor.map(|id| id.0)).collect()
+            assessor
+                .match_relation(relation, fits)
+                .iter()
+                .map(|bond| bond.anchor.map(|id| id.0))
+                .collect()
         })
     }
 
@@ -646,8 +660,8 @@ mod tests {
         let room = [desk(1, 0.0), lamp(2, 3.0)];
         let phrase = lamp_that(vec![relation(RelationKind::LeftOf, &["desk"])]);
         are(&totals(&room, &phrase), &[0.0, 0.2]);
-        assert_eq!(contradicted(RelationKind::Near), 0.05);
-        assert_eq!(contradicted(RelationKind::Between), 0.2);
+        assert_eq!(contradiction_factor(RelationKind::Near), 0.05);
+        assert_eq!(contradiction_factor(RelationKind::Between), 0.2);
     }
 
     #[test]
@@ -706,7 +720,7 @@ mod tests {
     fn leave_best_keeps_what_fits_as_well_as_the_last_of_them() {
         let left = |count, scores: &[f32]| {
             let mut scores = scores.to_vec();
-            leave_best(count, &mut scores);
+            keep_best(count, &mut scores);
             scores
         };
         // 0.95 · 0.86 = 0.817.
@@ -780,9 +794,9 @@ mod tests {
         let room = [lamp(1, 0.0), lamp(2, 2.0), high, desk(4, 90.0)];
         with_assessor(&room, |assessor| {
             // (0 + 2 + 4) / 3, (0 + 0 + 3) / 3, (0.2 + 0.2 + 3.2) / 3.
-            let middle = assessor.middle_of(&said("lamp")).unwrap();
+            let middle = assessor.mean_position(&said("lamp")).unwrap();
             are(middle.coords.as_slice(), &[2.0, 1.0, 1.2]);
-            assert_eq!(assessor.middle_of(&said("piano")), None);
+            assert_eq!(assessor.mean_position(&said("piano")), None);
         });
     }
 
@@ -809,7 +823,7 @@ mod tests {
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.06), desk(3, 5.0)];
         let on = relation(RelationKind::On, &["desk"]);
         with_assessor(&room, |assessor| {
-            let bond = |anchors: &[(usize, f32)]| assessor.best_bond(&on, 1, anchors);
+            let bond = |anchors: &[(usize, f32)]| assessor.best_match(&on, 1, anchors);
             // √0.25 · 0.5.
             let found = bond(&[(2, 1.0), (0, 0.25)]);
             are(&[found.score], &[0.25]);
@@ -821,9 +835,9 @@ mod tests {
             RelationMatch { score: 0.2, anchor: None },
             RelationMatch { score: 0.3, anchor: Some(InstanceId(7)) },
         );
-        assert_eq!((better(low, high), better(high, low)), (high, high));
+        assert_eq!((better_match(low, high), better_match(high, low)), (high, high));
         let other = RelationMatch { score: 0.3, anchor: None };
-        assert_eq!(better(high, other), high, "of equals the first");
+        assert_eq!(better_match(high, other), high, "of equals the first");
     }
 
     #[test]
@@ -853,13 +867,15 @@ mod tests {
             desk(6, 0.0),
         ];
         with_assessor(&room, |assessor| {
-            let hangs = |kind, anchor: usize| [1, 2, 3, 4].map(|t| assessor.hangs(kind, t, anchor));
+            let hangs = |kind, anchor: usize| {
+                [1, 2, 3, 4].map(|t| assessor.hanging_factor(kind, t, anchor))
+            };
             assert_eq!(hangs(RelationKind::On, 0), [0.3, 0.3, 1.0, 1.0]);
             assert_eq!(hangs(RelationKind::On, 5), [1.0; 4]);
             assert_eq!(hangs(RelationKind::Leaning, 0), [1.0; 4]);
             // 0.9 for what is flat against it, and 0.3 of that.
             let bond =
-                |t| assessor.best_bond(&relation(RelationKind::On, &["wall"]), t, &[(0, 1.0)]);
+                |t| assessor.best_match(&relation(RelationKind::On, &["wall"]), t, &[(0, 1.0)]);
             are(&[bond(1).score, bond(3).score], &[0.27, 0.9]);
         });
     }
@@ -872,8 +888,8 @@ mod tests {
         let side = |kind, text: &str| {
             let relation = Relation { text: text.into(), ..relation(kind, &["desk"]) };
             with_assessor(&room, |assessor| {
-                let own = assessor.on_its_side(&relation, 1, 0);
-                (own, assessor.best_bond(&relation, 1, &[(0, 1.0)]).score)
+                let own = assessor.score_on_side(&relation, 1, 0);
+                (own, assessor.best_match(&relation, 1, &[(0, 1.0)]).score)
             })
         };
         let (own, bond) = side(RelationKind::LeftOf, "on the left side of");
@@ -887,7 +903,7 @@ mod tests {
             let text = "on the right of".to_owned();
             let relation = Relation { text, ..relation(RelationKind::RightOf, &["desk"]) };
             // Half on it: 0.5 · 0.5.
-            are(&[assessor.on_its_side(&relation, 1, 0)], &[0.25]);
+            are(&[assessor.score_on_side(&relation, 1, 0)], &[0.25]);
         });
     }
 
@@ -923,7 +939,7 @@ mod tests {
         are(&scores(&room, &between, &[0.0, 1.0, 0.0]), &[0.0, 1.0, 0.0]);
         assert_eq!(anchors(&room, &between, &[0.0, 1.0, 0.0]), [None, Some(1), None]);
         let pair = |room: &[Instance], t, a: &[(usize, f32)], b: &[(usize, f32)]| {
-            with_assessor(room, |assessor| assessor.between_pair(t, a, b))
+            with_assessor(room, |assessor| assessor.match_between(t, a, b))
         };
         // √(0.25 · 1) · 1.
         are(&[pair(&room, 1, &[(0, 0.25)], &[(2, 1.0)]).score], &[0.5]);
@@ -982,7 +998,7 @@ mod tests {
         let share = |heads: &[&str], fits: &[f32]| {
             let phrases: Vec<Phrase> = heads.iter().map(|head| said(head)).collect();
             let assessed: Vec<Assessment> = fits.iter().map(|fit| found(*fit)).collect();
-            unchecked(&phrases, &assessed, 0.3)
+            unchecked_factor(&phrases, &assessed, 0.3)
         };
         assert_eq!(share(&["desk"], &[0.05]), None);
         assert_eq!(share(&["desk"], &[0.049]), Some(0.3));
@@ -1074,14 +1090,17 @@ mod tests {
         let room = [desk(1, 0.0), lamp(2, 3.0), lamp(3, 2.0)];
         let closest = relation(RelationKind::Closest, &["desk"]);
         with_assessor(&room, |assessor| {
-            let found = assessor.by_distance(&closest, &[1.0; 3], &[vec![(0, 0.25)]]);
+            let found = assessor.match_by_distance(&closest, &[1.0; 3], &[vec![(0, 0.25)]]);
             // √0.25 · 1 and · 0.45.
             are(&found.iter().map(|bond| bond.score).collect::<Vec<_>>(), &[0.0, 0.225, 0.5]);
             assert_eq!(found[2].anchor, Some(InstanceId(1)));
-            assert_eq!(assessor.by_distance(&closest, &[1.0; 3], &[]), [NO_BOND; 3]);
+            assert_eq!(assessor.match_by_distance(&closest, &[1.0; 3], &[]), [NO_BOND; 3]);
             // Another desk may be meant: the better of both counts.
-            let found =
-                assessor.by_distance(&closest, &[0.0, 1.0, 1.0], &[vec![(0, 0.25), (1, 1.0)]]);
+            let found = assessor.match_by_distance(
+                &closest,
+                &[0.0, 1.0, 1.0],
+                &[vec![(0, 0.25), (1, 1.0)]],
+            );
             are(&[found[2].score], &[1.0]);
             assert_eq!(found[2].anchor, Some(InstanceId(2)));
         });
@@ -1102,7 +1121,8 @@ mod tests {
         let of = |others: &[(usize, f32)]| {
             let anchors = [vec![(0, 1.0)], others.to_vec()];
             with_assessor(&room, |assessor| {
-                let found = assessor.by_distance(&closest, &[1.0, 1.0, 1.0, 1.0, 0.0], &anchors);
+                let found =
+                    assessor.match_by_distance(&closest, &[1.0, 1.0, 1.0, 1.0, 0.0], &anchors);
                 found.iter().map(|bond| bond.score).collect::<Vec<_>>()
             })
         };
@@ -1145,7 +1165,7 @@ mod tests {
                 });
                 assessor.directions = Directions::looking_along(Vector3::x()).unwrap();
                 let relation = Relation { negated, ..relation(kind, &[ME]) };
-                assessor.bonds(&relation, &fits)
+                assessor.match_relation(&relation, &fits)
             })
         };
         let scores = |kind, negated| {
@@ -1176,7 +1196,7 @@ mod tests {
             assessor.directions = Directions::looking_along(Vector3::x()).unwrap();
             let me = Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::zeros() }.into();
             let ahead = relation(RelationKind::InFrontOf, &[ME]);
-            let found = assessor.to_observer(&ahead, &me, &[0.01, 0.009_9]);
+            let found = assessor.match_to_observer(&ahead, &me, &[0.01, 0.009_9]);
             are(&[found[0].score, found[1].score], &[0.473_151, 0.0]);
         });
     }

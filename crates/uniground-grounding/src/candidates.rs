@@ -6,9 +6,9 @@
 //! one that only stands in the right place. Among those with the right name, place counts more than
 //! color. Instances that no name supports are ordered by rank fusion.
 
-use super::answer::candidate;
+use super::answer::to_candidate;
 use super::assess::{Assessment, Assessor};
-use super::choose_level::one_per_place;
+use super::choose_level::keep_best_per_place;
 use super::readings::Readings;
 use super::{Appearance, Candidate, CandidateSource};
 use uniground_geometry::statistics::largest_indices;
@@ -37,40 +37,47 @@ pub(super) fn choose(
 ) -> Vec<Candidate> {
     let scene = assessor.scene;
     let order = match from {
-        CandidateSource::Encoder => best(&looks(assessor, &parsed.target), top_k),
-        CandidateSource::Reasoner => reasoned(assessor, parsed, scores, top_k),
-        CandidateSource::Fused => fused(assessor, parsed, scores, top_k),
+        CandidateSource::Encoder => {
+            best_indices(&appearance_scores(assessor, &parsed.target), top_k)
+        }
+        CandidateSource::Reasoner => choose_by_reasoner(assessor, parsed, scores, top_k),
+        CandidateSource::Fused => choose_by_rank_fusion(assessor, parsed, scores, top_k),
     };
     order
         .into_iter()
         .zip(1..)
-        .map(|(i, rank)| candidate(&scene.instances[i], rank, scores[i]))
+        .map(|(i, rank)| to_candidate(&scene.instances[i], rank, scores[i]))
         .collect()
 }
 
 /// Returns the similarity of each instance's appearance to the question's words, by index, one
 /// instance for each place. Uses names and measures where no encoder has embedded the scene.
-pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
+pub(super) fn appearance_scores(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
     let scene = assessor.scene;
     let Some(looks) = scene.appearance.and_then(Appearance::shortlist) else {
         return assessor.own_fits(target).1;
     };
     let mut looks = looks.to_vec();
-    one_per_place(scene.instances, &mut looks);
+    keep_best_per_place(scene.instances, &mut looks);
     looks
 }
 
 /// Returns indices of the instances with a score above 0, best first.
-fn best(scores: &[f32], top_k: usize) -> Vec<usize> {
+fn best_indices(scores: &[f32], top_k: usize) -> Vec<usize> {
     largest_indices(scores, top_k).into_iter().filter(|&i| scores[i] > 0.0).collect()
 }
 
 /// Returns the instances that fit the whole question, then those that stand where it says, whatever
 /// their names.
-fn reasoned(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize) -> Vec<usize> {
-    let mut order = best(scores, top_k);
-    let placed = assessor.assess(&unnamed(&parsed.target)).total;
-    let others = best(&placed, placed.len())
+fn choose_by_reasoner(
+    assessor: &Assessor,
+    parsed: &ParsedQuery,
+    scores: &[f32],
+    top_k: usize,
+) -> Vec<usize> {
+    let mut order = best_indices(scores, top_k);
+    let placed = assessor.assess(&without_noun(&parsed.target)).total;
+    let others = best_indices(&placed, placed.len())
         .into_iter()
         .filter(|i| !order.contains(i))
         .take(top_k - order.len());
@@ -79,15 +86,20 @@ fn reasoned(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: us
 }
 
 /// Returns a phrase without its noun.
-fn unnamed(target: &Phrase) -> Phrase {
+fn without_noun(target: &Phrase) -> Phrase {
     Phrase { head: String::new(), could_be: Vec::new(), uses: Vec::new(), ..target.clone() }
 }
 
-fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize) -> Vec<usize> {
+fn choose_by_rank_fusion(
+    assessor: &Assessor,
+    parsed: &ParsedQuery,
+    scores: &[f32],
+    top_k: usize,
+) -> Vec<usize> {
     let (scene, target) = (assessor.scene, &parsed.target);
     let meaning = target.meaning();
     let read = assessor.assess(target);
-    let placed = assessor.assess(&unnamed(target)).total;
+    let placed = assessor.assess(&without_noun(target)).total;
     let looks = scene.appearance.and_then(Appearance::shortlist);
     let asks_for_structure = matches!(meaning, Meaning::Structure(_));
     let may_be = |i: usize| {
@@ -108,7 +120,8 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
     for (scores, weight) in
         rankings.into_iter().zip(WEIGHTS).filter_map(|(scores, weight)| Some((scores?, weight)))
     {
-        for (i, rank) in best(scores, scores.len()).into_iter().filter(|&i| may_be(i)).zip(0_u16..)
+        for (i, rank) in
+            best_indices(scores, scores.len()).into_iter().filter(|&i| may_be(i)).zip(0_u16..)
         {
             fusion[i] += weight / (RANK + f32::from(rank));
         }
@@ -118,17 +131,17 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
     let mut worth: Vec<f32> = fusion.iter().map(|f| f / most).collect();
     for i in (0..worth.len()).filter(|&i| may_be(i)) {
         if is_called_so(i) {
-            worth[i] += 1.0 + member(&read, i);
+            worth[i] += 1.0 + member_score(&read, i);
         } else if scene.names.get(i).is_some_and(|name| name.carries(target, &meaning)) {
             worth[i] += 1.0;
         }
     }
-    one_per_place(scene.instances, &mut worth);
-    best(&worth, top_k)
+    keep_best_per_place(scene.instances, &mut worth);
+    best_indices(&worth, top_k)
 }
 
 /// Returns the worth of a member of the class, `0..=1`: name and relations, then colors.
-fn member(read: &Assessment, i: usize) -> f32 {
+fn member_score(read: &Assessment, i: usize) -> f32 {
     let color = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
     let related = if read.own[i] > 0.0 { read.total[i] / read.own[i] } else { 0.0 };
     read.nouns[i] * related * (WITHOUT_COLOR + (1.0 - WITHOUT_COLOR) * color)

@@ -10,7 +10,7 @@ const BESIDE: f32 = 0.1;
 
 /// Keeps only the best fit of all instances in one place and sets the others to 0. Dismissed
 /// instances get 0 too. `fits` are by index.
-pub(super) fn one_per_place(instances: &[Instance], fits: &mut [f32]) {
+pub(super) fn keep_best_per_place(instances: &[Instance], fits: &mut [f32]) {
     // Parts and wholes that consist only of dismissed things are dismissed too.
     let is_junk = |i: &Instance| {
         i.dismissed
@@ -83,7 +83,7 @@ mod tests {
             at(6, 5.4, Level::Part, &[3]),
         ];
         let stays = |mut fits: [f32; 6]| {
-            one_per_place(&room, &mut fits);
+            keep_best_per_place(&room, &mut fits);
             (1..=6).zip(fits).filter(|(_, fit)| *fit > 0.0).map(|(id, _)| id).collect::<Vec<u32>>()
         };
         assert_eq!(stays([0.8; 6]), [1, 2, 3], "alike: things");

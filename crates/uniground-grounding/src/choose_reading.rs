@@ -29,16 +29,16 @@ pub fn choose_reading(scene: SceneView, parsed: ParsedQuery) -> ParsedQuery {
     );
     // Words without any noun fit something in every scene.
     let is_named = !(parsed.target.head.is_empty() && parsed.target.uses.is_empty());
-    if is_named && is_borne_out(&assessor, &parsed.target) {
+    if is_named && is_supported(&assessor, &parsed.target) {
         return parsed;
     }
-    match parsed.later.iter().position(|later| is_borne_out(&assessor, &later.target)) {
+    match parsed.later.iter().position(|later| is_supported(&assessor, &later.target)) {
         None => parsed,
         Some(later) => ParsedQuery { later: Vec::new(), ..parsed.later[later].clone() },
     }
 }
 
-fn is_borne_out(assessor: &Assessor, target: &Phrase) -> bool {
+fn is_supported(assessor: &Assessor, target: &Phrase) -> bool {
     let assessment = assessor.assess(target);
     let meant = |(noun, total): (&f32, &f32)| *noun >= CALLED && *total >= BORNE_OUT * noun;
     assessment.nouns.iter().zip(&assessment.total).any(meant)

@@ -2,7 +2,7 @@
 //! Relations are scored by [`assess`](super::assess).
 
 use super::SceneView;
-use super::choose_level::one_per_place;
+use super::choose_level::keep_best_per_place;
 use super::kinds::breadth;
 use super::names::GivenName;
 use super::readings::{Reading, Readings};
@@ -61,10 +61,10 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
         // The room has the noun that was said, so another noun is seldom meant.
         share = if is_there { NOT_CALLED_SO } else { share };
     }
-    one_per_place(scene.instances, &mut fits);
+    keep_best_per_place(scene.instances, &mut fits);
     let nouns: Vec<&Noun> = readings.iter().flat_map(Reading::nouns).copied().collect();
     if !nouns.is_empty() && scene.appearance.is_none() && phrase.uses.is_empty() {
-        called_so_first(&nouns, scene.instances, &mut fits);
+        prefer_called_so(&nouns, scene.instances, &mut fits);
     }
     fits
 }
@@ -90,7 +90,7 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         Meaning::Unknown => 0.0,
         Meaning::Anything => {
             if instance.structure.is_none() {
-                ANYTHING * notable(instance)
+                ANYTHING * notability(instance)
             } else {
                 0.0
             }
@@ -110,13 +110,13 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
             // Appearance has been weighed against all other names already, measures have not.
             let guessed = if instance.level == Level::Thing { 1.0 } else { GUESSED };
             by_looks.unwrap_or_else(|| {
-                guessed * by_measure * among_names(by_measure, &names, instance).sqrt()
+                guessed * by_measure * share_among_names(by_measure, &names, instance).sqrt()
             })
         }
     };
     let fit = |(index, instance): (usize, &Instance)| match (scene.names.get(index), meaning) {
         (Some(name), Meaning::Nouns(_) | Meaning::Unknown) => {
-            name.fit(phrase, meaning) * said(name, phrase)
+            name.fit(phrase, meaning) * unsaid_words_factor(name, phrase)
         }
         (Some(name), Meaning::Anything) if !name.is_thing() => 0.0,
         // Planes were measured; a name also covers stretches that were not.
@@ -129,13 +129,13 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
 }
 
 /// Returns the factor for words such as "leather" or "kitchen" that a name does not contain.
-fn said(name: &GivenName, phrase: &Phrase) -> f32 {
-    phrase.unchecked.iter().map(|word| if name.says(word) { 1.0 } else { UNSAID }).product()
+fn unsaid_words_factor(name: &GivenName, phrase: &Phrase) -> f32 {
+    phrase.unchecked.iter().map(|word| if name.has_word(word) { 1.0 } else { UNSAID }).product()
 }
 
 /// Returns how notable an instance is, by the second of its three sides. "What is on my right?"
 /// asks for an object one would name, not for a speck or a sliver.
-fn notable(instance: &Instance) -> f32 {
+fn notability(instance: &Instance) -> f32 {
     let mut sides = instance.aabb.size;
     sides.as_mut_slice().sort_by(f32::total_cmp);
     (sides[1] / NOTABLE_M).clamp(0.3, 1.0)
@@ -143,7 +143,7 @@ fn notable(instance: &Instance) -> f32 {
 
 /// Returns how likely an instance has one of `names` rather than one of its other guesses: a table
 /// may have a sofa's size.
-fn among_names(fit: f32, names: &HashSet<&str>, instance: &Instance) -> f32 {
+fn share_among_names(fit: f32, names: &HashSet<&str>, instance: &Instance) -> f32 {
     let (mut own, mut others) = (0.0, 0.0);
     for guess in &instance.names {
         if names.contains(guess.name.as_str()) { own += guess.score } else { others += guess.score }
@@ -153,7 +153,7 @@ fn among_names(fit: f32, names: &HashSet<&str>, instance: &Instance) -> f32 {
 }
 
 /// Where some instance has the noun as its first guess, lowers the fit of all others.
-fn called_so_first(nouns: &[&Noun], instances: &[Instance], fits: &mut [f32]) {
+fn prefer_called_so(nouns: &[&Noun], instances: &[Instance], fits: &mut [f32]) {
     let called = |i: &Instance| {
         i.structure.is_none()
             && i.names.first().is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name))
@@ -191,7 +191,7 @@ pub fn colors_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
 fn wooden_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     let is_said = phrase.unchecked.iter().any(|word| WOOD.contains(&word.as_str()));
     let is_named =
-        || scene.names.get(index).is_some_and(|name| WOOD.iter().any(|word| name.says(word)));
+        || scene.names.get(index).is_some_and(|name| WOOD.iter().any(|word| name.has_word(word)));
     if !is_said || !phrase.colors.is_empty() || is_named() {
         return 1.0;
     }
@@ -422,12 +422,12 @@ mod tests {
         let names = HashSet::from(["chair", "armchair"]);
         let guesses = [("chair", 0.2), ("stool", 0.6), ("armchair", 0.1)];
         let instance = guessed(chair(1), &guesses);
-        are(&[among_names(0.1, &names, &instance)], &[0.3 / 0.9]);
-        are(&[among_names(0.3, &names, &instance)], &[0.3 / 0.9]);
-        are(&[among_names(0.6, &names, &instance)], &[0.6 / 1.2]);
-        assert_eq!(among_names(0.0, &HashSet::new(), &instance), 0.0);
-        assert_eq!(among_names(0.0, &names, &chair(1)), 0.0, "no name at all");
-        assert_eq!(among_names(0.4, &names, &chair(1)), 1.0);
+        are(&[share_among_names(0.1, &names, &instance)], &[0.3 / 0.9]);
+        are(&[share_among_names(0.3, &names, &instance)], &[0.3 / 0.9]);
+        are(&[share_among_names(0.6, &names, &instance)], &[0.6 / 1.2]);
+        assert_eq!(share_among_names(0.0, &HashSet::new(), &instance), 0.0);
+        assert_eq!(share_among_names(0.0, &names, &chair(1)), 0.0, "no name at all");
+        assert_eq!(share_among_names(0.4, &names, &chair(1)), 1.0);
     }
 
     #[test]
@@ -472,7 +472,7 @@ mod tests {
         let first = |mut room: [Instance; 2], fits: [f32; 2], structure| {
             room[0].structure = structure;
             let mut fits = fits;
-            called_so_first(&nouns, &room, &mut fits);
+            prefer_called_so(&nouns, &room, &mut fits);
             fits
         };
         let room = || {

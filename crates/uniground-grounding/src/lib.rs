@@ -116,7 +116,11 @@ pub fn rank_candidates(
 ) -> Vec<Candidate> {
     let mut assessor = Assessor::new(scene, DirectionConvention::Paper.into());
     if from == CandidateSource::Encoder {
-        return shortlist::rank(scene, &candidates::looks(&assessor, &parsed.target), top_k);
+        return shortlist::rank(
+            scene,
+            &candidates::appearance_scores(&assessor, &parsed.target),
+            top_k,
+        );
     }
     let scores = reasoner::builtin::decide(&mut assessor, parsed).scores;
     candidates::choose(&assessor, parsed, &scores, from, top_k)
@@ -155,7 +159,7 @@ pub fn ground_with_context(
     grounding.candidates =
         candidates::choose(&assessor, &parsed, &scores, question.candidates, question.top_k);
     for candidate in &grounding.candidates {
-        let name = || answer::described(&scene.instances[candidate.id.0 as usize - 1]);
+        let name = || answer::describe_instance(&scene.instances[candidate.id.0 as usize - 1]);
         grounding.answer.candidate_names.entry(candidate.id.0).or_insert_with(name);
     }
     let context = vlm::PromptContext::of(&assessor, &parsed, &grounding, &beliefs);
@@ -195,13 +199,13 @@ fn decided<'a>(
             }
             .into(),
         );
-        let of_me = parsed.of_me();
+        let of_me = parsed.words_about_asker();
         parsed.not_understood.retain(|word| !of_me.contains(word));
     }
     let prepared = start.elapsed();
     let verdict = reasoner::builtin::decide(&mut assessor, &parsed);
     let total = start.elapsed();
-    let timings_ms = answer::timings(reading, reading + prepared, reading + total);
+    let timings_ms = answer::to_timings(reading, reading + prepared, reading + total);
     let (scores, beliefs) = (verdict.scores.clone(), verdict.beliefs.clone());
     let grounding = answer::assemble(scene, question, &parsed, verdict, timings_ms);
     (Decided { assessor, parsed, scores, beliefs }, grounding)

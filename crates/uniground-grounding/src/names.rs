@@ -138,7 +138,7 @@ impl GivenName {
 
     fn noun_fit(&self, asked: &Phrase, meaning: &Meaning) -> f32 {
         let by_noun = self.noun().map_or(0.0, |noun| kind_fit(&noun, asked, meaning));
-        if by_noun > 0.0 { by_noun } else { self.by_words(asked) }
+        if by_noun > 0.0 { by_noun } else { self.fit_by_words(asked) }
     }
 
     /// Returns its noun: the last words that a dictionary knows together, as many as possible; the
@@ -155,7 +155,7 @@ impl GivenName {
     }
 
     /// Returns the fit by the words alone, where no dictionary helps.
-    fn by_words(&self, asked: &Phrase) -> f32 {
+    fn fit_by_words(&self, asked: &Phrase) -> f32 {
         let wanted: Vec<&str> = asked.head.split_whitespace().map(singular).collect();
         if wanted.is_empty() || !wanted.iter().all(|word| self.words.iter().any(|own| own == word))
         {
@@ -191,7 +191,7 @@ impl GivenName {
 
     /// Returns whether the name has a word: "leather", "striped".
     #[must_use]
-    pub fn says(&self, word: &str) -> bool {
+    pub fn has_word(&self, word: &str) -> bool {
         let word = singular(word);
         self.words.iter().any(|own| own == word)
     }

@@ -157,15 +157,15 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     if let Some((review, context)) =
         review.zip(context).filter(|(_, context)| !context.candidates.is_empty())
     {
-        reviewed(source, &mut answered, review, context, &mut calls, start).await?;
+        apply_review(source, &mut answered, review, context, &mut calls, start).await?;
     }
-    answered.grounding.hold_to(least);
+    answered.grounding.require_confidence(least);
     answered.calls = calls;
     Ok(answered)
 }
 
 /// Shows the candidates to the model, and applies its decision to the answer.
-async fn reviewed<S: SceneSource>(
+async fn apply_review<S: SceneSource>(
     source: &Arc<S>,
     answered: &mut Answered,
     Review { model, budgets, options, without_model }: Review,
@@ -185,12 +185,12 @@ async fn reviewed<S: SceneSource>(
         context
     };
     let context = match options.evidence {
-        EvidenceMode::TwoStep => narrowed(source, context, &mut session).await?,
+        EvidenceMode::TwoStep => narrow_candidates(source, context, &mut session).await?,
         _ => context,
     };
     let (context, evidence, unnamed) = source
         .compute(move |source| {
-            let photographs = vlm::offered(source, &context, options)?;
+            let photographs = vlm::select_photographs(source, &context, options)?;
             let evidence = vlm::VisualEvidence {
                 photographs,
                 ..vlm::collect(source, &context, &PictureSettings::of(options))?
@@ -216,14 +216,14 @@ async fn reviewed<S: SceneSource>(
     }
     let mut shown = Shown { source: source.clone(), context, evidence, options, names };
     let decision = match decision {
-        Ok(decision) => Ok(shown.looked_up(decision, &mut session).await?),
+        Ok(decision) => Ok(shown.resolve_unlisted(decision, &mut session).await?),
         undecided => undecided,
     };
     calls.extend(session.into_records());
     let Shown { source, context, .. } = shown;
     match decision {
         Ok(decision) => {
-            answered.grounding.offer(&context, source.instances());
+            answered.grounding.add_found(&context, source.instances());
             decision.apply(&mut answered.grounding, &context, source.instances());
             // The geometry had to choose, because the model did not.
             answered.degraded |=
@@ -262,7 +262,7 @@ impl<S: SceneSource> Shown<S> {
     /// Looks up an object that the model saw in a photograph and that was not listed: turns its
     /// place into an instance and asks the model again with it. If that fails, the earlier decision
     /// stands.
-    async fn looked_up(
+    async fn resolve_unlisted(
         &mut self,
         decision: Decision,
         session: &mut Session<'_>,
@@ -288,14 +288,14 @@ impl<S: SceneSource> Shown<S> {
                 let (source, id) = self.source.keep_found(*found).await?;
                 self.source = source;
                 let why = format!("{place}: instance {id} was made of it");
-                self.asked_again(decision.noted(why), id, session).await
+                self.ask_again(decision.with_note(why), id, session).await
             }
         }
     }
 
     /// Asks again with an instance that was found. The earlier decision stands where the model
     /// chooses nothing of the list.
-    async fn asked_again(
+    async fn ask_again(
         &mut self,
         before: Decision,
         id: InstanceId,
@@ -321,9 +321,11 @@ impl<S: SceneSource> Shown<S> {
         let again = vlm::decide(&conversation, session).await;
         (self.context, self.evidence) = (context, evidence);
         Ok(match again {
-            Ok(again) if matches!(again.outcome, Outcome::Chosen(_)) => before.replaced_by(again),
+            Ok(again) if matches!(again.outcome, Outcome::Chosen(_)) => {
+                before.merged_with_later(again)
+            }
             Ok(_) => before,
-            Err(undecided) => before.noted(format!("asking again failed: {undecided}")),
+            Err(undecided) => before.with_note(format!("asking again failed: {undecided}")),
         })
     }
 }
@@ -331,7 +333,7 @@ impl<S: SceneSource> Shown<S> {
 /// The first of two steps: returns the candidates that remain after the model has seen one
 /// photograph of each. A failed call is not reported here, because the next call will fail as well.
 /// Where the model finds no candidate, the best ones remain.
-async fn narrowed<S: SceneSource>(
+async fn narrow_candidates<S: SceneSource>(
     source: &Arc<S>,
     context: vlm::PromptContext,
     session: &mut Session<'_>,

@@ -1,6 +1,6 @@
 //! Ranks candidates by score: top-k, ties by id.
 
-use super::answer::candidate;
+use super::answer::to_candidate;
 use super::{Candidate, SceneView};
 use uniground_geometry::statistics::largest_indices;
 
@@ -11,6 +11,6 @@ pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candid
         .into_iter()
         .filter(|&i| scores[i] > 0.0)
         .enumerate()
-        .map(|(rank, i)| candidate(&scene.instances[i], rank as u32 + 1, scores[i]))
+        .map(|(rank, i)| to_candidate(&scene.instances[i], rank as u32 + 1, scores[i]))
         .collect()
 }

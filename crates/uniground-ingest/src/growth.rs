@@ -15,7 +15,7 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     Addition, FrameIndex, FrameRef, FreeSpaceVotes, PointCloud, SourceToScene, count_free_space,
 };
-use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
+use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
 use uniground_types::settings::ImportSettings;
 
@@ -181,7 +181,7 @@ impl<'a> NearbyPoints<'a> {
     /// Returns whether any indexed point lies within reach of `p`.
     fn has_point_near(&self, p: &Point3<f32>) -> bool {
         let key = VoxelKey::containing(p, self.within_m);
-        let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
+        let around = std::iter::once(key).chain(NEIGHBORS_26.iter().map(|&d| key.offset(d)));
         around
             .filter_map(|key| self.by_voxel.get(&key))
             .flatten()

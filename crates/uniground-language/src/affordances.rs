@@ -161,10 +161,10 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
         if start < looked_at {
             continue;
         }
-        match opener(&words, start) {
+        match find_opener(&words, start) {
             Ok(found) => {
                 looked_at = found.end;
-                if let Some(affordance) = clause_of(&words, found.end) {
+                if let Some(affordance) = parse_clause(&words, found.end) {
                     return Some(affordance);
                 }
                 attempts += 1;
@@ -180,18 +180,18 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
 
 /// Returns the words that begin the clause at or after `start`, where only words without content
 /// may stand between; otherwise the index of the word at which the search ended.
-fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, usize> {
+fn find_opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, usize> {
     loop {
         let rest = &words[start.min(words.len())..];
         if let Some(length) = opener_at(rest) {
-            return if names_a_purpose(rest, length) {
+            return if has_purpose_clause(rest, length) {
                 Ok(start..start + length)
             } else {
                 Err(start)
             };
         }
         // "please bring me", "find": before the opener only words without content may stand.
-        match words::longest(rest) {
+        match words::longest_match(rest) {
             Some((Meaning::Filler | Meaning::Determiner | Meaning::And, length)) => start += length,
             _ if start > 0 && rest.first() == Some(&BREAK) => start += 1,
             _ => return Err(start),
@@ -201,14 +201,14 @@ fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, us
 
 /// Returns the purpose that the clause from `begin` on, after its opener, states; `None` where that
 /// is no use of the lexicon.
-fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
+fn parse_clause(words: &[&str], begin: usize) -> Option<Affordance> {
     let purpose = (begin..words.len())
         .find(|&i| is_purpose(words[i]))
         .filter(|_| is_thing(words[begin - 1]))
         .unwrap_or(begin);
     let describes = |word: &&str| {
         matches!(
-            words::longest(&[word]),
+            words::longest_match(&[word]),
             Some((Meaning::Color(_) | Meaning::Trait(_) | Meaning::And, _))
         ) || !Lexicon::get().is_known(word)
     };
@@ -225,7 +225,7 @@ fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
         })
         .collect();
     if found.is_empty() {
-        found = of_the_same_verb(&words[begin..end]);
+        found = uses_with_same_verb(&words[begin..end]);
     }
     found.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
     let best = found.first()?.0;
@@ -244,7 +244,7 @@ fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
 
 /// Returns the uses that begin with the verb of a clause, where the clause matches no use exactly:
 /// "heat up my soup".
-fn of_the_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
+fn uses_with_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
     /// Verbs that may belong to any use.
     const LIGHT: [&str; 16] = [
         "get", "go", "put", "take", "have", "make", "keep", "do", "see", "know", "look", "check",
@@ -267,7 +267,7 @@ fn of_the_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
 
 /// Returns whether a purpose follows the word for a thing soon: "something soft to sit on", not
 /// "the thing on the table".
-fn names_a_purpose(words: &[&str], opener: usize) -> bool {
+fn has_purpose_clause(words: &[&str], opener: usize) -> bool {
     const SOON: usize = 5;
     // "the object is a chair with ...": a noun says what it is.
     let told = words.get(opener) == Some(&"is");
@@ -277,7 +277,7 @@ fn names_a_purpose(words: &[&str], opener: usize) -> bool {
 
 /// Returns the words of a purpose that belong to none of the uses found for it: of "put a toddler
 /// for lunch", "put on" covers the first only.
-pub(super) fn unsaid<'a>(uses: &[String], purpose: &'a [String]) -> Vec<&'a String> {
+pub(super) fn unmatched_words<'a>(uses: &[String], purpose: &'a [String]) -> Vec<&'a String> {
     let wordings = || uses.iter().filter_map(|spoken| WORDINGS.get(spoken.as_str())).flatten();
     let is_said = |word: &&String| {
         words::is_known(word) || wordings().any(|wording| wording.needed.contains(&stem(word)))
@@ -329,7 +329,7 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
     if words[i] == BREAK || CIRCUMSTANCES.contains(&words[i]) || describes {
         return true;
     }
-    let Some((meaning, length)) = words::longest(&words[i..]) else { return false };
+    let Some((meaning, length)) = words::longest_match(&words[i..]) else { return false };
     if !matches!(
         meaning,
         Meaning::Relation(_) | Meaning::With { .. } | Meaning::Superlative(_) | Meaning::View(_)
@@ -345,7 +345,7 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
     {
         return false;
     }
-    match words::longest(&words[(i + length).min(words.len())..]) {
+    match words::longest_match(&words[(i + length).min(words.len())..]) {
         _ if meaning == Meaning::Relation(super::RelationKind::InCorner) => true,
         Some((
             Meaning::Determiner
@@ -363,7 +363,7 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn purposes_are_found_and_the_rest_is_left() {
@@ -386,7 +386,7 @@ mod tests {
             ("something to sit on that is blue", "sit on", "that is blue"),
             ("could you find this for me: something to sit on", "sit on", ""),
         ] {
-            let tokens = tokens(query);
+            let tokens = tokenize(query);
             let found = find(&tokens).unwrap_or_else(|| panic!("{query}"));
             assert_eq!(
                 (found.uses.join("|").as_str(), tokens[found.taken..].join(" ").as_str()),
@@ -403,9 +403,11 @@ mod tests {
             ("what you would drink water from", ""),
             ("something to sit on for walruses", "walruses"),
         ] {
-            let found = find(&tokens(query)).unwrap();
-            let unsaid: Vec<&str> =
-                unsaid(&found.uses, &found.words).into_iter().map(String::as_str).collect();
+            let found = find(&tokenize(query)).unwrap();
+            let unsaid: Vec<&str> = unmatched_words(&found.uses, &found.words)
+                .into_iter()
+                .map(String::as_str)
+                .collect();
             assert_eq!(unsaid.join(" "), left, "{query}");
         }
     }
@@ -439,7 +441,7 @@ mod tests {
             "the object is a chair with its back to the camera",
             "",
         ] {
-            assert_eq!(find(&tokens(query)), None, "{query}");
+            assert_eq!(find(&tokenize(query)), None, "{query}");
         }
     }
 }

@@ -39,7 +39,7 @@ pub(super) fn readings(
     let Beginnings { at_once, objects, others } = Beginnings::of(tokens, is_held);
     let starts = objects.iter().chain(&others).take(MOST_READINGS);
     let mut later: Vec<ParsedQuery> =
-        starts.map(|&start| from(tokens, start, &read)).filter(tells_a_thing).collect();
+        starts.map(|&start| read_from(tokens, start, &read)).filter(is_distinguishing).collect();
     // "finished with today's newspaper": the word taken for the target is an action.
     if let (Meaning::Unknown, [With { phrase, .. }]) =
         (first.target.meaning(), &first.target.with[..])
@@ -47,7 +47,7 @@ pub(super) fn readings(
         later.push(ParsedQuery { target: phrase.clone(), ..ParsedQuery::default() });
     }
     later.retain(|reading| reading.target != first.target);
-    let begins_later = if objects.is_empty() { !tells_a_thing(&first) } else { !at_once };
+    let begins_later = if objects.is_empty() { !is_distinguishing(&first) } else { !at_once };
     if !begins_later || later.is_empty() {
         return (first, later);
     }
@@ -58,23 +58,28 @@ pub(super) fn readings(
 
 /// Reads a sentence from a word on. A viewpoint given before it still applies. The words before it
 /// are listed as passed over.
-fn from(tokens: &[String], start: usize, read: impl Fn(&[String]) -> ParsedQuery) -> ParsedQuery {
+fn read_from(
+    tokens: &[String],
+    start: usize,
+    read: impl Fn(&[String]) -> ParsedQuery,
+) -> ParsedQuery {
     let is_kept =
-        |clause: &&[String]| clause.ends_with(&[BREAK.to_owned()]) && tells_a_view(clause);
+        |clause: &&[String]| clause.ends_with(&[BREAK.to_owned()]) && is_viewpoint(clause);
     let (looks, passed): (Vec<&[String]>, Vec<&[String]>) =
         tokens[..start].split_inclusive(|token| token == BREAK).partition(is_kept);
-    let carries_nothing = |word: &&String| *word == BREAK || words::longest(&[word]).is_some();
+    let carries_nothing =
+        |word: &&String| *word == BREAK || words::longest_match(&[word]).is_some();
     let passed_over =
         passed.into_iter().flatten().filter(|word| !carries_nothing(word)).cloned().collect();
     let rest: Vec<String> = looks.into_iter().flatten().chain(&tokens[start..]).cloned().collect();
     ParsedQuery { passed_over, ..read(&rest) }
 }
 
-fn tells_a_view(clause: &[String]) -> bool {
+fn is_viewpoint(clause: &[String]) -> bool {
     let words: Vec<&str> = clause.iter().map(String::as_str).collect();
     (0..words.len()).any(|i| {
         matches!(
-            words::longest(&words[i..]),
+            words::longest_match(&words[i..]),
             Some((Word::View(_) | Word::Seated | Word::Entering, _))
         )
     })
@@ -111,14 +116,14 @@ impl Beginnings {
                 let it_is = usize::from(words.get(at) == Some(&"it's"));
                 let goes_on = words.get(at + it_is).is_some_and(|next| DESTINATIONS.contains(next));
                 clause = if goes_on { Clause { led: false, ..clause } } else { Clause::default() };
-                if names_something(&words[at..]) {
+                if is_naming(&words[at..]) {
                     found.others.push(at);
                 }
                 continue;
             }
             clause.destined |= DESTINED.contains(&run[0]);
             let noun = longest_noun(run);
-            let (meaning, length) = match (noun, words::longest(run)) {
+            let (meaning, length) = match (noun, words::longest_match(run)) {
                 // "in that basket", but not "the basket that".
                 _ if run[0] == "that" && !clause.at_noun => (Some(Word::Determiner), 1),
                 (Some(noun), word) if word.is_none_or(|(_, length)| noun >= length) => (None, noun),
@@ -199,22 +204,22 @@ struct Clause {
 }
 
 fn is_article(word: &str) -> bool {
-    matches!(words::longest(&[word]), Some((Word::Determiner, 1)))
+    matches!(words::longest_match(&[word]), Some((Word::Determiner, 1)))
 }
 
 /// Returns whether a clause begins by naming a thing, rather than by saying more of one named
 /// before.
-fn names_something(clause: &[&str]) -> bool {
+fn is_naming(clause: &[&str]) -> bool {
     // "it's the pot with the lid": the thing is named once more.
     let once_more = usize::from(
         clause.len() > 1 && matches!(clause[0], "it's" | "that's") && is_article(clause[1]),
     );
     let first = (once_more..clause.len())
-        .find(|&i| !matches!(words::longest(&clause[i..]), Some((Word::Filler, _))));
+        .find(|&i| !matches!(words::longest_match(&clause[i..]), Some((Word::Filler, _))));
     first.is_some_and(|first| {
         clause[first] != BREAK
             && matches!(
-                words::longest(&clause[first..]),
+                words::longest_match(&clause[first..]),
                 None | Some((
                     Word::Determiner
                         | Word::Color(_)
@@ -229,7 +234,7 @@ fn names_something(clause: &[&str]) -> bool {
 }
 
 /// Returns whether a reading distinguishes its target from other things.
-fn tells_a_thing(query: &ParsedQuery) -> bool {
+fn is_distinguishing(query: &ParsedQuery) -> bool {
     let target = &query.target;
     match target.meaning() {
         // "the one on the left" says more of a thing named before.
@@ -240,7 +245,7 @@ fn tells_a_thing(query: &ParsedQuery) -> bool {
         Meaning::Nouns(_) | Meaning::Structure(_) => true,
         Meaning::Unknown => {
             let is_thing = !WordNet::get().kinds_of(&target.head).is_empty()
-                && zones::made_of(&target.head).is_none();
+                && zones::nouns_of_zone(&target.head).is_none();
             is_thing || !target.could_be.is_empty()
         }
     }

@@ -8,23 +8,23 @@ use uniground_models::attributes::Lexicon;
 
 /// Rewrites a query's words.
 pub(super) fn rewrite(tokens: &mut Vec<String>) {
-    asked(tokens);
-    wanted_of_it(tokens);
-    left_there(tokens);
-    run_together(tokens);
-    likened(tokens);
-    bright(tokens);
-    wanting(tokens);
-    look_at(tokens);
-    where_another_is(tokens);
-    rather_than(tokens);
-    one_noun_for_two(tokens);
-    beside_the_bed(tokens);
-    what_it_stands_on(tokens);
+    remove_finding_clause(tokens);
+    remove_request(tokens);
+    replace_left_by_put(tokens);
+    split_joined_clauses(tokens);
+    remove_comparison(tokens);
+    remove_bright(tokens);
+    remove_lacking_clause(tokens);
+    rewrite_look_at(tokens);
+    rewrite_where_another_is(tokens);
+    remove_rejected_object(tokens);
+    repeat_shared_noun(tokens);
+    rewrite_bedside(tokens);
+    rewrite_what_it_stands_on(tokens);
 }
 
 fn meaning(tokens: &[String], i: usize) -> Option<Meaning> {
-    words::longest(&[tokens.get(i)?]).map(|(meaning, _)| meaning)
+    words::longest_match(&[tokens.get(i)?]).map(|(meaning, _)| meaning)
 }
 
 fn is_article(tokens: &[String], i: usize) -> bool {
@@ -42,7 +42,7 @@ fn end_of_clause(tokens: &[String], from: usize) -> usize {
 
 /// Removes who did what with the target, which does not distinguish it: "has anybody seen the mug",
 /// "where did my son drop his bag".
-fn asked(tokens: &mut Vec<String>) {
+fn remove_finding_clause(tokens: &mut Vec<String>) {
     const WHO: [&str; 12] = [
         "i",
         "we",
@@ -91,7 +91,7 @@ fn asked(tokens: &mut Vec<String>) {
 
 /// Removes what is to be done with the target, after it was named: "leave it by the door", "can you
 /// see if my keys are there".
-fn wanted_of_it(tokens: &mut Vec<String>) {
+fn remove_request(tokens: &mut Vec<String>) {
     const POLITE: [&str; 7] = ["can", "could", "would", "will", "you", "please", "just"];
     const VERBS: [&str; 30] = [
         "leave", "put", "turn", "take", "bring", "hang", "move", "carry", "give", "hand", "pass",
@@ -120,7 +120,7 @@ fn wanted_of_it(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "what the telly stands on" to a thing with the telly.
-fn what_it_stands_on(tokens: &mut Vec<String>) {
+fn rewrite_what_it_stands_on(tokens: &mut Vec<String>) {
     const PLACED: [&str; 11] = [
         "is", "stands", "stood", "sits", "sat", "standing", "sitting", "lies", "lying", "hangs",
         "resting",
@@ -140,7 +140,7 @@ fn what_it_stands_on(tokens: &mut Vec<String>) {
 
 /// Removes what people do with the target, where it is no known use: "the ladder thing you stand
 /// on". It names no other thing.
-pub(super) fn done_with_it(tokens: &mut Vec<String>) {
+pub(super) fn remove_use_clause(tokens: &mut Vec<String>) {
     const LONGEST: usize = 4;
     let follows_a_noun = |i: usize| longest_noun(&[tokens[i].as_str()]).is_some();
     let begins = |i: &usize| {
@@ -157,7 +157,7 @@ pub(super) fn done_with_it(tokens: &mut Vec<String>) {
 }
 
 /// Replaces the verb "left" by "put": "I left it by the lamp" gives no left side.
-fn left_there(tokens: &mut [String]) {
+fn replace_left_by_put(tokens: &mut [String]) {
     const WHO: [&str; 12] =
         ["i", "we", "you", "he", "she", "they", "i've", "somebody", "someone", "who", "be", "was"];
     let mut i = 1;
@@ -170,7 +170,7 @@ fn left_there(tokens: &mut [String]) {
 }
 
 /// Inserts a break where another clause begins: "so I'll have the chair", "and fetch my mug".
-fn run_together(tokens: &mut Vec<String>) {
+fn split_joined_clauses(tokens: &mut Vec<String>) {
     const WHO: [&str; 16] = [
         "i", "i'll", "i'd", "we", "we'll", "you", "he", "she", "they", "bring", "can", "could",
         "please", "let", "where's", "there's",
@@ -205,7 +205,7 @@ fn run_together(tokens: &mut Vec<String>) {
 }
 
 /// Removes a comparison: in "the taller plant, like a small palm", the palm is no second thing.
-fn likened(tokens: &mut Vec<String>) {
+fn remove_comparison(tokens: &mut Vec<String>) {
     let begins = |i: &usize| {
         let likened = is(tokens, *i, &["like"]) && is(tokens, i + 1, &["a", "an"])
             || is(tokens, *i, &["looks"]) && is(tokens, i + 1, &["like", "a", "all"]);
@@ -218,7 +218,7 @@ fn likened(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "bright orange" to "orange".
-fn bright(tokens: &mut Vec<String>) {
+fn remove_bright(tokens: &mut Vec<String>) {
     let is_shade = |i: &usize| {
         is(tokens, *i, &["bright", "vivid", "deep", "rich", "strong"])
             && matches!(meaning(tokens, i + 1), Some(Meaning::Color(_)))
@@ -229,7 +229,7 @@ fn bright(tokens: &mut Vec<String>) {
 }
 
 /// Removes what a thing lacks: in "the lamp needs a new bulb", the bulb is not in the scene.
-fn wanting(tokens: &mut Vec<String>) {
+fn remove_lacking_clause(tokens: &mut Vec<String>) {
     let begins = |i: &usize| {
         is(tokens, *i, &["needs", "wants", "requires", "deserves"])
             && is(tokens, i + 1, &["a", "an", "some", "new", "more"])
@@ -242,7 +242,7 @@ fn wanting(tokens: &mut Vec<String>) {
 
 /// Reads "look at that thing on the wall", where it is the whole question, as a request for the
 /// thing.
-fn look_at(tokens: &mut Vec<String>) {
+fn rewrite_look_at(tokens: &mut Vec<String>) {
     let starts = |i: usize| i == 0 || tokens[i - 1] == BREAK;
     let Some(at) = (0..tokens.len())
         .find(|&i| starts(i) && is(tokens, i, &["look"]) && is(tokens, i + 1, &["at"]))
@@ -256,7 +256,7 @@ fn look_at(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "the couch where the teddy is sitting" to a couch with the teddy.
-fn where_another_is(tokens: &mut Vec<String>) {
+fn rewrite_where_another_is(tokens: &mut Vec<String>) {
     const PLACED: [&str; 11] = [
         "is", "are", "was", "sits", "lies", "stands", "hangs", "sitting", "lying", "standing",
         "hanging",
@@ -282,7 +282,7 @@ fn where_another_is(tokens: &mut Vec<String>) {
 }
 
 /// Removes the rejected thing in front of the target: "not the cup by the laptop, the other cup".
-fn rather_than(tokens: &mut Vec<String>) {
+fn remove_rejected_object(tokens: &mut Vec<String>) {
     let first = (0..tokens.len()).find(|&i| tokens[i] != BREAK && !is(tokens, i, &["no"]));
     let Some(not) = first.filter(|&i| tokens[i] == "not" && is_article(tokens, i + 1)) else {
         return;
@@ -300,7 +300,7 @@ fn run(tokens: &[String], from: usize) -> Vec<&str> {
 }
 
 /// Rewrites "the bedside lamp" to a lamp by the bed.
-fn beside_the_bed(tokens: &mut Vec<String>) {
+fn rewrite_bedside(tokens: &mut Vec<String>) {
     let lamp =
         |i: &usize| is(tokens, *i, &["bedside"]) && is(tokens, i + 1, &["lamp", "lamps", "light"]);
     if let Some(at) = (0..tokens.len()).find(lamp) {
@@ -309,7 +309,7 @@ fn beside_the_bed(tokens: &mut Vec<String>) {
 }
 
 /// Repeats the noun for two things: "between the blue and the yellow picture" names two pictures.
-fn one_noun_for_two(tokens: &mut Vec<String>) {
+fn repeat_shared_noun(tokens: &mut Vec<String>) {
     let is_color =
         |i: usize| matches!(meaning(tokens, i), Some(Meaning::Color(_) | Meaning::Trait(_)));
     let Some(and) = (2..tokens.len()).find(|&i| {
@@ -335,7 +335,7 @@ fn one_noun_for_two(tokens: &mut Vec<String>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn what_tells_nothing_of_the_thing_is_left_out() {
@@ -379,7 +379,7 @@ mod tests {
             ),
             ("the blue and yellow picture", "the blue and yellow picture"),
         ] {
-            let mut tokens = tokens(said);
+            let mut tokens = tokenize(said);
             rewrite(&mut tokens);
             assert_eq!(tokens.join(" "), meant, "{said}");
         }

@@ -24,18 +24,19 @@ const TAKEN_BACK: [&[&str]; 14] = [
 
 /// Returns the query after all corrections. "The green one" after "the red chair, sorry" is the
 /// green chair.
-pub(super) fn rewritten(tokens: Vec<String>) -> Vec<String> {
-    let Some((at, length)) =
-        (1..tokens.len()).rev().find_map(|at| taken_back(&tokens, at).map(|length| (at, length)))
+pub(super) fn apply_corrections(tokens: Vec<String>) -> Vec<String> {
+    let Some((at, length)) = (1..tokens.len())
+        .rev()
+        .find_map(|at| count_withdrawn_words(&tokens, at).map(|length| (at, length)))
     else {
         return tokens;
     };
-    let noun = (0..at).find_map(|i| named(&tokens[i..at]));
+    let noun = (0..at).find_map(|i| named_object(&tokens[i..at]));
     let (Some(noun), after) = (noun, &tokens[at + length..]) else { return tokens };
     let mut meant: Vec<String> = Vec::with_capacity(after.len() + noun.len());
     // "no, next to the door": the same thing in another place.
     let of_the_same = matches!(
-        words::longest(&run(after)),
+        words::longest_match(&run(after)),
         Some((Meaning::Relation(_) | Meaning::With { .. }, _))
     );
     if of_the_same {
@@ -44,7 +45,7 @@ pub(super) fn rewritten(tokens: Vec<String>) -> Vec<String> {
     let mut others_are_named = of_the_same;
     for (i, word) in after.iter().enumerate() {
         let stands_for_it = matches!(word.as_str(), "one" | "ones") && !others_are_named;
-        others_are_named |= named(&after[i..]).is_some();
+        others_are_named |= named_object(&after[i..]).is_some();
         if stands_for_it { meant.extend(noun.iter().cloned()) } else { meant.push(word.clone()) }
     }
     meant
@@ -52,7 +53,7 @@ pub(super) fn rewritten(tokens: Vec<String>) -> Vec<String> {
 
 /// Returns how many words from `at` on withdraw what was said before; pauses between and after them
 /// count.
-fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
+fn count_withdrawn_words(tokens: &[String], at: usize) -> Option<usize> {
     let matched = |words: &&&[&str]| {
         let mut i = at;
         for word in **words {
@@ -71,7 +72,7 @@ fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
     // "no" and "sorry" alone count only between two descriptions.
     let alone = words.len() == 1;
     let begins = |word: &str| {
-        word == BREAK || matches!(words::longest(&[word]), Some((Meaning::Determiner, _)))
+        word == BREAK || matches!(words::longest_match(&[word]), Some((Meaning::Determiner, _)))
     };
     if alone && (tokens[at - 1] != BREAK || !tokens.get(end).is_some_and(|next| begins(next))) {
         return None;
@@ -84,7 +85,7 @@ fn taken_back(tokens: &[String], at: usize) -> Option<usize> {
 }
 
 /// Returns the thing named at the start of `tokens`; words for anything name none.
-fn named(tokens: &[String]) -> Option<Vec<String>> {
+fn named_object(tokens: &[String]) -> Option<Vec<String>> {
     let run = run(tokens);
     let length =
         longest_noun(&run).filter(|&length| !words::is_anything(&run[..length].join(" ")))?;
@@ -98,7 +99,7 @@ fn run(tokens: &[String]) -> Vec<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn the_last_word_counts() {
@@ -125,7 +126,7 @@ mod tests {
             ("the sofa, not the red one", "the sofa , not the red one"),
             ("is there a bed? no", "is there a bed , no"),
         ] {
-            assert_eq!(rewritten(tokens(said)).join(" "), meant, "{said}");
+            assert_eq!(apply_corrections(tokenize(said)).join(" "), meant, "{said}");
         }
     }
 }

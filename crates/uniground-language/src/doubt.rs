@@ -46,8 +46,8 @@ impl ParsedQuery {
             self.standpoint.iter().chain(self.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
         let phrases = || std::iter::once(&self.target).chain(others.clone());
         phrases().find_map(Phrase::doubt).or_else(|| {
-            let mut excused = self.of_me();
-            phrases().for_each(|phrase| phrase.describing(&mut excused));
+            let mut excused = self.words_about_asker();
+            phrases().for_each(|phrase| phrase.collect_descriptive_words(&mut excused));
             let words: Vec<String> = self
                 .not_understood
                 .iter()
@@ -61,7 +61,7 @@ impl ParsedQuery {
     /// Returns those of the words not understood that become clear when the request gives the
     /// position of "me".
     #[must_use]
-    pub fn of_me(&self) -> Vec<String> {
+    pub fn words_about_asker(&self) -> Vec<String> {
         let by_me = |relation: &&Relation| relation.anchors.iter().any(|anchor| anchor.head == ME);
         let relations =
             self.target.relations.iter().filter(by_me).map(|relation| relation.text.clone());
@@ -91,13 +91,13 @@ impl Phrase {
 
     /// Collects words in front of known nouns, such as "leather" and "shabby". They describe, and
     /// cannot be checked by reading alone.
-    fn describing(&self, words: &mut Vec<String>) {
+    fn collect_descriptive_words(&self, words: &mut Vec<String>) {
         if matches!(self.meaning(), Meaning::Nouns(_) | Meaning::Structure(_)) {
             words.extend(self.unchecked.iter().cloned());
         }
         let carried = self.with.iter().map(|with| &with.phrase);
         let phrases = self.relations.iter().flat_map(|relation| &relation.anchors).chain(carried);
-        phrases.for_each(|phrase| phrase.describing(words));
+        phrases.for_each(|phrase| phrase.collect_descriptive_words(words));
     }
 
     fn anchors_doubt(&self) -> Option<Doubt> {
@@ -106,7 +106,7 @@ impl Phrase {
 
     /// Returns a doubt about what names the thing: its noun, or its purpose.
     fn name_doubt(&self) -> Option<Doubt> {
-        if !affordances::unsaid(&self.uses, &self.purpose).is_empty() {
+        if !affordances::unmatched_words(&self.uses, &self.purpose).is_empty() {
             return Some(Doubt::Purpose(self.purpose.join(" ")));
         }
         // "one" and "thing" were chosen by the speaker; a phrase without any word lost its noun.

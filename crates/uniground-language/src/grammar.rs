@@ -9,10 +9,10 @@ use super::beginnings;
 use super::corrections;
 use super::languages;
 use super::observers;
-use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces};
-use super::rewrites::rewritten;
+use super::pieces::{Piece, address, has_noun_ahead, is_bare_noun, is_filler, pieces};
+use super::rewrites::rewrite;
 use super::situations;
-use super::tokens::{spelling, tokens};
+use super::tokens::{correct_spelling, tokenize};
 use super::words::{self, Meaning};
 use super::{
     Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative,
@@ -68,10 +68,11 @@ struct Frame {
 /// Reads a query. Never fails: words that are not understood are listed.
 #[must_use]
 pub fn parse(query: &str) -> ParsedQuery {
-    let tokens = tokens(query);
+    let tokens = tokenize(query);
     let foreign = languages::is_foreign(&tokens);
-    let tokens =
-        observers::rewritten(&rewritten(corrections::rewritten(situations::left_out(tokens))));
+    let tokens = observers::rewrite_viewpoints(&rewrite(corrections::apply_corrections(
+        situations::drop_situation(tokens),
+    )));
     let tokens = &tokens[address(&tokens)..];
     let (query, later) = beginnings::readings(tokens, read);
     ParsedQuery { foreign, later, ..query }
@@ -155,7 +156,7 @@ impl Reader {
                     self.query.not_understood.push(format!("not {word}"));
                 }
                 Piece::Unknown(word) => self.top().unknown.push(word.clone()),
-                Piece::Break if self.describes() && noun_to_come(&pieces[i + 1..]) => {}
+                Piece::Break if self.describes() && has_noun_ahead(&pieces[i + 1..]) => {}
                 Piece::Break => self.pause(),
                 Piece::Word(meaning, text) => self.word(*meaning, text, &pieces[i + 1..]),
             }
@@ -260,7 +261,7 @@ impl Reader {
             Meaning::Seated => self.view(Role::Seated, text),
             Meaning::Entering => {
                 let anchor = Phrase { head: "door".into(), ..Phrase::default() };
-                self.looked(Look::From, anchor);
+                self.finish_viewpoint(Look::From, anchor);
             }
             Meaning::Superlative(measure) => self.superlative(measure, text, rest),
             Meaning::FromSide(measure) => {
@@ -376,7 +377,7 @@ impl Reader {
             return;
         };
         if let Some(word) = frame.unknown.pop() {
-            frame.phrase.head = spelling(&word).map_or(word, str::to_owned);
+            frame.phrase.head = correct_spelling(&word).map_or(word, str::to_owned);
             frame.phrase.unchecked.append(&mut frame.unknown);
         }
     }

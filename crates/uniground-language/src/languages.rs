@@ -1,6 +1,6 @@
 //! Detects whether a question is in English, the only language that the grammar reads.
 
-use super::tokens::{BREAK, spelling, spelling_of_small_words};
+use super::tokens::{BREAK, correct_small_word, correct_spelling};
 use super::words;
 use uniground_models::attributes::{Lexicon, WordNet};
 
@@ -38,7 +38,7 @@ fn is_known(word: &str) -> bool {
         || Lexicon::get().is_known(word)
         || WordNet::get().is_english(word)
         || word.chars().all(|c| c.is_ascii_digit())
-        || spelling_of_small_words(word).or_else(|| spelling(word)).is_some()
+        || correct_small_word(word).or_else(|| correct_spelling(word)).is_some()
 }
 
 /// Returns whether a character is of a script other than Latin, and not a sign that all scripts
@@ -51,7 +51,7 @@ fn is_of_another_script(c: char) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn other_languages_are_told_from_english_with_slips() {
@@ -66,7 +66,7 @@ mod tests {
             "стул у двери",
             "ドアのそばの椅子",
         ] {
-            assert!(is_foreign(&tokens(query)), "{query}");
+            assert!(is_foreign(&tokenize(query)), "{query}");
         }
         for query in [
             "the red chair",
@@ -81,7 +81,7 @@ mod tests {
             "???",
             "chair de luxe by the window",
         ] {
-            assert!(!is_foreign(&tokens(query)), "{query}");
+            assert!(!is_foreign(&tokenize(query)), "{query}");
         }
     }
 }

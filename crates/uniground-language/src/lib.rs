@@ -189,7 +189,7 @@ impl Phrase {
     pub fn meaning(&self) -> Meaning {
         match self.head.as_str() {
             // A zone is no thing, but a place for things.
-            head if zones::made_of(head).is_some() => Meaning::Unknown,
+            head if zones::nouns_of_zone(head).is_some() => Meaning::Unknown,
             head if words::is_anything(head) && !self.uses.is_empty() => {
                 Meaning::Nouns(Lexicon::get().nouns_for_uses(&self.uses))
             }

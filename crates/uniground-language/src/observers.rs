@@ -95,14 +95,14 @@ const ROOMS: [&str; 9] =
     ["room", "kitchen", "office", "bedroom", "bathroom", "place", "apartment", "house", "garage"];
 
 /// Rewrites the clauses of a query.
-pub(super) fn rewritten(tokens: &[String]) -> Vec<String> {
+pub(super) fn rewrite_viewpoints(tokens: &[String]) -> Vec<String> {
     let mut out: Vec<String> = Vec::with_capacity(tokens.len());
     // Whether this clause has mentioned a viewer: "and look ..." then continues it.
     let mut somebody = false;
     let mut i = 0;
     while i < tokens.len() {
         let starts = out.last().is_none_or(|last| last == BREAK);
-        if let Some((said, length)) = clause(&tokens[i..], starts, somebody) {
+        if let Some((said, length)) = parse_clause(&tokens[i..], starts, somebody) {
             out.extend(said.iter().map(|word| (*word).to_owned()));
             i += length;
             somebody = true;
@@ -117,7 +117,7 @@ pub(super) fn rewritten(tokens: &[String]) -> Vec<String> {
 
 /// Returns the meaning of the clause at the start of `tokens`, and the number of tokens before the
 /// thing it refers to.
-fn clause(
+fn parse_clause(
     tokens: &[String],
     starts: bool,
     somebody: bool,
@@ -150,7 +150,7 @@ fn clause(
         w if WALK.contains(&w) => Act::Walk,
         // "I'm on the sofa"
         _ if subject && be && (opened || starts) => {
-            return at(tokens, i).filter(|_| word(i) != "to");
+            return viewpoint_at(tokens, i).filter(|_| word(i) != "to");
         }
         _ => return None,
     };
@@ -173,11 +173,11 @@ fn clause(
         // A person at a table faces it; a person on a sofa has it behind.
         Act::Be if sits && word(i) == "at" => Some((&["when", "you", "sit", "at"], i + 1)),
         // "standing in the middle of the room" gives no particular position.
-        Act::Be if at(tokens, i).is_some_and(|(_, length)| is_room(tokens, length)) => {
-            let length = at(tokens, i).map_or(i, |(_, length)| length);
+        Act::Be if viewpoint_at(tokens, i).is_some_and(|(_, length)| is_room(tokens, length)) => {
+            let length = viewpoint_at(tokens, i).map_or(i, |(_, length)| length);
             Some((&[], length + if ROOMS.contains(&word(length)) { 1 } else { 2 }))
         }
-        Act::Be => at(tokens, i)
+        Act::Be => viewpoint_at(tokens, i)
             .or((LOOK.contains(&word(i)) || word(i) == "and" && LOOK.contains(&word(i + 1)))
                 .then_some((&[][..], i))),
         Act::Look if plain && !TOWARDS.contains(&word(i)) => Some((&["when", "you", "face"], i)),
@@ -226,7 +226,7 @@ fn is_room(tokens: &[String], i: usize) -> bool {
 
 /// Returns the viewer's position by the preposition at `i`. A viewer in front of a thing looks at
 /// it.
-fn at(tokens: &[String], i: usize) -> Option<(&'static [&'static str], usize)> {
+fn viewpoint_at(tokens: &[String], i: usize) -> Option<(&'static [&'static str], usize)> {
     let begins = |words: &&[&str]| {
         tokens[i.min(tokens.len())..]
             .iter()
@@ -246,7 +246,7 @@ fn at(tokens: &[String], i: usize) -> Option<(&'static [&'static str], usize)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn somebody_stands_looks_and_walks() {
@@ -301,7 +301,7 @@ mod tests {
             ("go to the chair by the window", "go to the chair by the window"),
             ("get me the mug on the table", "get me the mug on the table"),
         ] {
-            assert_eq!(rewritten(&tokens(said)).join(" "), meant, "{said}");
+            assert_eq!(rewrite_viewpoints(&tokenize(said)).join(" "), meant, "{said}");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Splits tokens into pieces: nouns of the lexicon, words of the grammar, and the rest.
 
-use super::tokens::{BREAK, joined};
+use super::tokens::{BREAK, join_words};
 use super::words::{self, Meaning};
 use super::{Measure, cost, zones};
 use uniground_models::attributes::Lexicon;
@@ -41,14 +41,14 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
         }
         let run = &words[at..end];
         if let [first, second, ..] = *run
-            && let Some(noun) = joined(first, second)
+            && let Some(noun) = join_words(first, second)
         {
             pieces.push(Piece::Noun(noun.to_owned()));
             at += 2;
             continue;
         }
         let noun = longest_noun(run);
-        let word = match (run[0], words::longest(run)) {
+        let word = match (run[0], words::longest_match(run)) {
             // "the right monitor", "the one on the right": "right" alone before a noun is a side,
             // elsewhere it means "directly".
             ("left" | "right", Some((Meaning::Filler, 1)) | None)
@@ -69,7 +69,7 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
             ("on" | "in" | "at", Some((Meaning::Superlative(_), length)))
                 if run[1] == "the" && noun_follows(&run[length..]) =>
             {
-                words::longest(&run[..1])
+                words::longest_match(&run[..1])
             }
             (_, word) => word,
         };
@@ -124,7 +124,7 @@ fn awaits_noun(piece: Option<&Piece>) -> bool {
 /// Returns whether a noun follows, with or without colors and traits before it.
 fn noun_follows(run: &[&str]) -> bool {
     let describes = |word: &&&str| {
-        matches!(words::longest(&[word]), Some((Meaning::Color(_) | Meaning::Trait(_), 1)))
+        matches!(words::longest_match(&[word]), Some((Meaning::Color(_) | Meaning::Trait(_), 1)))
     };
     let described = run.iter().take_while(describes).count();
     longest_noun(&run[described..]).is_some()
@@ -137,15 +137,15 @@ pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
         cost::count();
         let candidate = run[..n].join(" ");
         let thing = (words::is_anything(&candidate) && n == 1)
-            || structural(&candidate)
+            || is_structural(&candidate)
             || lexicon.is_known(&candidate);
-        thing || zones::made_of(&candidate).is_some()
+        thing || zones::nouns_of_zone(&candidate).is_some()
     };
     (1..=lexicon.longest_words().max(zones::LONGEST).min(run.len())).rev().find(|&n| is_noun(n))
 }
 
 /// Returns whether a word names a part of the building.
-pub(super) fn structural(word: &str) -> bool {
+pub(super) fn is_structural(word: &str) -> bool {
     super::structure_of(word).is_some()
 }
 
@@ -158,7 +158,7 @@ pub(super) fn is_bare_noun(rest: &[Piece]) -> bool {
 }
 
 /// Returns whether more description and then its noun follow: "a square, wooden table".
-pub(super) fn noun_to_come(rest: &[Piece]) -> bool {
+pub(super) fn has_noun_ahead(rest: &[Piece]) -> bool {
     let describes = |p: &&Piece| {
         matches!(
             p,

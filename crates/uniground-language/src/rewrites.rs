@@ -2,39 +2,39 @@
 
 use super::pieces::longest_noun;
 use super::sides;
-use super::tokens::{BREAK, spelling_of_small_words};
+use super::tokens::{BREAK, correct_small_word};
 use super::words::{self, Meaning};
 use super::{affordances, clauses};
 use uniground_models::attributes::Lexicon;
 
 /// Rewrites a query's words.
-pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
-    slips(&mut tokens);
+pub(super) fn rewrite(mut tokens: Vec<String>) -> Vec<String> {
+    correct_slips(&mut tokens);
     clauses::rewrite(&mut tokens);
-    its(&mut tokens);
-    of_several(&mut tokens);
-    one_for(&mut tokens);
-    thing_you_use(&mut tokens);
-    clauses::done_with_it(&mut tokens);
-    which_is(&mut tokens);
-    stranded(&mut tokens);
-    extremes(&mut tokens);
-    over_at(&mut tokens);
-    until_somebody(&mut tokens);
-    how_many(&mut tokens);
-    nearest_place(&mut tokens);
-    either_side(&mut tokens);
-    on_parts(&mut tokens);
-    purposes(&mut tokens);
-    verbs(&mut tokens);
-    in_front_of_me(&mut tokens);
+    rewrite_its(&mut tokens);
+    rewrite_of_several(&mut tokens);
+    rewrite_one_for(&mut tokens);
+    rewrite_thing_you_use(&mut tokens);
+    clauses::remove_use_clause(&mut tokens);
+    rewrite_which_is(&mut tokens);
+    rewrite_stranded_preposition(&mut tokens);
+    remove_intensifiers(&mut tokens);
+    remove_over(&mut tokens);
+    remove_circumstances(&mut tokens);
+    remove_owner_of_count(&mut tokens);
+    rewrite_nearest_place(&mut tokens);
+    remove_choice_of_sides(&mut tokens);
+    rewrite_on_parts(&mut tokens);
+    join_purposes(&mut tokens);
+    remove_leading_verb(&mut tokens);
+    rewrite_in_front_of_me(&mut tokens);
     sides::rewrite(&mut tokens);
-    shades(&mut tokens);
+    rewrite_shades(&mut tokens);
     tokens
 }
 
 /// Corrects misspelled function words and contractions: "somethng", "theres".
-fn slips(tokens: &mut Vec<String>) {
+fn correct_slips(tokens: &mut Vec<String>) {
     const LEFT_OUT: [(&str, &str); 17] = [
         ("u", "you"),
         ("ur", "your"),
@@ -58,7 +58,7 @@ fn slips(tokens: &mut Vec<String>) {
     tokens.dedup_by(|a, b| a == b && a != BREAK);
     for token in tokens.iter_mut() {
         let meant = LEFT_OUT.iter().find(|(slip, _)| slip == token).map(|(_, meant)| *meant);
-        if let Some(meant) = meant.or_else(|| spelling_of_small_words(token)) {
+        if let Some(meant) = meant.or_else(|| correct_small_word(token)) {
             meant.clone_into(token);
         }
     }
@@ -79,7 +79,7 @@ fn slips(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "which sofa is the teddy sitting on" to "sofa with the teddy".
-fn which_is(tokens: &mut Vec<String>) {
+fn rewrite_which_is(tokens: &mut Vec<String>) {
     let end = tokens.iter().position(|t| t == BREAK).unwrap_or(tokens.len());
     let is_verb = |i: &usize| matches!(tokens[*i].as_str(), "is" | "are");
     let (Some(verb), true) = (
@@ -100,7 +100,7 @@ fn which_is(tokens: &mut Vec<String>) {
 
 /// Rewrites "the seat that a teddy has been put on" to "the seat with a teddy", and "the table the
 /// bin stands under" to "the table above the bin".
-fn stranded(tokens: &mut Vec<String>) {
+fn rewrite_stranded_preposition(tokens: &mut Vec<String>) {
     const INVERSE: [(&[&str], &str); 16] = [
         (&["on", "top", "of"], "with"),
         (&["in", "front", "of"], "behind"),
@@ -147,7 +147,7 @@ fn relative_clause(clause: &[&str], i: usize) -> Option<(usize, usize)> {
     let that = i + longest_noun(&clause[i..])?;
     let thing = that + usize::from(matches!(clause.get(that), Some(&("that" | "which"))));
     let is_article =
-        matches!(words::longest(clause.get(thing..=thing)?), Some((Meaning::Determiner, 1)));
+        matches!(words::longest_match(clause.get(thing..=thing)?), Some((Meaning::Determiner, 1)));
     is_article.then_some((that, thing))
 }
 
@@ -163,10 +163,10 @@ fn is_verb_of_place(word: &str) -> bool {
 }
 
 /// Rewrites "its the one by the door" to "it's the one by the door".
-fn its(tokens: &mut [String]) {
+fn rewrite_its(tokens: &mut [String]) {
     for i in 1..tokens.len() {
         let follows = matches!(
-            words::longest(&[&tokens[i]]),
+            words::longest_match(&[&tokens[i]]),
             Some((Meaning::Determiner | Meaning::Relation(_), _))
         );
         if tokens[i - 1] == "its" && follows {
@@ -176,7 +176,7 @@ fn its(tokens: &mut [String]) {
 }
 
 /// Rewrites "the green thing you make toast with" to "something green to make toast with".
-fn thing_you_use(tokens: &mut Vec<String>) {
+fn rewrite_thing_you_use(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let is_thing =
         |i: &usize| matches!(word(*i), "thing" | "one" | "object" | "item" | "device" | "machine");
@@ -191,7 +191,7 @@ fn thing_you_use(tokens: &mut Vec<String>) {
         "would" | "could" | "can" | "might" | "usually" | "normally" | "just"
     ));
     let verb = word(thing + that + 2 + may);
-    let meaning = |i: usize| words::longest(&[word(i)]).map(|(meaning, _)| meaning);
+    let meaning = |i: usize| words::longest_match(&[word(i)]).map(|(meaning, _)| meaning);
     let describes = |i: usize| match meaning(i) {
         Some(meaning) => matches!(
             meaning,
@@ -208,7 +208,7 @@ fn thing_you_use(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "the bright one, for sitting" to "something bright to sit".
-fn one_for(tokens: &mut Vec<String>) {
+fn rewrite_one_for(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let Some(one) = (0..tokens.len()).find(|&i| matches!(word(i), "one" | "thing" | "something"))
     else {
@@ -225,7 +225,10 @@ fn one_for(tokens: &mut Vec<String>) {
     {
         let before: Vec<String> = tokens.drain(..=at).take(one).collect();
         let describing = before.into_iter().filter(|word| {
-            !matches!(words::longest(&[word]), Some((Meaning::Determiner | Meaning::Filler, _)))
+            !matches!(
+                words::longest_match(&[word]),
+                Some((Meaning::Determiner | Meaning::Filler, _))
+            )
         });
         let new: Vec<String> = std::iter::once("something".to_owned())
             .chain(describing)
@@ -236,7 +239,7 @@ fn one_for(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "of the green chairs, the one by the door" to "the green chair by the door".
-fn of_several(tokens: &mut Vec<String>) {
+fn rewrite_of_several(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let begins = match (word(0), word(1)) {
         ("out", "of") => 2,
@@ -250,7 +253,7 @@ fn of_several(tokens: &mut Vec<String>) {
     let (Some(one), Some(noun)) = (one, plural) else { return };
     let counted = |word: &&String| {
         matches!(
-            words::longest(&[word]),
+            words::longest_match(&[word]),
             Some((Meaning::Determiner | Meaning::Number(_) | Meaning::All, _))
         )
     };
@@ -261,7 +264,7 @@ fn of_several(tokens: &mut Vec<String>) {
 }
 
 /// Removes "over" before a place: "over on my left".
-fn over_at(tokens: &mut Vec<String>) {
+fn remove_over(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i + 1 < tokens.len() {
         let near = matches!(
@@ -278,7 +281,7 @@ fn over_at(tokens: &mut Vec<String>) {
 
 /// Removes when and why the target is wanted, which does not distinguish it: "put the board away
 /// before somebody slips on it".
-fn until_somebody(tokens: &mut Vec<String>) {
+fn remove_circumstances(tokens: &mut Vec<String>) {
     const SUBJECTS: [&str; 13] = [
         "somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people",
         "i'm", "you",
@@ -296,7 +299,7 @@ fn until_somebody(tokens: &mut Vec<String>) {
 }
 
 /// Removes intensifiers of a side: "at the very left", "all the way to the right".
-fn extremes(tokens: &mut Vec<String>) {
+fn remove_intensifiers(tokens: &mut Vec<String>) {
     let is_side =
         |word: &str| matches!(word, "left" | "right" | "top" | "bottom" | "front" | "back" | "end");
     let mut i = 0;
@@ -313,7 +316,7 @@ fn extremes(tokens: &mut Vec<String>) {
 }
 
 /// Removes the owner from "how many lamps do we have here".
-fn how_many(tokens: &mut Vec<String>) {
+fn remove_owner_of_count(tokens: &mut Vec<String>) {
     let asks = tokens.windows(2).position(|pair| pair[0] == "how" && pair[1] == "many");
     let Some(start) = asks else { return };
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
@@ -332,7 +335,7 @@ fn how_many(tokens: &mut Vec<String>) {
 
 /// Rewrites "the nearest place to sit when you come in" to "something to sit, the nearest, when you
 /// come in".
-fn nearest_place(tokens: &mut Vec<String>) {
+fn rewrite_nearest_place(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let begins = |&i: &usize| {
         matches!(word(i), "nearest" | "closest")
@@ -349,7 +352,7 @@ fn nearest_place(tokens: &mut Vec<String>) {
 }
 
 /// Removes a choice of sides: "is the desk on the left or the right?" gives no side.
-fn either_side(tokens: &mut Vec<String>) {
+fn remove_choice_of_sides(tokens: &mut Vec<String>) {
     let small = |word: &str| matches!(word, "on" | "to" | "at" | "the" | "my" | "your");
     let Some(or) = (1..tokens.len().saturating_sub(1)).find(|&i| tokens[i] == "or") else { return };
     let (first, mut second) = (or - 1, or + 1);
@@ -369,7 +372,7 @@ fn either_side(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "a chair on wheels" to a chair with wheels.
-fn on_parts(tokens: &mut [String]) {
+fn rewrite_on_parts(tokens: &mut [String]) {
     for i in 1..tokens.len() {
         if tokens[i - 1] == "on"
             && matches!(tokens[i].as_str(), "wheels" | "casters" | "castors" | "legs")
@@ -381,7 +384,7 @@ fn on_parts(tokens: &mut [String]) {
 
 /// Joins the purpose of a named thing to one word that cannot be checked: "a lamp for reading",
 /// "the pot to brew tea in". Exception: the two together are a thing's name ("tea pot").
-fn purposes(tokens: &mut Vec<String>) {
+fn join_purposes(tokens: &mut Vec<String>) {
     let lexicon = Lexicon::get();
     let mut i = 1;
     while i + 1 < tokens.len() {
@@ -391,7 +394,7 @@ fn purposes(tokens: &mut Vec<String>) {
             || tokens[i] == "for" && verb.ends_with("ing");
         let of_a_thing = lexicon.is_known(&tokens[i - 1])
             && !lexicon.is_known(verb)
-            && words::longest(&[verb]).is_none();
+            && words::longest_match(&[verb]).is_none();
         if !(said && of_a_thing) {
             i += 1;
             continue;
@@ -399,7 +402,7 @@ fn purposes(tokens: &mut Vec<String>) {
         let ends = |word: &str| {
             word == BREAK
                 || matches!(
-                    words::longest(&[word]),
+                    words::longest_match(&[word]),
                     Some((Meaning::Relation(_) | Meaning::With { .. } | Meaning::And, _))
                 )
         };
@@ -420,15 +423,18 @@ fn purposes(tokens: &mut Vec<String>) {
 }
 
 /// Removes the verb of a sentence without a subject: "The chair. Leans against the wall".
-fn verbs(tokens: &mut Vec<String>) {
+fn remove_leading_verb(tokens: &mut Vec<String>) {
     let is_verb = |word: &str| {
         word.len() > 3
             && word.ends_with('s')
-            && words::longest(&[word]).is_none()
+            && words::longest_match(&[word]).is_none()
             && !Lexicon::get().is_known(word)
     };
     let relates = |word: &str| {
-        matches!(words::longest(&[word]), Some((Meaning::Relation(_) | Meaning::With { .. }, _)))
+        matches!(
+            words::longest_match(&[word]),
+            Some((Meaning::Relation(_) | Meaning::With { .. }, _))
+        )
     };
     let mut i = 1;
     while i + 1 < tokens.len() {
@@ -441,7 +447,7 @@ fn verbs(tokens: &mut Vec<String>) {
 
 /// Rewrites "with the window in front of me" to "when you face the window", and "with the door
 /// behind me" to "with my back to the door".
-fn in_front_of_me(tokens: &mut Vec<String>) {
+fn rewrite_in_front_of_me(tokens: &mut Vec<String>) {
     const AHEAD: [&[&str]; 4] =
         [&["right", "in", "front", "of"], &["in", "front", "of"], &["ahead", "of"], &["before"]];
     const BEHIND: [&[&str]; 1] = [&["behind"]];
@@ -470,7 +476,7 @@ fn in_front_of_me(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "in green tones", "in shades of red", "in white" to the thing's own color.
-fn shades(tokens: &mut Vec<String>) {
+fn rewrite_shades(tokens: &mut Vec<String>) {
     const TONES: [&str; 12] = [
         "tone", "tones", "shade", "shades", "hue", "hues", "tint", "tints", "color", "colors",
         "colour", "colours",
@@ -481,7 +487,7 @@ fn shades(tokens: &mut Vec<String>) {
             .map(String::as_str)
             .take_while(|t| *t != BREAK)
             .collect();
-        match words::longest(&run) {
+        match words::longest_match(&run) {
             Some((Meaning::Color(_), length)) => Some(length),
             _ => None,
         }
@@ -522,7 +528,7 @@ fn shades(tokens: &mut Vec<String>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn many_ways_become_one() {
@@ -589,11 +595,11 @@ mod tests {
             ("the table closes to the the door", "the table closest to the door"),
             ("it 's got a lamp ontop of it", "it's has a lamp on top of it"),
         ] {
-            assert_eq!(rewritten(tokens(said)).join(" "), meant.replace('|', " "), "{said}");
+            assert_eq!(rewrite(tokenize(said)).join(" "), meant.replace('|', " "), "{said}");
             // A token may have several words.
             if meant.contains('|') {
                 assert!(
-                    rewritten(tokens(said))
+                    rewrite(tokenize(said))
                         .iter()
                         .any(|token| Some(token.as_str()) == meant.split('|').nth(1)),
                     "{said}"

@@ -7,17 +7,17 @@ use uniground_models::attributes::Lexicon;
 
 /// Rewrites a query's words.
 pub(super) fn rewrite(tokens: &mut Vec<String>) {
-    utmost(tokens);
-    turned(tokens);
-    corners(tokens);
-    sides_of_the_room(tokens);
-    ends(tokens);
-    far_sides(tokens);
-    side_of_another(tokens);
+    rewrite_utmost(tokens);
+    join_orientation(tokens);
+    rewrite_corners(tokens);
+    rewrite_room_sides(tokens);
+    rewrite_ends(tokens);
+    reduce_two_sides(tokens);
+    rewrite_side_of_another(tokens);
 }
 
 /// Rewrites "on the window side of the bed" to next to the bed, closest to the window.
-fn side_of_another(tokens: &mut Vec<String>) {
+fn rewrite_side_of_another(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let told = |&i: &usize| {
         matches!(word(i), "on" | "at")
@@ -30,7 +30,7 @@ fn side_of_another(tokens: &mut Vec<String>) {
     let other = tokens[at + 2].clone();
     let is_end = |&i: &usize| {
         word(i) == BREAK
-            || matches!(words::longest(&[word(i)]), Some((Meaning::Relation(_), _)))
+            || matches!(words::longest_match(&[word(i)]), Some((Meaning::Relation(_), _)))
             || word(i) == "there"
     };
     let end = (at + 5..tokens.len()).find(is_end).unwrap_or(tokens.len());
@@ -39,7 +39,7 @@ fn side_of_another(tokens: &mut Vec<String>) {
 }
 
 /// Rewrites "the left - most table" to the leftmost. Points of the compass are unknown.
-fn utmost(tokens: &mut Vec<String>) {
+fn rewrite_utmost(tokens: &mut Vec<String>) {
     let mut i = 1;
     while i < tokens.len() {
         let whole = match (tokens[i - 1].as_str(), tokens[i].as_str()) {
@@ -60,7 +60,7 @@ fn utmost(tokens: &mut Vec<String>) {
 
 /// Joins the orientation of a thing to one word that cannot be checked: "it is facing left". A box
 /// does not show it.
-fn turned(tokens: &mut Vec<String>) {
+fn join_orientation(tokens: &mut Vec<String>) {
     const WAYS: [&str; 15] = [
         "left",
         "right",
@@ -113,7 +113,7 @@ fn at_a_side<'a>(preposition: &str, side: &'a str) -> Vec<&'a str> {
 }
 
 /// Rewrites "at the far left end of the counter" to on its left side.
-fn ends(tokens: &mut Vec<String>) {
+fn rewrite_ends(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
         if matches!(tokens[i].as_str(), "end" | "edge" | "side" | "half" | "part")
@@ -131,7 +131,7 @@ fn ends(tokens: &mut Vec<String>) {
 }
 
 /// Reduces two sides to left or right: "on the back right", "in the far bottom left".
-fn far_sides(tokens: &mut Vec<String>) {
+fn reduce_two_sides(tokens: &mut Vec<String>) {
     let mut i = 2;
     while i < tokens.len() {
         let is_side = matches!(tokens[i].as_str(), "left" | "right");
@@ -240,7 +240,7 @@ fn of(tokens: &[String], at: usize) -> Of {
 
 /// Rewrites "in the back left corner of the room" to "in the corner on the left", and "on the
 /// corner of the desk" to "on the desk".
-fn corners(tokens: &mut Vec<String>) {
+fn rewrite_corners(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
         if tokens[i] == "corner"
@@ -271,7 +271,7 @@ fn corners(tokens: &mut Vec<String>) {
 
 /// Rewrites "on the right side of the room" to "on the right". Removes other sides of the room,
 /// because the scene does not define them.
-fn sides_of_the_room(tokens: &mut Vec<String>) {
+fn rewrite_room_sides(tokens: &mut Vec<String>) {
     let mut i = 0;
     while i < tokens.len() {
         if matches!(tokens[i].as_str(), "side" | "end" | "half")
@@ -292,7 +292,7 @@ fn sides_of_the_room(tokens: &mut Vec<String>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn ends_corners_and_sides_have_few_ways_to_be_said() {
@@ -318,12 +318,12 @@ mod tests {
             ("the chair is facing to the left", "the chair is facing to the left"),
             ("facing the left wall, the lamp", "facing the left wall , the lamp"),
         ] {
-            let mut words = tokens(said);
+            let mut words = tokenize(said);
             rewrite(&mut words);
             assert_eq!(words.join(" "), meant, "{said}");
         }
         // The orientation is one word.
-        let mut words = tokens("the chair is facing down and right");
+        let mut words = tokenize("the chair is facing down and right");
         rewrite(&mut words);
         assert_eq!(words.last().map(String::as_str), Some("facing down and right"));
     }

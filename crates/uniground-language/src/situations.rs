@@ -79,7 +79,7 @@ const WISHES: [&str; 12] = [
 ];
 
 /// Returns the query from its first question or wish on, if people speak of themselves before it.
-pub(super) fn left_out(mut tokens: Vec<String>) -> Vec<String> {
+pub(super) fn drop_situation(mut tokens: Vec<String>) -> Vec<String> {
     let starts: Vec<usize> = std::iter::once(0)
         .chain((0..tokens.len()).filter(|&i| tokens[i] == BREAK).map(|i| i + 1))
         .collect();
@@ -91,7 +91,9 @@ pub(super) fn left_out(mut tokens: Vec<String>) -> Vec<String> {
     // "can we keep it" names nothing.
     let is_noun = |word: &String| Lexicon::get().is_known(word) && word != "can";
     let names = |rest: &[String]| rest.iter().any(is_noun) || affordances::find(rest).is_some();
-    if (1..starts.len()).contains(&first) && asks(clause(first)) && names(&tokens[starts[first]..])
+    if (1..starts.len()).contains(&first)
+        && is_request(clause(first))
+        && names(&tokens[starts[first]..])
     {
         tokens.drain(..starts[first]);
     }
@@ -103,7 +105,7 @@ fn is_of_themselves(clause: &[String]) -> bool {
     // "my red mug, please" is a wish.
     let owns = matches!(word(0), "my" | "our");
     let describes = |word: &String| {
-        let known = words::longest(&[word]).map(|(meaning, _)| meaning);
+        let known = words::longest_match(&[word]).map(|(meaning, _)| meaning);
         matches!(known, Some(Meaning::Determiner | Meaning::Color(_) | Meaning::Trait(_)))
             || Lexicon::get().is_known(word)
     };
@@ -112,7 +114,7 @@ fn is_of_themselves(clause: &[String]) -> bool {
     // A viewpoint is part of the question, and so is a wish.
     let tells = clause.iter().take(4).any(|word| WISHES.contains(&word.as_str()))
         || clause.iter().any(|word| {
-            matches!(words::longest(&[word]), Some((Meaning::View(_) | Meaning::Seated, _)))
+            matches!(words::longest_match(&[word]), Some((Meaning::View(_) | Meaning::Seated, _)))
         })
         || clause.iter().any(|word| {
             matches!(word.as_str(), "standing" | "sitting" | "facing" | "looking" | "stand")
@@ -120,16 +122,16 @@ fn is_of_themselves(clause: &[String]) -> bool {
     speaks && !tells
 }
 
-fn asks(clause: &[String]) -> bool {
+fn is_request(clause: &[String]) -> bool {
     // "it is a window. Is directly above the bed" is a statement, not a question.
-    let tells = matches!(clause, [is, next, ..] if is == "is" && matches!(words::longest(&[next]), Some((Meaning::Relation(_) | Meaning::Filler, _))) && next != "there");
+    let tells = matches!(clause, [is, next, ..] if is == "is" && matches!(words::longest_match(&[next]), Some((Meaning::Relation(_) | Meaning::Filler, _))) && next != "there");
     !tells && clause.first().is_some_and(|word| ASKS.contains(&word.as_str()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tokens::tokens;
+    use crate::tokens::tokenize;
 
     #[test]
     fn the_question_is_what_is_asked() {
@@ -155,7 +157,7 @@ mod tests {
                 "it is a window , is directly above the bed",
             ),
         ] {
-            assert_eq!(left_out(tokens(said)).join(" "), left, "{said}");
+            assert_eq!(drop_situation(tokenize(said)).join(" "), left, "{said}");
         }
     }
 }

@@ -10,7 +10,7 @@ pub(super) const BREAK: &str = ",";
 const WITH_IS: [&str; 9] = ["it", "that", "there", "he", "she", "what", "where", "here", "who"];
 
 /// Returns lower-case words; sentence marks become [`BREAK`].
-pub(super) fn tokens(query: &str) -> Vec<String> {
+pub(super) fn tokenize(query: &str) -> Vec<String> {
     let mut tokens = Vec::new();
     let mut word = String::new();
     let end = |word: &mut String, tokens: &mut Vec<String>| {
@@ -55,13 +55,13 @@ const TWO_SLIPS_FROM_CHARS: usize = 8;
 
 /// Returns the noun of the lexicon that a misspelled word stands for: "refridgerator". `None` when
 /// no single one is similar.
-pub(super) fn spelling(word: &str) -> Option<&'static str> {
+pub(super) fn correct_spelling(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
     if !word.is_ascii() || WordNet::get().is_english(word) {
         return None;
     }
     if length < MIN_SLIP_CHARS {
-        return doubled(word);
+        return double_letter(word);
     }
     let allowed = if length >= TWO_SLIPS_FROM_CHARS { 2 } else { 1 };
     let near = |known: &'static str| {
@@ -81,16 +81,16 @@ fn distance(word: &str, known: &str) -> usize {
 }
 
 /// Returns the noun that a short word becomes with one letter doubled: "bal".
-fn doubled(word: &str) -> Option<&'static str> {
+fn double_letter(word: &str) -> Option<&'static str> {
     (1..=word.len())
         .find_map(|i| Lexicon::get().canonical_word(&format!("{}{}", &word[..i], &word[i - 1..])))
 }
 
 /// Returns the noun that two separated words form: "wheel barow". Two English words must match
 /// exactly.
-pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
+pub(super) fn join_words(first: &str, second: &str) -> Option<&'static str> {
     let lexicon = Lexicon::get();
-    let of_the_grammar = |word: &str| words::longest(&[word]).is_some();
+    let of_the_grammar = |word: &str| words::longest_match(&[word]).is_some();
     if of_the_grammar(first)
         || of_the_grammar(second)
         || lexicon.is_known(&format!("{first} {second}"))
@@ -100,13 +100,13 @@ pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
     let whole = format!("{first}{second}");
     lexicon.canonical_word(&whole).or_else(|| {
         (!WordNet::get().is_english(second) && !lexicon.is_known(second))
-            .then(|| spelling(&whole))?
+            .then(|| correct_spelling(&whole))?
     })
 }
 
 /// Returns the word of the grammar that a misspelled word stands for: "somethng". `None` for
 /// English words, and for nouns of the lexicon.
-pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
+pub(super) fn correct_small_word(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
     if length < MIN_SLIP_CHARS
         || !word.is_ascii()
@@ -121,7 +121,7 @@ pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
             && known.as_bytes()[0] == word.as_bytes()[0]
             && distance(word, known) == 1
     };
-    words::small().filter(near).min()
+    words::single_words().filter(near).min()
 }
 
 /// Returns the stem of a verb: "sitting" -> "sit", "tells" -> "tell". Exact enough to compare
@@ -150,19 +150,19 @@ mod tests {
 
     #[test]
     fn slips_are_forgiven_other_words_are_not() {
-        assert_eq!(spelling("refrigeratr"), Some("refrigerator"));
-        assert_eq!(spelling("tabel"), Some("table"));
-        assert_eq!(spelling("bookcse"), Some("bookcase"));
-        assert_eq!(spelling("bal"), Some("ball"));
-        assert_eq!(joined("wheel", "barow"), Some("wheelbarrow"));
-        assert_eq!(joined("book", "case"), None, "known as it stands");
+        assert_eq!(correct_spelling("refrigeratr"), Some("refrigerator"));
+        assert_eq!(correct_spelling("tabel"), Some("table"));
+        assert_eq!(correct_spelling("bookcse"), Some("bookcase"));
+        assert_eq!(correct_spelling("bal"), Some("ball"));
+        assert_eq!(join_words("wheel", "barow"), Some("wheelbarrow"));
+        assert_eq!(join_words("book", "case"), None, "known as it stands");
         for (first, second) in
             [("red", "chair"), ("the", "bed"), ("chair", "table"), ("lamp", "xyzzy")]
         {
-            assert_eq!(joined(first, second), None, "{first} {second}");
+            assert_eq!(join_words(first, second), None, "{first} {second}");
         }
         for word in ["theremin", "quaternion", "xyz", "hat", "wine"] {
-            assert_eq!(spelling(word), None, "{word}");
+            assert_eq!(correct_spelling(word), None, "{word}");
         }
     }
 

@@ -209,7 +209,7 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     if words::is_anything(&head) {
         for said in &json.uses {
             if let Some(found) =
-                affordances::find(&super::tokens::tokens(&format!("something to {said}")))
+                affordances::find(&super::tokens::tokenize(&format!("something to {said}")))
             {
                 uses.extend(found.uses);
                 purpose.extend(found.words);

@@ -63,9 +63,9 @@ type Run = (Vec<&'static str>, Meaning);
 /// The table by first word, longest runs first.
 static BY_FIRST_WORD: LazyLock<HashMap<&'static str, Vec<Run>>> = LazyLock::new(|| {
     let mut table: HashMap<&'static str, Vec<Run>> = HashMap::new();
-    for (meaning, phrases) in lines() {
+    for (meaning, phrases) in table_lines() {
         // A test checks that every line has a meaning.
-        let Some(meaning) = Meaning::of(meaning) else { continue };
+        let Some(meaning) = Meaning::from_table_name(meaning) else { continue };
         for phrase in phrases {
             let words: Vec<&str> = phrase.split(' ').collect();
             table.entry(words[0]).or_default().push((words, meaning));
@@ -78,7 +78,7 @@ static BY_FIRST_WORD: LazyLock<HashMap<&'static str, Vec<Run>>> = LazyLock::new(
 });
 
 /// Lines of `words.tsv`: a meaning and its words.
-fn lines() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
+fn table_lines() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
     let lines = include_str!("words.tsv").lines().filter(|line| !line.starts_with('#'));
     lines
         .filter_map(|line| line.split_once('\t'))
@@ -87,7 +87,7 @@ fn lines() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
 
 impl Meaning {
     /// Returns the meaning that a line of the table names: "relation near", "colour red".
-    fn of(name: &str) -> Option<Self> {
+    fn from_table_name(name: &str) -> Option<Self> {
         let (kind, which) = name.split_once(' ').unwrap_or((name, ""));
         Some(match kind {
             "relation" => {
@@ -128,7 +128,7 @@ impl Meaning {
 
 /// Returns the meaning and the length of the longest run of words at the start of `words` that has
 /// one.
-pub(super) fn longest(words: &[&str]) -> Option<(Meaning, usize)> {
+pub(super) fn longest_match(words: &[&str]) -> Option<(Meaning, usize)> {
     cost::count();
     let phrases = BY_FIRST_WORD.get(words.first()?)?;
     phrases
@@ -139,7 +139,7 @@ pub(super) fn longest(words: &[&str]) -> Option<(Meaning, usize)> {
 }
 
 /// Returns every single word of the tables, and the words for anything.
-pub(super) fn small() -> impl Iterator<Item = &'static str> {
+pub(super) fn single_words() -> impl Iterator<Item = &'static str> {
     let single = BY_FIRST_WORD
         .iter()
         .filter(|(_, runs)| runs.iter().any(|(words, _)| words.len() == 1))
@@ -267,8 +267,8 @@ mod tests {
     #[test]
     fn every_line_has_a_meaning_and_every_run_of_words_one_line() {
         let mut seen = HashSet::new();
-        for (meaning, phrases) in lines() {
-            assert!(Meaning::of(meaning).is_some(), "{meaning}");
+        for (meaning, phrases) in table_lines() {
+            assert!(Meaning::from_table_name(meaning).is_some(), "{meaning}");
             for phrase in phrases {
                 assert!(!phrase.is_empty() && phrase == phrase.trim(), "{meaning}: {phrase:?}");
                 assert!(seen.insert(phrase), "{phrase:?} is listed twice");

@@ -71,7 +71,7 @@ pub(super) const LONGEST: usize = 2;
 
 /// Returns the nouns that make a zone of this name.
 #[must_use]
-pub fn made_of(name: &str) -> Option<&'static [&'static str]> {
+pub fn nouns_of_zone(name: &str) -> Option<&'static [&'static str]> {
     ZONES.iter().find(|(names, _)| names.contains(&name)).map(|(_, nouns)| *nouns)
 }
 
@@ -93,8 +93,8 @@ mod tests {
         assert_eq!(once.len(), all.len());
         assert!(all.iter().all(|name| name.split(' ').count() <= LONGEST));
         assert!(
-            made_of("kitchen").is_some_and(|nouns| nouns.contains(&"stove"))
-                && made_of("table").is_none()
+            nouns_of_zone("kitchen").is_some_and(|nouns| nouns.contains(&"stove"))
+                && nouns_of_zone("table").is_none()
         );
     }
 }

@@ -45,10 +45,10 @@ pub fn pairs_within(
     max_hop: u32,
     progress: &Progress,
 ) -> Result<Vec<(u32, u32, u32)>, Cancelled> {
-    let mut neighbours = vec![Vec::new(); count];
+    let mut neighbors = vec![Vec::new(); count];
     for &(a, b) in adjacent {
-        neighbours[a as usize].push(b);
-        neighbours[b as usize].push(a);
+        neighbors[a as usize].push(b);
+        neighbors[b as usize].push(a);
     }
     let around: Vec<Vec<(u32, u32, u32)>> = (0..count as u32)
         .into_par_iter()
@@ -58,9 +58,9 @@ pub fn pairs_within(
             let mut ring = vec![start];
             for hop in 1..=max_hop {
                 let ways =
-                    ring.iter().filter(|&&n| n == start || neighbours[n as usize].len() <= HUB);
+                    ring.iter().filter(|&&n| n == start || neighbors[n as usize].len() <= HUB);
                 let reached: Vec<u32> =
-                    ways.flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
+                    ways.flat_map(|&n| neighbors[n as usize].iter().copied()).collect();
                 ring.clear();
                 for n in reached {
                     if let Entry::Vacant(slot) = hops.entry(n) {

@@ -97,7 +97,7 @@ fn gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec<Dept
         let (sum, points) = &mut sums[voxel as usize];
         (*sum, *points) = (*sum + p.coords, *points + 1.0);
     }
-    let around = grid.neighbours();
+    let around = grid.neighbors();
     let meeting = |(voxel, &own): (usize, &u32)| {
         let others = around
             .neighbors_of(voxel as u32)
@@ -229,7 +229,7 @@ mod tests {
     fn neighbours_are_parted_where_more_frames_see_through_than_not() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
-        let neighbours = |apart_m: f32, depths_m: &[f32]| {
+        let neighbors = |apart_m: f32, depths_m: &[f32]| {
             let (cloud, superpoints) = two_squares(apart_m);
             let frames: Vec<FrameRef> =
                 (0..).zip(depths_m).map(|(i, &depth_m)| frame(folder, i, depth_m)).collect();
@@ -244,10 +244,10 @@ mod tests {
             .unwrap()
         };
         let (wall, closed) = (2.0, 1.0);
-        assert_eq!(neighbours(0.07, &[wall, closed, wall]), []);
-        assert_eq!(neighbours(0.07, &[wall, closed]), [(0, 1)], "as many as not");
-        assert_eq!(neighbours(0.07, &[]), [(0, 1)], "nobody looked");
-        assert_eq!(neighbours(0.01, &[wall, wall]), [(0, 1)], "they touch");
+        assert_eq!(neighbors(0.07, &[wall, closed, wall]), []);
+        assert_eq!(neighbors(0.07, &[wall, closed]), [(0, 1)], "as many as not");
+        assert_eq!(neighbors(0.07, &[]), [(0, 1)], "nobody looked");
+        assert_eq!(neighbors(0.01, &[wall, wall]), [(0, 1)], "they touch");
     }
 
     #[test]

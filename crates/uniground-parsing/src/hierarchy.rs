@@ -139,9 +139,9 @@ fn find_wholes(
         tables.par_iter().map(|table| coarsen(table, region_of)).collect();
     let mut unions: BTreeSet<Vec<u32>> =
         coarse.par_iter().map(regions_held_by_masks).flatten_iter().collect();
-    let neighbours =
+    let neighbors =
         superpoints.adjacent.iter().map(|&(a, b)| (region_of[a as usize], region_of[b as usize]));
-    unions.extend(neighbours.filter(|(a, b)| a != b).map(|(a, b)| vec![a.min(b), a.max(b)]));
+    unions.extend(neighbors.filter(|(a, b)| a != b).map(|(a, b)| vec![a.min(b), a.max(b)]));
     let unions: Vec<Vec<u32>> = unions.into_iter().collect();
     let agreements = agreements(&coarse, &unions);
     let whole = |(regions, agreement): (Vec<u32>, f32)| {

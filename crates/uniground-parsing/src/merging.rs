@@ -133,7 +133,7 @@ fn grow(
     progress: &Progress,
 ) -> Result<Vec<u32>, Cancelled> {
     const NONE: u32 = u32::MAX;
-    let neighbours = neighbor_lists(patches.len(), edges);
+    let neighbors = neighbor_lists(patches.len(), edges);
     let mut order: Vec<u32> = (0..patches.len() as u32).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(patches[i as usize].points), i));
     let mut region = vec![NONE; patches.len()];
@@ -151,7 +151,7 @@ fn grow(
             progress.check()?;
             region[member as usize] = regions;
             bond.remove(&member);
-            for &(other, hop, affinity) in &neighbours[member as usize] {
+            for &(other, hop, affinity) in &neighbors[member as usize] {
                 if region[other as usize] != NONE {
                     continue;
                 }
@@ -178,18 +178,18 @@ fn grow(
 }
 
 fn neighbor_lists(count: usize, edges: &[Edge]) -> Vec<Vec<(u32, u32, f32)>> {
-    let mut neighbours = vec![Vec::new(); count];
+    let mut neighbors = vec![Vec::new(); count];
     for &Edge { a, b, hop, affinity } in edges {
-        neighbours[a as usize].push((b, hop, affinity));
-        neighbours[b as usize].push((a, hop, affinity));
+        neighbors[a as usize].push((b, hop, affinity));
+        neighbors[b as usize].push((a, hop, affinity));
     }
-    neighbours
+    neighbors
 }
 
 /// Merges regions below `min_points` into their most affine adjacent neighbor, smallest first.
 /// Returns labels `0..n`.
 fn absorb_small(patches: &[Patch], edges: &[Edge], min_points: u32) -> Vec<u32> {
-    let neighbours = neighbor_lists(patches.len(), edges);
+    let neighbors = neighbor_lists(patches.len(), edges);
     let mut sets = UnionFind::new(patches.len());
     let mut points: Vec<u32> = patches.iter().map(|p| p.points).collect();
     let mut small: Vec<u32> =
@@ -200,7 +200,7 @@ fn absorb_small(patches: &[Patch], edges: &[Edge], min_points: u32) -> Vec<u32> 
         if points[own as usize] >= min_points {
             continue;
         }
-        let best = neighbours[i as usize]
+        let best = neighbors[i as usize]
             .iter()
             .filter(|(_, hop, _)| *hop == 1)
             .map(|&(other, _, affinity)| (affinity, std::cmp::Reverse(other)))

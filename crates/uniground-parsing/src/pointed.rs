@@ -16,7 +16,7 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{
     Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames,
 };
-use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap, typical_spacing_m};
+use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap, typical_spacing_m};
 use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::{Encoded, LowMask, Prompt, Segmenter};
 use uniground_types::settings::ParsingSettings;
@@ -333,7 +333,7 @@ impl PointedObjectFinder<'_> {
         for start in starts {
             let (mut piece, mut open) = (voxels.remove(&start).unwrap_or_default(), vec![start]);
             while let Some(at) = open.pop() {
-                for near in NEIGHBOURS_26.map(|d| at.offset(d)) {
+                for near in NEIGHBORS_26.map(|d| at.offset(d)) {
                     if let Some(more) = voxels.remove(&near) {
                         piece.extend(more);
                         open.push(near);

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{DepthCache, FrameRef, PointCloud, stream_frames};
-use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
+use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 
 /// A point moves only to a region that comes within this distance, meters.
 const REACH_M: f32 = 0.05;
@@ -83,7 +83,7 @@ pub fn refine(
     let is_near = |p, region: u32| {
         let key = VoxelKey::containing(p, REACH_M);
         let holds = |key: VoxelKey| near.get(&key).is_some_and(|regions| regions.contains(&region));
-        holds(key) || NEIGHBOURS_26.iter().any(|&d| holds(key.offset(d)))
+        holds(key) || NEIGHBORS_26.iter().any(|&d| holds(key.offset(d)))
     };
     let moved: Vec<(usize, u32)> = votes
         .par_iter()

@@ -24,9 +24,9 @@ pub struct ReportPicture {
 
 /// Maximum number of frames shown.
 const FRAMES: usize = 3;
-const STRUCTURE_GREY: [u8; 3] = [200, 200, 200];
+const STRUCTURE_GRAY: [u8; 3] = [200, 200, 200];
 /// Color of points that belong to no instance.
-const DROPPED_GREY: [u8; 3] = [90, 90, 90];
+const DROPPED_GRAY: [u8; 3] = [90, 90, 90];
 
 /// Renders the pictures: two of the cloud, and one for each of up to three frames spread over the
 /// scan.
@@ -121,8 +121,8 @@ fn with_colors(scene: &ParsedScene, color: impl Fn(usize) -> [u8; 3] + Sync + Se
 fn instance_color(instances: &[Instance], id: InstanceId) -> [u8; 3] {
     let instance = (id.0 as usize).checked_sub(1).and_then(|i| instances.get(i));
     match instance {
-        None => DROPPED_GREY,
-        Some(instance) if instance.structure.is_some() => STRUCTURE_GREY,
+        None => DROPPED_GRAY,
+        Some(instance) if instance.structure.is_some() => STRUCTURE_GRAY,
         Some(_) => id_color(id.0),
     }
 }

@@ -59,10 +59,10 @@ pub fn split_supported(
         .zip(&superpoints.patches)
         .map(|(points, patch)| SuperpointFacts::measure(points, patch))
         .collect();
-    let mut neighbours = vec![Vec::new(); pieces.len()];
+    let mut neighbors = vec![Vec::new(); pieces.len()];
     for &(a, b) in &superpoints.adjacent {
-        neighbours[a as usize].push(b);
-        neighbours[b as usize].push(a);
+        neighbors[a as usize].push(b);
+        neighbors[b as usize].push(a);
     }
     let mut members: Vec<Vec<u32>> =
         vec![Vec::new(); region_of.iter().max().map_or(0, |&region| region as usize + 1)];
@@ -84,8 +84,7 @@ pub fn split_supported(
                     && piece.low_z > top.z - CONTACT_M
                     && !top.members.contains(s)
             };
-            for thing in group_connected(left.iter().copied().filter(above).collect(), &neighbours)
-            {
+            for thing in group_connected(left.iter().copied().filter(above).collect(), &neighbors) {
                 if (min_points..=most).contains(&count_points(&thing, &pieces))
                     && top.is_supporting(&thing, &pieces)
                 {
@@ -211,12 +210,12 @@ fn find_surfaces(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurf
 }
 
 /// Groups these superpoints into connected sets.
-fn group_connected(mut left: BTreeSet<u32>, neighbours: &[Vec<u32>]) -> Vec<Vec<u32>> {
+fn group_connected(mut left: BTreeSet<u32>, neighbors: &[Vec<u32>]) -> Vec<Vec<u32>> {
     let mut sets = Vec::new();
     while let Some(first) = left.pop_first() {
         let (mut set, mut at) = (vec![first], 0);
         while let Some(&member) = set.get(at) {
-            set.extend(neighbours[member as usize].iter().filter(|other| left.remove(other)));
+            set.extend(neighbors[member as usize].iter().filter(|other| left.remove(other)));
             at += 1;
         }
         sets.push(set);

@@ -12,7 +12,7 @@ use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::DualEncoder;
 use uniground_models::{attributes, calibration};
 use uniground_parsing::appearance;
-use uniground_parsing::instances::{Body, planarity, find_supports};
+use uniground_parsing::instances::{Body, find_supports, planarity};
 use uniground_parsing::labels::Labels;
 use uniground_parsing::lifting::MasksOfFrames;
 use uniground_parsing::sharpness::SharpnessOfFrames;

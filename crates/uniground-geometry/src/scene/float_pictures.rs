@@ -6,10 +6,10 @@ use exr::block::reader::Reader;
 use exr::image::FlatSamples;
 use exr::meta::header::Header;
 use exr::prelude::{MetaData, ReadChannels, ReadLayers, read};
-use tiff::decoder::{Decoder, DecodingResult, Limits};
-use tiff::tags::Tag;
 use std::fs::File;
 use std::io::{self, BufReader, Read};
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
 
 const EXR_MAGIC: &[u8; 4] = b"\x76\x2f\x31\x01";
 const TIFF_MAGICS: [&[u8; 4]; 4] = [b"II\x2a\0", b"MM\0\x2a", b"II\x2b\0", b"MM\0\x2b"];

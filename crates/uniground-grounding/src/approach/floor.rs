@@ -10,7 +10,7 @@ const STEP_M: f32 = 0.05;
 const SLACK_M: f32 = 1e-4;
 /// A cell without points counts as floor where at least this many of the eight around it are floor.
 /// It is then a hole between points, not an area that was never seen.
-const CLOSING_NEIGHBOURS: usize = 6;
+const CLOSING_NEIGHBORS: usize = 6;
 /// Gray values of `map_server`: 254 is below its threshold for free, 0 is above that for occupied,
 /// 205 is in between.
 const FREE: Luma<u8> = Luma([254]);
@@ -104,5 +104,5 @@ fn is_hole(grid: &Grid, cells: &[Cell], cell: usize) -> bool {
     let around = [cell - grid.width, cell, cell + grid.width]
         .into_iter()
         .flat_map(|middle| [middle - 1, middle, middle + 1]);
-    around.filter(|&other| cells[other] == Cell::Floor).count() >= CLOSING_NEIGHBOURS
+    around.filter(|&other| cells[other] == Cell::Floor).count() >= CLOSING_NEIGHBORS
 }

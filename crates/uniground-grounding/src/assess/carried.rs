@@ -1,7 +1,7 @@
 //! Scores what an instance carries, lacks or has as a part: "with the book on it", "without books",
 //! "with the orange seat".
 
-use super::{Assessor, CARRIED, MAX_ANCHORS, unchecked};
+use super::{Assessor, CARRIED, MAX_ANCHORS, unchecked_factor};
 use crate::fit::{colors_fit, most_plausible};
 use crate::relations;
 use uniground_language::{Phrase, With};
@@ -74,9 +74,11 @@ impl Assessor<'_> {
             return;
         }
         let found = self.assess(phrase);
-        if let Some(share) =
-            unchecked(std::slice::from_ref(phrase), std::slice::from_ref(&found), SMALL_NOT_FOUND)
-        {
+        if let Some(share) = unchecked_factor(
+            std::slice::from_ref(phrase),
+            std::slice::from_ref(&found),
+            SMALL_NOT_FOUND,
+        ) {
             if !absent {
                 scores.iter_mut().for_each(|score| *score *= share);
             }

@@ -41,13 +41,13 @@ impl Assessor<'_> {
         scores: &mut [f32],
     ) -> Vec<SeenBy> {
         let (by_directions, mut seen_by) = (
-            self.places(superlative, &self.directions, scores),
+            self.rank_fits(superlative, &self.directions, scores),
             vec![SeenBy::Directions; scores.len()],
         );
-        let factors = match self.before_the_row(superlative.measure, scores) {
+        let factors = match self.directions_before_row(superlative.measure, scores) {
             None => by_directions,
             Some(directions) => {
-                let from_before = self.places(superlative, &directions, scores);
+                let from_before = self.rank_fits(superlative, &directions, scores);
                 let both = || {
                     by_directions
                         .iter()
@@ -67,7 +67,7 @@ impl Assessor<'_> {
     }
 
     /// Returns how well each instance has the requested rank, `0..=1`.
-    fn places(
+    fn rank_fits(
         &self,
         superlative: Superlative,
         directions: &Directions,
@@ -105,13 +105,13 @@ impl Assessor<'_> {
         let mut order: Vec<(f32, usize)> =
             most_plausible(&scores, usize::MAX).into_iter().map(|(t, _)| (measure(t), t)).collect();
         order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        let places = soft_places(&order, &scores);
+        let places = soft_ranks(&order, &scores);
         let asked = match superlative.measure {
             Measure::Middle => places.last().map_or(0.0, |(_, last, _)| last / 2.0),
             _ => superlative.rank.max(1) as f32 - 1.0,
         };
         let mut factors = vec![0.0; scores.len()];
-        nearness_to(&places, asked)
+        nearness_to_rank(&places, asked)
             .into_iter()
             .for_each(|(t, factor)| factors[t] = factor * here[t]);
         factors
@@ -120,7 +120,7 @@ impl Assessor<'_> {
     /// Returns the directions of a viewer of the instances that may be meant, where these stand in
     /// a row and the question gives no viewpoint. The viewer stands on the row's free side, where
     /// the room continues and nothing is in the way.
-    fn before_the_row(&self, measure: Measure, scores: &[f32]) -> Option<Directions> {
+    fn directions_before_row(&self, measure: Measure, scores: &[f32]) -> Option<Directions> {
         let best = scores.iter().copied().fold(0.0, f32::max);
         let row: Vec<usize> = (0..scores.len())
             .filter(|&i| scores[i] > 0.0 && scores[i] >= OF_THE_ROW * best)
@@ -136,7 +136,7 @@ impl Assessor<'_> {
         )?;
         let ahead = Vector2::new(-line.y, line.x);
         let [before, behind] = [-ahead, ahead].map(|side| {
-            row.iter().map(|&i| self.free(i, &row, &side)).fold(f32::INFINITY, f32::min)
+            row.iter().map(|&i| self.free_distance(i, &row, &side)).fold(f32::INFINITY, f32::min)
         });
         let ahead = match () {
             () if before > NOBODY_STANDS_M && behind <= NOBODY_STANDS_M => ahead,
@@ -148,7 +148,7 @@ impl Assessor<'_> {
 
     /// Returns the distance from an instance of a row to the next instance on one of its sides, or
     /// to the wall; meters.
-    fn free(&self, thing: usize, row: &[usize], side: &Vector2<f32>) -> f32 {
+    fn free_distance(&self, thing: usize, row: &[usize], side: &Vector2<f32>) -> f32 {
         let own = &self.solids[thing];
         let in_the_way = |i: &usize| {
             let (instance, other) = (&self.scene.instances[*i], &self.solids[*i]);
@@ -192,7 +192,7 @@ fn line_through(points: &[Vector2<f32>]) -> Option<Vector2<f32>> {
 }
 
 /// Returns how well each instance has the requested rank in an order by distance.
-pub(super) fn ranked(
+pub(super) fn ranks_by_distance(
     relation: &Relation,
     order: &mut [(f32, usize)],
     fits: &[f32],
@@ -201,7 +201,7 @@ pub(super) fn ranked(
     if relation.kind == RelationKind::Farthest {
         order.reverse();
     }
-    nearness_to(&soft_places(order, fits), (relation.rank.max(1) - 1) as f32)
+    nearness_to_rank(&soft_ranks(order, fits), (relation.rank.max(1) - 1) as f32)
 }
 
 /// Returns, for each instance of an order, its index, its rank from 0, and how surely it is what is
@@ -209,7 +209,7 @@ pub(super) fn ranked(
 ///
 /// Instances ahead count towards the rank only as far as they fit themselves: the largest instance
 /// that might be a table is seldom a table.
-fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
+fn soft_ranks(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
     let best = order.iter().map(|&(_, t)| fits[t]).fold(f32::EPSILON, f32::max);
     let mut ahead = 0.0;
     let place = |&(_, t): &(f32, usize)| {
@@ -222,7 +222,7 @@ fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
 
 /// Returns how near each instance is to the requested rank (from 0), weighted by how surely it is
 /// what is asked for. Scaled so that the best has 1.
-fn nearness_to(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
+fn nearness_to_rank(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
     let factor = |&(t, place, presence): &(usize, f32, f32)| {
         (t, presence * NEXT_BEST.powf((place - asked).abs()))
     };
@@ -317,7 +317,7 @@ mod tests {
     #[test]
     fn a_place_off_leaves_45_hundredths_and_doubt_counts() {
         let of = |places: &[(usize, f32, f32)], asked| {
-            let mut factors = nearness_to(places, asked);
+            let mut factors = nearness_to_rank(places, asked);
             factors.sort_by_key(|f| f.0);
             factors.into_iter().map(|f| f.1).collect::<Vec<_>>()
         };
@@ -332,7 +332,7 @@ mod tests {
     #[test]
     fn what_hardly_fits_hardly_takes_a_place() {
         // Of the best, 0.8, the others have a half: 0.5⁴ = 0.0625 of a place, sure by 0.5².
-        let found = soft_places(&[(9.0, 2), (5.0, 0), (1.0, 1)], &[0.8, 0.4, 0.4]);
+        let found = soft_ranks(&[(9.0, 2), (5.0, 0), (1.0, 1)], &[0.8, 0.4, 0.4]);
         assert_eq!(found, [(2, 0.0, 0.25), (0, 0.0625, 1.0), (1, 1.0625, 0.25)]);
     }
 
@@ -342,7 +342,7 @@ mod tests {
             let relation =
                 Relation { kind, text: String::new(), anchors: vec![], negated: false, rank };
             let mut order = [(2.0, 1), (1.0, 0), (2.0, 2)];
-            let mut found = ranked(&relation, &mut order, &[1.0; 3]);
+            let mut found = ranks_by_distance(&relation, &mut order, &[1.0; 3]);
             found.sort_by_key(|f| f.0);
             found.into_iter().map(|f| f.1).collect::<Vec<_>>()
         };
@@ -406,7 +406,7 @@ mod tests {
         scores[..row].fill(1.0);
         with_assessor(instances, |assessor| {
             assessor.directions = DirectionConvention::Paper.into();
-            let seen = assessor.before_the_row(Measure::Leftmost, &scores)?;
+            let seen = assessor.directions_before_row(Measure::Leftmost, &scores)?;
             let ahead = -seen.front;
             Some([ahead.x.round() as i32, ahead.y.round() as i32])
         })
@@ -493,7 +493,7 @@ mod tests {
         room.extend(posts(5));
         with_assessor(&room, |assessor| {
             let of = |assessor: &Assessor, measure, scores: [f32; 8]| {
-                assessor.before_the_row(measure, &scores).is_some()
+                assessor.directions_before_row(measure, &scores).is_some()
             };
             let row = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
             assert!(!of(assessor, Measure::Leftmost, row), "a convention was chosen");
@@ -535,12 +535,12 @@ mod tests {
         room.push(block(3, [1.0, 0.75], [0.5, 0.5, 1.0], 0.0));
         room.extend(posts(4));
         with_assessor(&room, |assessor| {
-            let free = |thing, side: Vector2<f32>| assessor.free(thing, &[0, 1], &side);
+            let free = |thing, side: Vector2<f32>| assessor.free_distance(thing, &[0, 1], &side);
             // The posts reach 8.1 m, a stool 0.2 m.
             are(&[free(1, Vector2::y()), free(1, -Vector2::y())], &[0.3, 7.9]);
             are(&[free(0, Vector2::y()), free(0, Vector2::x())], &[7.9, 8.9]);
             // One of the row itself is never in the way.
-            are(&[assessor.free(1, &[0, 1, 2], &Vector2::y())], &[7.9]);
+            are(&[assessor.free_distance(1, &[0, 1, 2], &Vector2::y())], &[7.9]);
         });
     }
 

@@ -11,7 +11,7 @@ mod zones;
 pub use written::{graphml, text};
 
 use super::SceneView;
-use super::answer::described;
+use super::answer::describe_instance;
 use super::relations;
 use super::solid::Solid;
 use std::collections::{BTreeMap, BTreeSet};
@@ -30,7 +30,7 @@ const STEP_M: f32 = 0.1;
 /// Two instances are neighbors where each is among this many nearest of the other, and the nearest
 /// one always is. Otherwise everything in a full shelf would be near everything, and the whole room
 /// would be near a wardrobe.
-const NEIGHBOURS: usize = 4;
+const NEIGHBORS: usize = 4;
 
 /// Where the guessed names come from, for instances without a given name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,7 +122,7 @@ fn node(instance: &Instance) -> GraphNode {
         kind,
         // A given name is used as it is.
         name: match (instance.structure, &instance.given_name) {
-            (None, None) => described(instance),
+            (None, None) => describe_instance(instance),
             _ => instance.label().to_owned(),
         },
         instance_id: Some(instance.id),
@@ -227,7 +227,7 @@ impl Relating<'_> {
             );
         }
         let places = |others: Vec<(f32, InstanceId)>| {
-            best(others, NEIGHBOURS)
+            best(others, NEIGHBORS)
                 .zip(0..)
                 .map(|((score, to), place)| (to, (place, score)))
                 .collect()

@@ -317,7 +317,7 @@ fn a_place_in_an_offered_photograph_is_one_in_its_frame() {
         parse("the accordion"),
         Duration::ZERO,
     );
-    let photographs = vlm::offered(&*scene, &context, Options::default()).unwrap();
+    let photographs = vlm::select_photographs(&*scene, &context, Options::default()).unwrap();
     let offered = &photographs[0];
     assert_eq!(
         (offered.frame, offered.taken_px, offered.picture.width, offered.picture.height),

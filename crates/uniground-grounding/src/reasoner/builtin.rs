@@ -667,9 +667,9 @@ mod tests {
     fn less_sure_than_asked_is_uncertain_and_else_the_same() {
         let sure = ask("the red sofa with the brass studs by the quux");
         let mut answer = sure.clone();
-        answer.hold_to(sure.confidence);
+        answer.require_confidence(sure.confidence);
         assert_eq!(answer, sure);
-        answer.hold_to(sure.confidence + 0.01);
+        answer.require_confidence(sure.confidence + 0.01);
         assert_eq!(answer, Grounding { status: Status::Uncertain, ..sure });
     }
 

@@ -1,7 +1,7 @@
 //! Explains decisions in words that a person can check against the room.
 
 use crate::SceneView;
-use crate::answer::{described, superlative_words};
+use crate::answer::{describe_instance, superlative_words};
 use crate::assess::{Assessment, Assessor};
 use crate::fit::{colors_fit, most_plausible};
 use crate::readings::Readings;
@@ -27,7 +27,7 @@ pub(super) fn explain(
     let mut text = format!(
         "Instance {} ({}, {:.2} x {:.2} x {:.2} m)",
         instance.id,
-        described(instance),
+        describe_instance(instance),
         size.x,
         size.y,
         size.z
@@ -67,7 +67,7 @@ pub(super) fn explain(
             Some(a) => {
                 let anchor = &instances[a];
                 let gap = assessor.solids[best].gap(&assessor.solids[a]);
-                let (name, score) = (described(anchor), bond.score);
+                let (name, score) = (describe_instance(anchor), bond.score);
                 // "(gray wall, taken for "door")" shows the reader what the answer is based on.
                 let mistaken = relation.anchors.first().filter(|said| {
                     assessor.scene.names.get(a).is_none() && !is_called(anchor, said)
@@ -112,7 +112,7 @@ pub(super) fn explain(
             text,
             "; seen with regard to instance {} ({})",
             instances[*by].id,
-            described(&instances[*by])
+            describe_instance(&instances[*by])
         );
         let others: Vec<String> = others.iter().map(|&i| instances[i].id.to_string()).collect();
         let _ = if others.is_empty() {

@@ -99,7 +99,7 @@ fn towards_the_target(
     let stands = standpoint
         .and_then(|phrase| assessor.best(phrase))
         .map_or(center, |s| assessor.solids[s].center);
-    let middle = assessor.middle_of(target).filter(|_| viewpoint.look == Look::Facing)?;
+    let middle = assessor.mean_position(target).filter(|_| viewpoint.look == Look::Facing)?;
     Directions::looking_along(middle - stands)
 }
 

@@ -15,7 +15,7 @@ pub(super) fn matches(name: &str, target: &Phrase) -> bool {
 }
 
 /// Returns the candidates whose names match the target.
-fn matching(target: &Phrase, names: &BTreeMap<u32, String>) -> Vec<u32> {
+fn matching_candidates(target: &Phrase, names: &BTreeMap<u32, String>) -> Vec<u32> {
     names.iter().filter(|(_, name)| matches(name, target)).map(|(id, _)| *id).collect()
 }
 
@@ -27,7 +27,7 @@ pub(super) fn disagreement(
     chosen: u32,
     reply: &Reply,
 ) -> Option<String> {
-    let fitting = matching(target, names);
+    let fitting = matching_candidates(target, names);
     let own = names.get(&chosen)?;
     let others: Vec<String> = fitting
         .iter()
@@ -58,27 +58,27 @@ const LOOKED_AT_WITHOUT_NAME: usize = 3;
 /// Returns the candidates whose photographs are needed beside their names: those without a name,
 /// and those that the question cannot distinguish by name. Relations and comparisons distinguish
 /// namesakes by their places; colors, traits and parts do not.
-pub(super) fn to_be_looked_at(
+pub(super) fn candidates_to_show(
     context: &PromptContext,
     names: &BTreeMap<u32, String>,
 ) -> BTreeSet<u32> {
     let ids = || context.candidates.iter().map(|c| c.id.0);
     let mut needed: BTreeSet<u32> = ids().filter(|id| !names.contains_key(id)).collect();
-    let fitting: Vec<u32> = matching(&context.target, names)
+    let fitting: Vec<u32> = matching_candidates(&context.target, names)
         .into_iter()
         .filter(|id| context.is_candidate(*id))
         .collect();
     match fitting.len() {
         0 => needed.extend(ids().take(LOOKED_AT_WITHOUT_NAME)),
         1 => {}
-        _ if !told_apart(&context.target, &fitting, names) => needed.extend(fitting),
+        _ if !is_distinguished(&context.target, &fitting, names) => needed.extend(fitting),
         _ => {}
     }
     needed
 }
 
 /// Returns whether a question distinguishes namesakes without photographs of them.
-fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>) -> bool {
+fn is_distinguished(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>) -> bool {
     let by_place = !target.relations.is_empty() || target.superlative.is_some();
     let looks: Vec<&str> = target
         .colors
@@ -93,7 +93,8 @@ fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>)
     }
     // "The green chair" among a green and two blue ones: their names say it.
     let says = |id: &&u32| {
-        GivenName::read(&names[*id]).is_some_and(|name| looks.iter().all(|word| name.says(word)))
+        GivenName::read(&names[*id])
+            .is_some_and(|name| looks.iter().all(|word| name.has_word(word)))
     };
     let said_by = namesakes.iter().filter(says).count();
     let by_names = !looks.is_empty() && target.other_than.is_empty() && target.with.is_empty();
@@ -186,7 +187,7 @@ mod tests {
         assert!(matches("unclear", &target("the thing by the door")));
         assert!(!matches("unclear", &target("the window")));
         let of = names(&[(3, "window"), (5, "lamp"), (7, "window with air conditioner")]);
-        assert_eq!(matching(&target("the window"), &of), [3, 7]);
+        assert_eq!(matching_candidates(&target("the window"), &of), [3, 7]);
     }
 
     #[test]
@@ -224,7 +225,7 @@ mod tests {
     #[test]
     fn who_has_no_name_is_looked_at() {
         let needed = |query: &str, ids: &[u32], named: &[(u32, &str)]| {
-            let needed = to_be_looked_at(&context(query, ids), &names(named));
+            let needed = candidates_to_show(&context(query, ids), &names(named));
             needed.into_iter().collect::<Vec<_>>()
         };
         let one = [(4, "chair"), (5, "lamp")];
@@ -278,7 +279,7 @@ mod tests {
             (Phrase { with: with(), relations: place(), ..phrase("chair") }, one, false),
         ] {
             let named = names(&[(1, names_are[0]), (2, names_are[1])]);
-            let found = told_apart(&asked, &[1, 2], &named);
+            let found = is_distinguished(&asked, &[1, 2], &named);
             assert_eq!(found, expected, "{asked:?} of {names_are:?}");
         }
     }

@@ -3,7 +3,7 @@
 use super::consistency::matches;
 use super::reply::{Choice, Field, Reply, SeenAt};
 use super::{PromptCandidate, PromptContext};
-use crate::answer::{alternative, target};
+use crate::answer::{to_alternative, to_target};
 use crate::{Alternative, Grounding, NoMatchReason, Seen, Status};
 use std::collections::BTreeMap;
 use uniground_geometry::scene::{Instance, InstanceId};
@@ -76,19 +76,19 @@ impl Decision {
     /// Sets an instance of the scene as the choice: the object that was seen but not listed.
     #[must_use]
     pub fn found(self, id: InstanceId, why: String) -> Self {
-        Self { outcome: Outcome::Chosen(id), seen: None, ..self.noted(why) }
+        Self { outcome: Outcome::Chosen(id), seen: None, ..self.with_note(why) }
     }
 
     /// Adds a note on what happened.
     #[must_use]
-    pub fn noted(mut self, why: String) -> Self {
+    pub fn with_note(mut self, why: String) -> Self {
         self.corrections.push(why);
         self
     }
 
     /// Returns the later decision, with the notes on both.
     #[must_use]
-    pub fn replaced_by(self, mut later: Self) -> Self {
+    pub fn merged_with_later(self, mut later: Self) -> Self {
         later.corrections.splice(0..0, self.corrections);
         later.new_names = self.new_names;
         later
@@ -206,7 +206,7 @@ impl Decision {
             None => weight.max(1.0 - grounding.candidates.first().map_or(0.0, |best| best.score)),
         };
         // Several targets stay as they were found; the model chose the first of them.
-        let own = chosen.map(|instance| target(instance, grounding.confidence));
+        let own = chosen.map(|instance| to_target(instance, grounding.confidence));
         grounding.targets.retain(|target| {
             grounding.count.is_some() && own.as_ref().is_some_and(|own| own.id != target.id)
         });
@@ -216,7 +216,7 @@ impl Decision {
         let rivals = grounding.candidates.iter().filter(|c| chosen.is_some() && !meant(c.id));
         let mut rivals: Vec<Alternative> = rivals
             .map(|c| {
-                alternative(
+                to_alternative(
                     &instances[c.id.0 as usize - 1],
                     c.name.clone(),
                     (1.0 - weight) * belief(c.id),
@@ -232,7 +232,7 @@ impl Decision {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::answer::candidate;
+    use crate::answer::to_candidate;
     use crate::direction::DirectionConvention;
     use crate::vlm::reply;
     use crate::{ParsedQuerySummary, SixFields, Timings};
@@ -284,7 +284,7 @@ mod tests {
 
     /// What the geometry said: of so many candidates the first has this score.
     fn grounding(candidates: u32, best_score: f32) -> Grounding {
-        let of = |id: u32| candidate(&instances()[id as usize - 1], id, best_score / id as f32);
+        let of = |id: u32| to_candidate(&instances()[id as usize - 1], id, best_score / id as f32);
         Grounding {
             query: "the chair".into(),
             status: Status::Ambiguous,
@@ -395,16 +395,16 @@ mod tests {
         assert_eq!((found.outcome, found.seen), (Outcome::Chosen(InstanceId(4)), None));
         assert_eq!(found.corrections, ["one", "two"]);
         assert_eq!(found.new_names, names);
-        let noted = first.noted("two".into());
+        let noted = first.with_note("two".into());
         assert_eq!(
             (noted.outcome, &noted.corrections[..]),
             (Outcome::NotListed, &["one".to_owned(), "two".into()][..])
         );
         let later = Decision {
             new_names: BTreeMap::from([(2, "lamp".to_owned())]),
-            ..chosen(7).noted("three".into())
+            ..chosen(7).with_note("three".into())
         };
-        let both = noted.replaced_by(later);
+        let both = noted.merged_with_later(later);
         assert_eq!(both.outcome, Outcome::Chosen(InstanceId(7)));
         assert_eq!(both.corrections, ["one", "two", "three"]);
         assert_eq!(both.new_names, names, "names that were paid for first");
@@ -489,10 +489,10 @@ mod tests {
         let of = |decision: &Decision| applied(decision, &beliefs, grounding(2, 0.9)).confidence;
         is(of(&chosen(1)), 0.85); // 0.7 + 0.3 · 0.5
         is(of(&chosen(2)), 0.79); // 0.7 + 0.3 · 0.3
-        is(of(&chosen(1).noted("it was asked again".into())), 0.7); // 0.4 + 0.6 · 0.5
+        is(of(&chosen(1).with_note("it was asked again".into())), 0.7); // 0.4 + 0.6 · 0.5
         let projected = Decision {
             outcome: Outcome::Projected(InstanceId(1)),
-            ..chosen(1).noted("it has the box".into())
+            ..chosen(1).with_note("it has the box".into())
         };
         is(of(&projected), 0.5);
         // What is no candidate has no belief.
@@ -508,7 +508,7 @@ mod tests {
         is(of(&nothing, 0.9, 2), 0.7);
         is(of(&nothing, 0.2, 2), 0.8); // 1 - 0.2
         is(of(&nothing, 0.2, 0), 1.0);
-        is(of(&nothing.noted("it was asked again".into()), 0.9, 2), 0.4);
+        is(of(&nothing.with_note("it was asked again".into()), 0.9, 2), 0.4);
     }
 
     #[test]
@@ -531,7 +531,7 @@ mod tests {
         is(found[0].1, 0.09);
         is(found[1].1, 0.06);
         // 0.6 of them after a correction.
-        is(rivals(&of(&chosen(1).noted("it was asked again".into())))[0].1, 0.18);
+        is(rivals(&of(&chosen(1).with_note("it was asked again".into())))[0].1, 0.18);
         let nothing = of(&Decision { outcome: Outcome::Nothing, ..Decision::default() });
         assert_eq!(
             (nothing.status, nothing.no_match_reason, nothing.answer.predicted_id),
@@ -557,7 +557,7 @@ mod tests {
     #[test]
     fn of_several_the_choice_comes_first_and_is_counted_once() {
         let several = |ids: &[usize], count: Option<u32>, decision: &Decision| {
-            let targets = ids.iter().map(|id| target(&instances()[id - 1], 0.4)).collect();
+            let targets = ids.iter().map(|id| to_target(&instances()[id - 1], 0.4)).collect();
             let before = Grounding { targets, count, ..grounding(3, 0.9) };
             let after = applied(decision, &[0.5, 0.3, 0.1], before);
             let ids = |ids: Vec<InstanceId>| ids.iter().map(|id| id.0).collect::<Vec<_>>();

@@ -19,7 +19,7 @@ pub mod reply;
 mod visual_evidence;
 
 pub use decision::{Decision, Outcome};
-pub use photographs::offered;
+pub use photographs::select_photographs;
 pub use prompt::{REMAINING, narrowing, reasoner_name};
 pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};
 pub use uniground_types::question::{Ablation, EvidenceMode, PromptVersion};
@@ -93,7 +93,7 @@ pub async fn decide(
     // An instance that could not be named is shown instead.
     names.retain(|_, name| options.uses_names() && !name.is_empty());
     let shown = conversation.shown(&names);
-    let mut request = prompt::spatial(conversation, &shown, &names);
+    let mut request = prompt::first_request(conversation, &shown, &names);
     let (mut purpose, mut looked_again) = ("spatial", false);
     loop {
         let sent = pictures_of(&request);
@@ -115,16 +115,16 @@ pub async fn decide(
                 .filter(|(id, _)| context.is_candidate(**id))
                 .map(|(id, name)| (*id, name.clone())),
         );
-        let correction = wrong_with(&reply, context, &names, looked_again);
+        let correction = find_inconsistency(&reply, context, &names, looked_again);
         decision.take(reply, context, &sent);
         let Some(correction) = correction else { break };
-        decision.corrections.push(told(&correction));
+        decision.corrections.push(describe_correction(&correction));
         if session.calls_left() == 0 || options.ablation == Ablation::NoLoop {
             break;
         }
         looked_again |= matches!(correction, Correction::Inconsistent { .. });
         purpose = correction.purpose();
-        request = prompt::corrected(
+        request = prompt::corrected_request(
             conversation,
             &conversation.shown_again(&correction, &shown),
             &names,
@@ -157,7 +157,7 @@ impl Conversation<'_> {
     pub fn first_request(&self) -> ChatRequest {
         let mut names = self.names.clone();
         names.retain(|_, name| self.options.uses_names() && !name.is_empty());
-        prompt::spatial(self, &self.shown(&names), &names)
+        prompt::first_request(self, &self.shown(&names), &names)
     }
 
     /// Returns the pictures of the first call.
@@ -173,7 +173,7 @@ impl Conversation<'_> {
             Ablation::Full | Ablation::SimplePrompt | Ablation::NoLoop => {}
         }
         if self.options.uses_names() {
-            let needed = consistency::to_be_looked_at(self.context, names);
+            let needed = consistency::candidates_to_show(self.context, names);
             shown.collages.retain(|id, _| needed.contains(id) || self.context.is_shown_anchor(*id));
         }
         shown
@@ -221,7 +221,7 @@ pub async fn narrow(
 }
 
 /// Returns what to ask again, and why.
-fn wrong_with(
+fn find_inconsistency(
     reply: &Reply,
     context: &PromptContext,
     names: &BTreeMap<u32, String>,
@@ -256,7 +256,7 @@ impl Correction {
 }
 
 /// Describes a correction for the trace.
-fn told(correction: &Correction) -> String {
+fn describe_correction(correction: &Correction) -> String {
     match correction {
         Correction::OutOfSet { id } => format!("the model answered ID {id}, which is no candidate"),
         Correction::Unreadable { why } => format!("the model answered something of which {why}"),

@@ -22,7 +22,7 @@ const FITS: f32 = 0.5;
 ///
 /// # Errors
 /// The encoder fails.
-pub fn offered<S: SceneSource>(
+pub fn select_photographs<S: SceneSource>(
     source: &S,
     context: &PromptContext,
     options: Options,
@@ -45,13 +45,13 @@ pub fn offered<S: SceneSource>(
     let offered = taken.zip(1..).map(|((frame, photograph), number)| Photograph {
         frame,
         taken_px: photograph.dimensions(),
-        picture: encoded(format!("photograph-{number}"), &smaller(photograph)),
+        picture: encoded(format!("photograph-{number}"), &shrink(photograph)),
     });
     Ok(offered.collect())
 }
 
 /// Returns a picture of at most [`MOST_PX`] along its longer side.
-fn smaller(picture: RgbImage) -> RgbImage {
+fn shrink(picture: RgbImage) -> RgbImage {
     let (width, height) = picture.dimensions();
     let longer = width.max(height);
     if longer <= MOST_PX {

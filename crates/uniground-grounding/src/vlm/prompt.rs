@@ -42,7 +42,7 @@ pub(super) enum Correction {
 }
 
 /// Returns the first request of a question.
-pub(super) fn spatial(
+pub(super) fn first_request(
     conversation: &Conversation,
     shown: &VisualEvidence,
     names: &BTreeMap<u32, String>,
@@ -51,7 +51,7 @@ pub(super) fn spatial(
 }
 
 /// Returns the repeated request, with what was wrong.
-pub(super) fn corrected(
+pub(super) fn corrected_request(
     conversation: &Conversation,
     shown: &VisualEvidence,
     names: &BTreeMap<u32, String>,
@@ -80,7 +80,7 @@ fn request(
             candidates(context, names, prompt, "; ")
         );
         if let Some(correction) = correction {
-            let _ = write!(text, "\n{}", what_was_wrong(context, correction));
+            let _ = write!(text, "\n{}", describe_error(context, correction));
         }
         user.push(Part::Text(text));
         return ChatRequest { system: SIMPLE_SYSTEM.into(), user, schema: None };
@@ -95,7 +95,7 @@ fn request(
         )),
         Some(naming(shown, names)),
         Some(protocol(shown, prompt)),
-        correction.map(|correction| what_was_wrong(context, correction)),
+        correction.map(|correction| describe_error(context, correction)),
         Some(format(conversation.options.json, prompt)),
         Some(format!("Query: {}", quoted(&context.query))),
     ];
@@ -330,7 +330,7 @@ fn schema(prompt: PromptVersion) -> Value {
     json!({"type": "object", "additionalProperties": false, "required": required, "properties": properties})
 }
 
-fn what_was_wrong(context: &PromptContext, correction: &Correction) -> String {
+fn describe_error(context: &PromptContext, correction: &Correction) -> String {
     let ids = context.shown().map(|id| id.to_string()).collect::<Vec<_>>().join(", ");
     let wrong = match correction {
         Correction::OutOfSet { id } => format!("ID {id}, which is no candidate"),

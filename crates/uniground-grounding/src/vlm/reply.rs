@@ -104,11 +104,11 @@ impl Field {
 /// missing.
 #[must_use]
 pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
-    let text = without_query(&normalised(text), &normalised(query));
+    let text = without_query(&normalize_script(text), &normalize_script(query));
     let told = without_thoughts(&text);
     let lines = labels::leading_fields(told);
     if lines > 1 && !json && !is_all_json(told) {
-        return of_labels(told);
+        return read_labels(told);
     }
     read(told)
 }
@@ -116,15 +116,15 @@ pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
 /// Reads a reply. Never fails: absent fields are missing.
 #[must_use]
 pub fn read(text: &str) -> Reply {
-    let text = normalised(text);
+    let text = normalize_script(text);
     let text = without_thoughts(&text);
-    json::read(text).unwrap_or_else(|| of_labels(text))
+    json::read(text).unwrap_or_else(|| read_labels(text))
 }
 
 /// Returns whether a reply is JSON and nothing else, except for a fence around it.
 fn is_all_json(text: &str) -> bool {
     let text = text.trim().trim_matches('`').trim();
-    let text = prefix(text, "json").unwrap_or(text).trim();
+    let text = strip_word(text, "json").unwrap_or(text).trim();
     text.starts_with('{') && text.ends_with('}')
 }
 
@@ -134,7 +134,7 @@ fn without_query(text: &str, query: &str) -> String {
     let could_be_read = query.contains(['{', '\n'])
         || !labels::fields(query).is_empty()
         || !names(query).is_empty()
-        || bare(query) != Choice::Missing;
+        || read_bare_id(query) != Choice::Missing;
     if !could_be_read {
         return text.to_owned();
     }
@@ -150,11 +150,11 @@ fn without_query(text: &str, query: &str) -> String {
     )
 }
 
-fn of_labels(text: &str) -> Reply {
+fn read_labels(text: &str) -> Reply {
     let fields = labels::fields(text);
     if fields.is_empty() {
         return Reply {
-            predicted: bare(text),
+            predicted: read_bare_id(text),
             not_read: Field::ALL[1..].iter().map(|f| f.title()).collect(),
             ..Reply::default()
         };
@@ -162,18 +162,18 @@ fn of_labels(text: &str) -> Reply {
     let mut reply = Reply::default();
     for (field, value) in &fields {
         match field {
-            Field::PredictedId => reply.predicted = joined(reply.predicted, choice(value)),
+            Field::PredictedId => reply.predicted = join_choices(reply.predicted, choice(value)),
             Field::Explanation => reply.explanation = reply.explanation.or_else(|| words(value)),
             Field::CandidateNames => reply.candidate_names.extend(names(value)),
             Field::TargetNameMatches => {
-                reply.target_name_matches = reply.target_name_matches.or_else(|| truth(value));
+                reply.target_name_matches = reply.target_name_matches.or_else(|| read_truth(value));
             }
             Field::AnchorId => reply.anchor_id = reply.anchor_id.or_else(|| anchor(value)),
             Field::RelationUsed => {
                 reply.relation_used =
                     reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w)));
             }
-            Field::SeenAt => reply.seen_at = reply.seen_at.or_else(|| seen_at(value)),
+            Field::SeenAt => reply.seen_at = reply.seen_at.or_else(|| read_seen_at(value)),
         }
     }
     let told = |field: Field| fields.iter().any(|(f, _)| *f == field);
@@ -203,7 +203,7 @@ impl Reply {
 
 /// Converts punctuation and digits of other scripts to ASCII, so that the rest of this module sees
 /// one kind only.
-fn normalised(text: &str) -> String {
+fn normalize_script(text: &str) -> String {
     let mut plain = String::with_capacity(text.len());
     for c in text.chars() {
         match c {
@@ -248,7 +248,7 @@ fn without_thoughts_begun(text: &str) -> &str {
     &text[..start.unwrap_or(text.len())]
 }
 
-fn joined(before: Choice, now: Choice) -> Choice {
+fn join_choices(before: Choice, now: Choice) -> Choice {
     match (before, now) {
         (Choice::Missing, now) => now,
         (Choice::Id(a), Choice::Id(b)) if a != b => Choice::Contradiction(a, b),
@@ -266,7 +266,7 @@ const DECORATION: [char; 15] =
 pub(super) fn choice(value: &str) -> Choice {
     let line = value.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
     let line = line.replace("\\boxed", "").replace('$', "");
-    let mut rest = stripped(&line);
+    let mut rest = strip_decoration(&line);
     // Words that may stand before an id.
     while let Some(after) = [
         "the",
@@ -283,9 +283,9 @@ pub(super) fn choice(value: &str) -> Choice {
         "- ",
     ]
     .into_iter()
-    .find_map(|word| prefix(rest, word))
+    .find_map(|word| strip_word(rest, word))
     {
-        rest = stripped(after);
+        rest = strip_decoration(after);
     }
     if is_not_listed(rest) {
         return Choice::NotListed;
@@ -300,12 +300,12 @@ pub(super) fn choice(value: &str) -> Choice {
     }
 }
 
-fn stripped(text: &str) -> &str {
+fn strip_decoration(text: &str) -> &str {
     text.trim_start_matches(|c: char| c.is_whitespace() || DECORATION.contains(&c))
 }
 
 /// Returns the text after a word, in any case, if the text begins with it.
-fn prefix<'a>(text: &'a str, word: &str) -> Option<&'a str> {
+fn strip_word<'a>(text: &'a str, word: &str) -> Option<&'a str> {
     let head = text.get(..word.len())?;
     let after = &text[word.len()..];
     let ends = !word.ends_with(|c: char| c.is_ascii_alphabetic())
@@ -334,9 +334,9 @@ fn another_number(after: &str) -> Option<u32> {
     let after = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
     let (word, after) = ["or", "and", "/", ",", "&", "vs."]
         .into_iter()
-        .find_map(|word| Some((word, prefix(after, word)?)))?;
-    let after = stripped(after);
-    let after = prefix(after, "id").map_or(after, stripped);
+        .find_map(|word| Some((word, strip_word(after, word)?)))?;
+    let after = strip_decoration(after);
+    let after = strip_word(after, "id").map_or(after, strip_decoration);
     let (number, after) = leading_number(after)?;
     // "9, 2 metres left of it" has one id.
     let is_measure = word == "," && after.trim_start().starts_with(|c: char| c.is_alphabetic());
@@ -344,7 +344,7 @@ fn another_number(after: &str) -> Option<u32> {
 }
 
 /// Reads a reply that is nothing but an id (paper's fallback).
-fn bare(text: &str) -> Choice {
+fn read_bare_id(text: &str) -> Choice {
     const LONGEST: usize = 40;
     let text = text.trim();
     let text = text
@@ -352,13 +352,14 @@ fn bare(text: &str) -> Choice {
         .and_then(|t| t.strip_suffix("</answer>"))
         .unwrap_or(text)
         .trim();
-    let text = prefix(text, "answer").map_or(text, |after| after.trim_start_matches([':', ' ']));
+    let text =
+        strip_word(text, "answer").map_or(text, |after| after.trim_start_matches([':', ' ']));
     if text.len() > LONGEST || text.lines().count() > 1 {
         return Choice::Missing;
     }
-    let rest = stripped(text);
-    let rest = prefix(rest, "id")
-        .map_or(rest, |after| stripped(after.trim_start_matches([':', '=', ' '])));
+    let rest = strip_decoration(text);
+    let rest = strip_word(rest, "id")
+        .map_or(rest, |after| strip_decoration(after.trim_start_matches([':', '=', ' '])));
     match leading_number(rest) {
         Some((id, after))
             if after.chars().all(|c| c.is_whitespace() || c == '.' || DECORATION.contains(&c)) =>
@@ -372,7 +373,7 @@ fn bare(text: &str) -> Choice {
 /// Returns whether a value says that there is none: "none", "None - no candidate is a fridge", "No
 /// matching candidate".
 fn is_nothing(value: &str) -> bool {
-    let value = stripped(value).trim_start_matches(['-', ' ']).to_ascii_lowercase();
+    let value = strip_decoration(value).trim_start_matches(['-', ' ']).to_ascii_lowercase();
     let word: String = value.chars().take_while(|c| c.is_ascii_alphabetic() || *c == '/').collect();
     let after = value[word.len()..].trim_start();
     match word.as_str() {
@@ -394,7 +395,7 @@ fn is_not_listed(value: &str) -> bool {
 }
 
 /// Reads three numbers and a name: "Image 3, 512, 640, black alarm clock".
-pub(super) fn seen_at(value: &str) -> Option<SeenAt> {
+pub(super) fn read_seen_at(value: &str) -> Option<SeenAt> {
     const PER_MILLE: f32 = 1000.0;
     let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
     let mut numbers = Vec::new();
@@ -425,8 +426,9 @@ pub(super) fn words(value: &str) -> Option<String> {
     (!joined.is_empty()).then_some(joined)
 }
 
-pub(super) fn truth(value: &str) -> Option<bool> {
-    let word: String = stripped(value).chars().take_while(char::is_ascii_alphabetic).collect();
+pub(super) fn read_truth(value: &str) -> Option<bool> {
+    let word: String =
+        strip_decoration(value).chars().take_while(char::is_ascii_alphabetic).collect();
     match word.to_ascii_lowercase().as_str() {
         "true" | "yes" | "y" | "matches" => Some(true),
         "false" | "no" | "n" => Some(false),
@@ -445,7 +447,7 @@ pub(super) fn anchor(value: &str) -> Option<u32> {
 /// Returns the ids of a shortlist, in order and each once, of those that may be on it.
 #[must_use]
 pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
-    let text = normalised(text);
+    let text = normalize_script(text);
     let text = without_thoughts(&text);
     let line = text
         .lines()
@@ -466,14 +468,16 @@ pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
 /// are several, or none.
 #[must_use]
 pub fn only_id(text: &str, is_candidate: impl Fn(u32) -> bool) -> Option<u32> {
-    let text = normalised(text);
+    let text = normalize_script(text);
     let text = without_thoughts(&text);
     let lower = text.to_ascii_lowercase();
     let mut ids: Vec<u32> = lower
         .match_indices("id")
         .filter(|(at, _)| !lower[..*at].ends_with(|c: char| c.is_ascii_alphanumeric()))
         .filter_map(|(at, _)| {
-            leading_number(stripped(text[at + 2..].trim_start_matches([':', ' ', '#', '*'])))
+            leading_number(strip_decoration(
+                text[at + 2..].trim_start_matches([':', ' ', '#', '*']),
+            ))
         })
         .map(|(id, _)| id)
         .filter(|id| is_candidate(*id))

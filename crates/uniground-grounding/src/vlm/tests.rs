@@ -142,7 +142,12 @@ fn prompts_are_what_they_were() {
         let shown = conversation.shown_again(&correction, &shown);
         matches_snapshot(
             name,
-            &written(&prompt::corrected(&conversation, &shown, &BTreeMap::new(), &correction)),
+            &written(&prompt::corrected_request(
+                &conversation,
+                &shown,
+                &BTreeMap::new(),
+                &correction,
+            )),
         );
     }
     let (_, context) = asked("facing the table, the chair on the left", None);
@@ -192,7 +197,7 @@ fn photographs_are_sent_where_names_do_not_decide() {
     };
     let needed = |query: &str, of: &dyn Fn(u32) -> &'static str| {
         let (_, context) = asked(query, None);
-        consistency::to_be_looked_at(&context, &named(&context, of)).len()
+        consistency::candidates_to_show(&context, &named(&context, of)).len()
     };
     let chairs = |_| "black chair";
     assert_eq!(needed("the chair closest to the red sofa", &chairs), 0, "told apart by place");

@@ -1,7 +1,7 @@
 //! Closes phrases: puts each where it belongs, and builds the query.
 
 use super::{Frame, ITSELF, Reader, Role};
-use crate::tokens::spelling;
+use crate::tokens::correct_spelling;
 use crate::words;
 use crate::{
     Look, ME, Meaning, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Viewpoint, With,
@@ -25,7 +25,7 @@ impl Reader {
         {
             anchor.head.clone_from(&target.head);
         }
-        if let Some(meant) = one_of(&target, self.query.viewpoint.as_ref()) {
+        if let Some(meant) = group_of(&target, self.query.viewpoint.as_ref()) {
             target.head.clone_from(&meant.head);
             target.uses.clone_from(&meant.uses);
             // The target belongs to the group, so the group is no anchor of it. Other anchors, such
@@ -147,7 +147,7 @@ impl Reader {
                 }
             }
             Role::Surplus => self.query.not_understood.push(phrase.head),
-            Role::View(look) => self.looked(look, phrase),
+            Role::View(look) => self.finish_viewpoint(look, phrase),
             Role::Seated => {
                 let anchors = vec![phrase.clone()];
                 let at = Relation {
@@ -164,14 +164,14 @@ impl Reader {
                     ..Phrase::default()
                 };
                 self.query.standpoint = Some(seat);
-                self.looked(Look::Facing, phrase);
+                self.finish_viewpoint(Look::Facing, phrase);
             }
         }
     }
 
     /// Handles the end of a viewpoint phrase. A question may give both the viewer's position and
     /// what the viewer looks at; the latter gives the direction.
-    pub(super) fn looked(&mut self, look: Look, anchor: Phrase) {
+    pub(super) fn finish_viewpoint(&mut self, look: Look, anchor: Phrase) {
         if look == Look::From {
             self.query.standpoint = Some(anchor.clone());
         }
@@ -203,7 +203,7 @@ impl Reader {
             });
             let last = unknown.len().checked_sub(1);
             if let Some(word) = noun.or(last).map(|i| unknown.remove(i)) {
-                phrase.head = spelling(&word).map_or(word, str::to_owned);
+                phrase.head = correct_spelling(&word).map_or(word, str::to_owned);
             }
             phrase.unchecked.append(&mut unknown);
         }
@@ -291,7 +291,7 @@ impl Reader {
 
 /// Returns the group that "the one on the right" belongs to: the wardrobes that the viewer faces,
 /// the pictures on the wall it is on, the group it is in.
-fn one_of(target: &Phrase, viewpoint: Option<&Viewpoint>) -> Option<Phrase> {
+fn group_of(target: &Phrase, viewpoint: Option<&Viewpoint>) -> Option<Phrase> {
     let said = matches!(target.head.as_str(), "one" | "ones");
     if !(said || target.head.is_empty()) || !target.uses.is_empty() {
         return None;

@@ -2,7 +2,7 @@
 //! what they belong to.
 
 use super::{Attach, Frame, MAX_RELATIONS, Reader, Role};
-use crate::pieces::{Piece, is_filler, structural};
+use crate::pieces::{Piece, is_filler, is_structural};
 use crate::words::{self, Meaning};
 use crate::{Look, Measure, Relation, RelationKind, Superlative};
 use uniground_models::attributes::Lexicon;
@@ -24,7 +24,7 @@ impl Reader {
         if self
             .stack
             .last()
-            .is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && structural(&f.phrase.head))
+            .is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && is_structural(&f.phrase.head))
         {
             self.unwind(1);
         }
@@ -103,7 +103,7 @@ impl Reader {
         if std::mem::take(&mut self.negated) {
             return self.query.not_understood.push(format!("not {text}"));
         }
-        let of = of_what(rest);
+        let of = parse_of(rest);
         // "the back of the chair" is the chair.
         if matches!(of, Some(Of::Thing))
             && text.starts_with("the ")
@@ -194,7 +194,7 @@ enum Of {
     Thing,
 }
 
-fn of_what(rest: &[Piece]) -> Option<Of> {
+fn parse_of(rest: &[Piece]) -> Option<Of> {
     let [Piece::Word(Meaning::Of, _), rest @ ..] = rest else { return None };
     let counted = rest
         .iter()

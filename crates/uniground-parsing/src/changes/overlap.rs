@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::InstanceId;
-use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
+use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Point3};
 
 /// IoU of the points of two things from which they are the same.
@@ -101,7 +101,7 @@ impl<'a> NearestPoints<'a> {
     /// Returns the point nearest to `p`, if one is within reach.
     pub fn nearest_to(&self, p: &Point3<f32>) -> Option<u32> {
         let key = VoxelKey::containing(p, self.within_m);
-        let around = std::iter::once(key).chain(NEIGHBOURS_26.iter().map(|&d| key.offset(d)));
+        let around = std::iter::once(key).chain(NEIGHBORS_26.iter().map(|&d| key.offset(d)));
         let near = around.filter_map(|key| self.by_voxel.get(&key)).flatten().copied();
         let distance = |i: u32| (self.points[i as usize] - p).norm_squared();
         near.map(|i| (distance(i), i))

@@ -4,7 +4,7 @@ use super::InstanceSettings;
 use crate::relief::FlatRelief;
 use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::statistics::quantile;
-use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
+use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Point2, Point3};
 
 /// Computes the axis-aligned and oriented box of the points that have enough neighbors. Thin
@@ -57,7 +57,7 @@ fn remove_isolated(positions: &[Point3<f32>], settings: &InstanceSettings) -> Ve
     }
     let mut company: VoxelMap<bool> = VoxelMap::default();
     for &key in counts.keys() {
-        let around: u32 = NEIGHBOURS_26.iter().filter_map(|&d| counts.get(&key.offset(d))).sum();
+        let around: u32 = NEIGHBORS_26.iter().filter_map(|&d| counts.get(&key.offset(d))).sum();
         company.insert(key, counts[&key] - 1 + around >= settings.stray_neighbours);
     }
     positions

@@ -36,7 +36,7 @@ pub(super) fn grow(
     let mut centers: Vec<Patch> = seeds.iter().map(|&s| voxels.patches[s as usize]).collect();
     // Only voxels at a border can change their label. A voxel becomes one when a neighbor changes.
     let mut at_border = vec![false; voxels.len()];
-    seeds.iter().flat_map(|&s| voxels.neighbours(s)).for_each(|&n| at_border[n as usize] = true);
+    seeds.iter().flat_map(|&s| voxels.neighbors(s)).for_each(|&n| at_border[n as usize] = true);
     let rounds = (REACH * settings.seed_m / settings.voxel_m).ceil() as usize;
     for round in 0..rounds {
         progress.report("superpoints", round as f32 / rounds as f32)?;
@@ -56,7 +56,7 @@ pub(super) fn grow(
         }
         changed
             .iter()
-            .flat_map(|&v| voxels.neighbours(v))
+            .flat_map(|&v| voxels.neighbors(v))
             .for_each(|&n| at_border[n as usize] = true);
         if (changed.len() as f32) < SETTLED_SHARE * voxels.len() as f32 {
             break;
@@ -93,14 +93,14 @@ fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
     let mut seeds: Vec<u32> = nearest
         .into_iter()
         .map(|(_, v)| v)
-        .filter(|&v| voxels.neighbours(v).len() >= MIN_SEED_NEIGHBOURS)
+        .filter(|&v| voxels.neighbors(v).len() >= MIN_SEED_NEIGHBORS)
         .collect();
     seeds.sort_unstable();
     seeds
 }
 
 /// A surface through a voxel occupies about eight of its neighbors; a stray point has none.
-const MIN_SEED_NEIGHBOURS: usize = 2;
+const MIN_SEED_NEIGHBORS: usize = 2;
 
 /// Returns the nearest supervoxel among the voxel's own and those of its neighbors; `None` if all
 /// are the same.
@@ -112,8 +112,8 @@ fn best_label(
     settings: &SuperpointSettings,
 ) -> Option<u32> {
     let own = labels[v as usize];
-    let neighbours = voxels.neighbours(v);
-    if neighbours.iter().all(|&n| labels[n as usize] == own) {
+    let neighbors = voxels.neighbors(v);
+    if neighbors.iter().all(|&n| labels[n as usize] == own) {
         return None;
     }
     let mut best = (
@@ -125,7 +125,7 @@ fn best_label(
         own,
     );
     let mut seen = [NONE; 26];
-    for (i, &n) in neighbours.iter().enumerate() {
+    for (i, &n) in neighbors.iter().enumerate() {
         let label = labels[n as usize];
         if label == NONE || label == own || seen[..i].contains(&label) {
             continue;

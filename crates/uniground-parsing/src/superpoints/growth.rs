@@ -6,7 +6,7 @@ use uniground_geometry::color::{Lab, srgb_to_lab};
 use uniground_geometry::least_axis::least_axis;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{Addition, PointCloud};
-use uniground_geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap, typical_spacing_m};
+use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap, typical_spacing_m};
 use uniground_geometry::{Matrix3, Point3, Vector3};
 use uniground_types::settings::SuperpointSettings;
 
@@ -135,7 +135,7 @@ fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> V
     for (p, &superpoint) in cloud.positions[kept..].iter().zip(&of_point[kept..]) {
         let key = VoxelKey::containing(p, reach_m);
         add(key, superpoint);
-        NEIGHBOURS_26.iter().for_each(|&d| add(key.offset(d), superpoint));
+        NEIGHBORS_26.iter().for_each(|&d| add(key.offset(d), superpoint));
     }
     let mut pairs: Vec<(u32, u32)> = cloud.positions[..kept]
         .iter()

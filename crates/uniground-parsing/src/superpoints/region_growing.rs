@@ -18,10 +18,10 @@ pub(super) fn join(
     let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
     let patches = Patch::merge_by_label(&voxels.patches, labels, count);
     let roughness = mean_per_label(labels, &voxels.curvatures, count);
-    let mut neighbours = vec![Vec::new(); count];
+    let mut neighbors = vec![Vec::new(); count];
     for &(a, b) in adjacent {
-        neighbours[a as usize].push(b);
-        neighbours[b as usize].push(a);
+        neighbors[a as usize].push(b);
+        neighbors[b as usize].push(a);
     }
     let mut order: Vec<u32> = (0..count as u32).collect();
     order.sort_by(|&a, &b| roughness[a as usize].total_cmp(&roughness[b as usize]).then(a.cmp(&b)));
@@ -39,7 +39,7 @@ pub(super) fn join(
             if roughness[member as usize] > settings.curvature {
                 continue;
             }
-            for &candidate in &neighbours[member as usize] {
+            for &candidate in &neighbors[member as usize] {
                 let patch = &patches[candidate as usize];
                 let continues = region[candidate as usize] == u32::MAX
                     && patch.normal.dot(&origin.normal).abs() >= min_cos

@@ -18,7 +18,7 @@ pub(super) struct VoxelCloud {
     pub curvatures: Vec<f32>,
     /// Root mean square distance of the surrounding points to their plane, meters.
     pub roughness_m: Vec<f32>,
-    neighbours: VoxelNeighbors,
+    neighbors: VoxelNeighbors,
 }
 
 /// Number, mean and scatter (sum of outer products about the mean) of a set of points.
@@ -60,12 +60,12 @@ impl VoxelCloud {
         progress.check()?;
         let (moments, labs) = accumulate(cloud, &grid);
         progress.check()?;
-        let neighbours = grid.neighbours();
+        let neighbors = grid.neighbors();
         progress.check()?;
         let surfaces: Vec<VoxelSurface> = (0..grid.len())
             .into_par_iter()
             .map(|v| {
-                let around = neighbours.neighbors_of(v as u32);
+                let around = neighbors.neighbors_of(v as u32);
                 estimate_surface(
                     &around.iter().fold(moments[v], |sum, &n| sum.merge(&moments[n as usize])),
                 )
@@ -84,15 +84,15 @@ impl VoxelCloud {
                 lab,
             })
             .collect();
-        Ok(Self { grid, patches, curvatures, roughness_m, neighbours })
+        Ok(Self { grid, patches, curvatures, roughness_m, neighbors })
     }
 
     pub fn len(&self) -> usize {
         self.patches.len()
     }
 
-    pub fn neighbours(&self, voxel: u32) -> &[u32] {
-        self.neighbours.neighbors_of(voxel)
+    pub fn neighbors(&self, voxel: u32) -> &[u32] {
+        self.neighbors.neighbors_of(voxel)
     }
 
     /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is
@@ -109,7 +109,7 @@ impl VoxelCloud {
             pieces[start as usize] = count;
             found.push(start);
             while let Some(v) = found.pop() {
-                for &n in self.neighbours(v) {
+                for &n in self.neighbors(v) {
                     if pieces[n as usize] == NONE && labels[n as usize] == labels[v as usize] {
                         pieces[n as usize] = count;
                         found.push(n);
@@ -141,7 +141,7 @@ impl VoxelCloud {
                 }
             };
             for &v in voxels {
-                let (own, around) = (labels[v as usize], self.neighbours(v));
+                let (own, around) = (labels[v as usize], self.neighbors(v));
                 around.iter().for_each(|&n| note(own, labels[n as usize]));
                 // Only where a patch ends without touching another is there a gap to search across.
                 if around.iter().any(|&n| labels[n as usize] != own) {

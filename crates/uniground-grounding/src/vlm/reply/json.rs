@@ -1,7 +1,8 @@
 //! Reads replies in JSON: bare, fenced, or among words.
 
 use super::{
-    Choice, Field, Reply, anchor, choice, is_nothing, joined, names, seen_at, truth, words,
+    Choice, Field, Reply, anchor, choice, is_nothing, join_choices, names, read_seen_at,
+    read_truth, words,
 };
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -26,7 +27,7 @@ pub(super) fn read(text: &str) -> Option<Reply> {
         }
     }
     let predicted =
-        replies.iter().map(|reply: &Reply| reply.predicted).fold(Choice::Missing, joined);
+        replies.iter().map(|reply: &Reply| reply.predicted).fold(Choice::Missing, join_choices);
     let fullest = replies.into_iter().min_by_key(|reply| reply.not_read.len())?;
     Some(Reply { predicted, ..fullest })
 }
@@ -43,7 +44,7 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
             Field::CandidateNames => reply.candidate_names = names_of(value),
             Field::TargetNameMatches => {
                 reply.target_name_matches =
-                    value.as_bool().or_else(|| value.as_str().and_then(truth));
+                    value.as_bool().or_else(|| value.as_str().and_then(read_truth));
             }
             Field::AnchorId => {
                 reply.anchor_id = match value {
@@ -51,7 +52,7 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
                     value => anchor(&plain(value)),
                 }
             }
-            Field::SeenAt => reply.seen_at = value.as_str().and_then(seen_at),
+            Field::SeenAt => reply.seen_at = value.as_str().and_then(read_seen_at),
             Field::RelationUsed => {
                 reply.relation_used = value.as_str().and_then(words).filter(|w| !is_nothing(w));
             }

@@ -1,12 +1,12 @@
 //! Reads ids with names, in all notations of models: "7 -> beige wall section, 22 -> window".
 
-use super::{DECORATION, normalised, without_thoughts, words};
+use super::{DECORATION, normalize_script, without_thoughts, words};
 use std::collections::BTreeMap;
 
 /// Returns ids and names anywhere in a reply to a request for names alone.
 #[must_use]
 pub fn names_in(text: &str) -> BTreeMap<u32, String> {
-    let text = normalised(text);
+    let text = normalize_script(text);
     let text = without_thoughts(&text);
     let mut found = BTreeMap::new();
     for line in text.lines() {

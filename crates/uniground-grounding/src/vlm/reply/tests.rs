@@ -59,7 +59,7 @@ fn a_place_is_read_in_every_shape() {
         );
     }
     assert_eq!(read("Predicted ID: 4\nSeen at: none").seen_at, None);
-    assert_eq!(seen_at("image 3, 1200, 20, lamp"), None);
+    assert_eq!(read_seen_at("image 3, 1200, 20, lamp"), None);
 }
 
 #[test]
@@ -303,7 +303,7 @@ fn signs_of_other_scripts_are_ascii() {
         ("<|begin_of_box|>22<|end_of_box|>", "22"),
         ("plain", "plain"),
     ] {
-        assert_eq!(normalised(text), expected, "{text:?}");
+        assert_eq!(normalize_script(text), expected, "{text:?}");
     }
 }
 
@@ -345,7 +345,7 @@ fn two_ids_contradict_each_other_and_an_id_none() {
         (Nothing, Missing, Nothing),
         (Contradiction(7, 9), Id(7), Contradiction(7, 9)),
     ] {
-        assert_eq!(joined(before, now), expected, "{before:?} {now:?}");
+        assert_eq!(join_choices(before, now), expected, "{before:?} {now:?}");
     }
 }
 
@@ -397,10 +397,10 @@ fn a_prefix_is_a_whole_word_in_any_case() {
         ("No.22", "no.", Some("22")),
         ("no.x", "no.", Some("x")),
     ] {
-        assert_eq!(prefix(text, word), expected, "{text:?} {word:?}");
+        assert_eq!(strip_word(text, word), expected, "{text:?} {word:?}");
     }
-    assert_eq!(stripped(" \n**_[22]"), "22]");
-    assert_eq!(stripped("22"), "22");
+    assert_eq!(strip_decoration(" \n**_[22]"), "22]");
+    assert_eq!(strip_decoration("22"), "22");
 }
 
 #[test]
@@ -468,11 +468,11 @@ fn a_bare_id_is_all_there_is() {
         ("the window", Choice::Missing),
         ("", Choice::Missing),
     ] {
-        assert_eq!(bare(text), expected, "{text:?}");
+        assert_eq!(read_bare_id(text), expected, "{text:?}");
     }
     // 40 characters are the most.
-    assert_eq!(bare(&format!("22{}", ".".repeat(38))), Choice::Id(22));
-    assert_eq!(bare(&format!("22{}", ".".repeat(39))), Choice::Missing);
+    assert_eq!(read_bare_id(&format!("22{}", ".".repeat(38))), Choice::Id(22));
+    assert_eq!(read_bare_id(&format!("22{}", ".".repeat(39))), Choice::Missing);
 }
 
 #[test]
@@ -526,7 +526,7 @@ fn a_place_is_a_picture_and_thousandths() {
         ("none", None),
         (" \n", None),
     ] {
-        assert_eq!(seen_at(value), expected, "{value:?}");
+        assert_eq!(read_seen_at(value), expected, "{value:?}");
     }
 }
 
@@ -561,7 +561,7 @@ fn yes_and_no_are_said_first() {
         ("truely", None),
         ("", None),
     ] {
-        assert_eq!(truth(value), expected, "{value:?}");
+        assert_eq!(read_truth(value), expected, "{value:?}");
     }
 }
 
@@ -679,7 +679,7 @@ proptest! {
     #[test]
     fn an_id_is_in_its_field(text in pieces()) {
         if let Choice::Id(id) = read(&text).predicted {
-            let plain = normalised(&text);
+            let plain = normalize_script(&text);
             let said = without_thoughts(&plain);
             let lower = said.to_ascii_lowercase();
             let label = labels::LABELS.iter().filter(|(field, _)| *field == Field::PredictedId).filter_map(|(_, label)| lower.find(label)).min();

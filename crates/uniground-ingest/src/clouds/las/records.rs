@@ -43,7 +43,8 @@ impl LasRecords {
         fn bytes_at<const N: usize>(header: &[u8], from: usize) -> [u8; N] {
             std::array::from_fn(|i| header[from + i])
         }
-        let three = |from: usize| [0, 1, 2].map(|i| f64::from_le_bytes(bytes_at(&header, from + 8 * i)));
+        let three =
+            |from: usize| [0, 1, 2].map(|i| f64::from_le_bytes(bytes_at(&header, from + 8 * i)));
         let bytes = usize::from(u16::from_le_bytes(bytes_at(&header, 105)));
         let color = match format {
             2 => Some(20),
