@@ -196,7 +196,7 @@ fn reached(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f
         (BTreeMap::new(), vec![0_u32; labels.len() + 1], BTreeMap::new());
     for (point, &object) in truth.iter().enumerate() {
         *of_object.entry(object).or_insert(0_u32) += 1;
-        for instance in labels.of(point) {
+        for instance in labels.instances_of_point(point) {
             of_instance[instance.0 as usize] += 1;
             *shared.entry((object, instance)).or_insert(0_u32) += 1;
         }

@@ -170,7 +170,7 @@ fn correct_outlines(
         if corrected.is_none() {
             let encoded = match &encoded {
                 Some(encoded) => encoded,
-                None => encoded.insert(corrector.frames.of(frame.index, picture)?),
+                None => encoded.insert(corrector.frames.encode(frame.index, picture)?),
             };
             corrected = corrector.segment_outline(encoded, &projection, size)?;
         }

@@ -98,7 +98,7 @@ fn find_gaps(cloud: &PointCloud, superpoints: &Superpoints, voxel_m: f32) -> Vec
     let around = grid.neighbors();
     let meeting = |(voxel, &own): (usize, &u32)| {
         let others = around
-            .of(voxel as u32)
+            .neighbors_of(voxel as u32)
             .iter()
             .map(|&near| superpoint_of[near as usize])
             .filter(move |other| *other > own);

@@ -416,8 +416,7 @@ mod tests {
             (header(2, "ascii"), header(2, "binary"), Vec::new());
         for (c, p) in points {
             ascii.extend(
-                format!("{:e} {} {} {}\n", f32::from_bits(packed(c)), p[0], p[1], p[2])
-                    .size_bytes(),
+                format!("{:e} {} {} {}\n", f32::from_bits(packed(c)), p[0], p[1], p[2]).bytes(),
             );
             binary.extend(packed(c).to_le_bytes());
             p.iter().for_each(|v| binary.extend(v.to_le_bytes()));
