@@ -100,7 +100,7 @@ impl CloudBuilder {
         }
         let o = match self.origin {
             Some(o) => o,
-            None if x.is_finite() && y.is_finite() && z.is_finite() => self.to_local([x, y, z]),
+            None if x.is_finite() && y.is_finite() && z.is_finite() => self.localize([x, y, z]),
             None => [0.0; 3],
         };
         let p = Point3::new((x - o[0]) as f32, (y - o[1]) as f32, (z - o[2]) as f32);
@@ -164,7 +164,7 @@ impl CloudBuilder {
         Ok(())
     }
 
-    fn to_local(&mut self, first: [f64; 3]) -> [f64; 3] {
+    fn localize(&mut self, first: [f64; 3]) -> [f64; 3] {
         let far = first.iter().any(|c| c.abs() > f64::from(MAX_COORDINATE_M));
         // A round number, because people who compare coordinates will see it.
         let origin = if far { first.map(|c| (c / 100.0).round() * 100.0) } else { [0.0; 3] };

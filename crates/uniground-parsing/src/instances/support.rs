@@ -239,7 +239,7 @@ mod tests {
         }
     }
 
-    fn support_by_index(bodies: &[Body], structures: &[Option<Structure>]) -> (f32, f32, Support) {
+    fn span_of_first(bodies: &[Body], structures: &[Option<Structure>]) -> (f32, f32, Support) {
         let SupportSpan { from_z, to_z, support } =
             extend_to_support(0, find_support(0, bodies, structures, 0.0), bodies, structures, 0.0);
         (from_z, to_z, support)
@@ -248,10 +248,10 @@ mod tests {
     /// A seat 40 cm above the floor, and what is near it in each case.
     #[test]
     fn nothing_floats() {
-        let alone = |thing: &Body| support_by_index(std::slice::from_ref(thing), &[None]);
+        let alone = |thing: &Body| span_of_first(std::slice::from_ref(thing), &[None]);
         let seat = spanning([0.0, 0.0, 0.4], [0.5, 0.5, 0.9]);
         let beside =
-            |other: Body, structure| support_by_index(&[seat.clone(), other], &[None, structure]);
+            |other: Body, structure| span_of_first(&[seat.clone(), other], &[None, structure]);
         assert_eq!(alone(&seat), (0.0, seat.top_z(), Support::Floor));
         let box_below = spanning([0.1, 0.1, 0.0], [0.5, 0.5, 0.2]);
         assert_eq!(
@@ -266,7 +266,7 @@ mod tests {
         );
         let shelf = spanning([0.0, 0.0, 0.4], [0.2, 0.5, 0.9]);
         let hanging = (shelf.bottom_z(), shelf.top_z(), Support::Wall { id: InstanceId(2) });
-        assert_eq!(support_by_index(&[shelf, wall], &[None, Some(Structure::Wall)]), hanging);
+        assert_eq!(span_of_first(&[shelf, wall], &[None, Some(Structure::Wall)]), hanging);
         let mug = spanning([0.0, 0.0, 0.4], [0.1, 0.1, 0.5]);
         assert_eq!(
             alone(&mug),
@@ -282,13 +282,13 @@ mod tests {
         let lamp = spanning([0.0, 0.0, 1.5], [0.4, 0.4, 1.8]);
         let as_seen = (lamp.bottom_z(), lamp.top_z(), Support::Nothing);
         assert_eq!(
-            support_by_index(std::slice::from_ref(&lamp), &[None]),
+            span_of_first(std::slice::from_ref(&lamp), &[None]),
             as_seen,
             "no ceiling was seen"
         );
         let ceiling = spanning([-2.0, -2.0, 2.5], [2.0, 2.0, 2.54]);
         assert_eq!(
-            support_by_index(&[lamp.clone(), ceiling], &[None, Some(Structure::Ceiling)]),
+            span_of_first(&[lamp.clone(), ceiling], &[None, Some(Structure::Ceiling)]),
             (lamp.bottom_z(), 2.52, Support::Nothing)
         );
     }
@@ -303,7 +303,7 @@ mod tests {
         let (bodies, structures) = ([table, wall, shelf], [None, Some(Structure::Wall), None]);
         assert!(bodies[1].aabb.gap(&bodies[0].aabb) < CONTACT_M, "by their boxes they touch");
         assert_eq!(find_support(0, &bodies, &structures, 0.0), Support::Nothing);
-        assert_eq!(support_by_index(&bodies, &structures).2, Support::Floor);
+        assert_eq!(span_of_first(&bodies, &structures).2, Support::Floor);
         assert_eq!(find_support(2, &bodies, &structures, 0.0), Support::Wall { id: InstanceId(2) });
     }
 
