@@ -353,7 +353,7 @@ def test_a_list_outlives_the_server(few_frames: Path, tmp_path: Path) -> None:
 
 
 def test_a_batch_is_known_by_its_id(client: Client, scene: Scene) -> None:
-    batch = client.batch(["the sofa"], scene="living room", label="by id")
+    batch = client.batch(["the sofa"], scene=scene.id[:-1], label="by id")
     assert next(batch.results()).scene_id == scene.id
     assert client.batch(batch.id).info.label == "by id"
     with pytest.deprecated_call():

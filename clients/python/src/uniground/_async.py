@@ -131,7 +131,7 @@ class AsyncClient:
     async def scene(self, scene_id: str) -> AsyncScene:
         """A scene by its id or its name. The beginning of either will do, if no other scene's begins so."""
         if is_id(scene_id):
-            return AsyncScene(self, decode(models.Scene, await self.call("GET", f"/v1/scenes/{scene_id}")))
+            return AsyncScene(self, decode(models.Scene, await self.call("GET", f"/v1/scenes/{scene_id.lower()}")))
         known = [info async for info in self._pages("/v1/scenes", models.Scene, "scenes")]
         found = matching(known, scene_id)
         if len(found) != 1:

@@ -128,7 +128,7 @@ class Client:
     def scene(self, scene_id: str) -> Scene:
         """A scene by its id or its name. The beginning of either will do, if no other scene's begins so."""
         if is_id(scene_id):
-            return Scene(self, decode(models.Scene, self.call("GET", f"/v1/scenes/{scene_id}")))
+            return Scene(self, decode(models.Scene, self.call("GET", f"/v1/scenes/{scene_id.lower()}")))
         known = [info for info in self._pages("/v1/scenes", models.Scene, "scenes")]
         found = matching(known, scene_id)
         if len(found) != 1:
