@@ -131,6 +131,19 @@ def test_what_can_not_start_says_why(tmp_path: Path) -> None:
         uniground.serve(program=tmp_path / "none")
 
 
+def test_a_script_may_run_the_program(tmp_path: Path) -> None:
+    """As a console script of a package may: not replaced by the server, but its parent."""
+    script = tmp_path / "uniground"
+    script.write_text(f"#!{sys.executable}\nimport subprocess, sys\nsubprocess.run([{str(PROGRAM)!r}, *sys.argv[1:]])\n")
+    script.chmod(0o755)
+    with uniground.serve(program=script) as server:
+        assert answers(server.url)
+    left = time.monotonic() + 20
+    while answers(server.url):
+        assert time.monotonic() < left, "the server is still there"
+        time.sleep(0.1)
+
+
 def test_a_fork_does_not_stop_the_server() -> None:
     with uniground.serve() as server:
         child = os.fork()

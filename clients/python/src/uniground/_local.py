@@ -7,6 +7,7 @@ import os
 import queue
 import secrets
 import shutil
+import signal
 import subprocess
 import sysconfig
 import tempfile
@@ -141,12 +142,16 @@ def _model_options(models: PathLike) -> list[str]:
     return ["--masks", "auto", "--encoder", "auto", "--models", os.fspath(models)]
 
 
-def _guard(pid: int) -> subprocess.Popen[bytes]:
+def _guard(pid: int) -> Optional[subprocess.Popen[bytes]]:
     """Stops the server when this program ends without stopping it, killed for example: then the guard's input ends."""
-    script = f"read -r _; kill {pid}"
-    return subprocess.Popen(  # noqa: S603, a script of ours
-        ["/bin/sh", "-c", script], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
+    script = f"read -r _; kill -s TERM -- -{pid}"
+    try:
+        return subprocess.Popen(  # noqa: S603, a script of ours
+            ["/bin/sh", "-c", script], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+    except OSError:
+        # A container without a shell.
+        return None
 
 
 def _wait_until_ready(process: subprocess.Popen[str], log: Path, end: float) -> str:
@@ -187,18 +192,25 @@ def _last_lines(log: Path) -> str:
     return "\n".join(log.read_text(errors="replace").splitlines()[-10:])
 
 
-def _stop(process: subprocess.Popen[str], guard: subprocess.Popen[Any], home: Path, owner: int) -> None:
+def _stop(process: subprocess.Popen[str], guard: Optional[subprocess.Popen[Any]], home: Path, owner: int) -> None:
     if os.getpid() != owner:
         # A fork of the program that owns the server.
         return
-    process.terminate()
+    _signal(process, signal.SIGTERM)
     try:
         process.wait(STOP_TIMEOUT_S)
     except subprocess.TimeoutExpired:
-        process.kill()
+        _signal(process, signal.SIGKILL)
         process.wait()
-    guard.kill()
-    guard.wait()
-    if guard.stdin is not None:
-        guard.stdin.close()
+    if guard is not None:
+        guard.kill()
+        guard.wait()
+        if guard.stdin is not None:
+            guard.stdin.close()
     shutil.rmtree(home, ignore_errors=True)
+
+
+def _signal(process: subprocess.Popen[str], number: signal.Signals) -> None:
+    """To the whole group: the program may be a script that runs the server."""
+    if process.poll() is None:
+        os.killpg(process.pid, number)

@@ -128,8 +128,11 @@ class Grounding(Node):
 
     def on_navigation(self, state: str) -> None:
         self.states.publish(String(data=state))
-        say = self.get_logger().warning if state in ("unavailable", "rejected", "aborted") else self.get_logger().info
-        say(f"Nav2: goal {state}")
+        # Two lines: rclpy lets a line of code log with one severity only.
+        if state in ("unavailable", "rejected", "aborted"):
+            self.get_logger().warning(f"Nav2: goal {state}")
+        else:
+            self.get_logger().info(f"Nav2: goal {state}")
 
     def on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self.navigator.cancel()
