@@ -22,8 +22,15 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "clients/python/src/uniground"
 WIDTH = 140
 
-# Dataclasses that get handwritten methods, in `_values.py`.
-METHODS = {"Aabb": "BoxMethods", "OrientedBox": "BoxMethods", "Answer": "AnswerMethods"}
+# Dataclasses that get methods written by hand, in `_values.py`; those with many fields get a short `repr` there.
+METHODS = {
+    "Aabb": "BoxMethods",
+    "OrientedBox": "BoxMethods",
+    "Answer": "AnswerMethods",
+    "InstanceView": "ThingMethods",
+    "ChangedThing": "ThingMethods",
+}
+LONG = 6
 NUMBERS_AND_WORDS = {"integer": "int", "number": "float", "string": "str", "boolean": "bool"}
 
 MODELS_HEAD = '''\
@@ -49,6 +56,8 @@ SYNC_WORDS = [
     (r"\basync (def|with|for)\b", r"\1"),
     (r"\bawait ", ""),
     (r"\bAsync(Client|Scene|Batch|Iterator|Generator)\b", r"\1"),
+    (r"\bself\._waiting\b", "self"),
+    (r"\basyncio\.to_thread\(([\w.]+)\)", r"\1()"),
     (r"\basyncio\.to_thread\((\w+), ", r"\1("),
     (r"\baiter_bytes\b", "iter_bytes"),
     (r"\ba(close|read)\(", r"\1("),
@@ -90,9 +99,10 @@ class Models:
             return 1 if "properties" in self.whole(name) else 2 if "$ref" in json.dumps(self.schemas[name]) else 0
 
         order = sorted(self.schemas, key=lambda name: (place(name), name))
-        used = sorted({METHODS[name] for name in order if name in METHODS})
-        parts = [MODELS_HEAD.format(methods=", ".join(used)), *(self.definition(name) for name in order)]
-        return "\n".join(parts)
+        definitions = [self.definition(name) for name in order]
+        text = "\n".join(definitions)
+        used = [word for word in sorted({*METHODS.values(), "ShortRepr", "Vector"}) if re.search(rf"\b{word}\b", text)]
+        return "\n".join([MODELS_HEAD.format(methods=", ".join(used)), *definitions])
 
     def whole(self, name: str) -> Any:
         """Returns a schema with its parts merged."""
@@ -123,7 +133,9 @@ class Models:
         optional = [key for key in schema["properties"] if key not in required]
         if name in self.requests:
             return self.dictionary(name, description, schema["properties"], required, optional)
-        lines = ["", "@dataclass", f"class {name}({METHODS[name]}):" if name in METHODS else f"class {name}:", docstring(description)]
+        base = METHODS.get(name, "ShortRepr" if len(schema["properties"]) > LONG else "")
+        head = ["@dataclass(repr=False)", f"class {name}({base}):"] if base else ["@dataclass", f"class {name}:"]
+        lines = ["", *head, docstring(description)]
         for key in [*required, *optional]:
             kind = self.type_of(schema["properties"][key], request=False)
             default = ""
@@ -154,8 +166,8 @@ class Models:
         return joined(lines)
 
     def default(self, kind: str) -> tuple[str, str]:
-        if kind.startswith("list["):
-            return kind, " = field(default_factory=list)"
+        if kind == "Vector" or kind.startswith("list["):
+            return kind, f" = field(default_factory={kind.partition('[')[0]})"
         return (kind if kind.startswith("Optional[") or kind == "Any" else f"Optional[{kind}]"), " = None"
 
     def type_of(self, schema: dict[str, Any], request: bool) -> str:
@@ -175,7 +187,9 @@ class Models:
             each = [schema["items"]] if isinstance(schema.get("items"), dict) else schema.get("prefixItems", [])
             kinds_of_items = {self.type_of(item, request) for item in each}
             items = kinds_of_items.pop() if len(kinds_of_items) == 1 else "Any"
-            return f"Sequence[{items}]" if request else f"list[{items}]"
+            if request:
+                return f"Sequence[{items}]"
+            return "Vector" if items == "float" else f"list[{items}]"
         if kinds == "object":
             values = schema.get("additionalProperties")
             values = self.type_of(values, request) if isinstance(values, dict) else "Any"

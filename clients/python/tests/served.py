@@ -16,18 +16,18 @@ from uniground import Client, Scene
 
 ROOT = Path(__file__).parents[3]
 SAMPLE = ROOT / "examples/living_room.zip"
+PROGRAM = Path(os.environ.get("UNIGROUND_PROGRAM", ROOT / "target/release/uniground")).resolve()
 KEY = "ug_python_tests_0123456789"
 
 
 @contextmanager
 def running(data: Path) -> Iterator[str]:
     """The address of a server that keeps its data in a folder, until the block ends."""
-    program = Path(os.environ.get("UNIGROUND_PROGRAM", ROOT / "target/release/uniground"))
-    assert program.exists(), f"there is no {program}: build it, or name another in UNIGROUND_PROGRAM"
+    assert PROGRAM.exists(), f"there is no {PROGRAM}: build it, or name another in UNIGROUND_PROGRAM"
     options = ["--listen", "127.0.0.1:0", "--data-dir", str(data), "--masks", "builtin", "--encoder", "builtin"]
     with (data.parent / "server.log").open("a") as log:
         server = subprocess.Popen(
-            [str(program), "serve", *options],
+            [str(PROGRAM), "serve", *options],
             env={**os.environ, "UNIGROUND_API_KEY": KEY},
             stdout=subprocess.PIPE,
             stderr=log,
@@ -54,6 +54,8 @@ def environment(monkeypatch: pytest.MonkeyPatch, server: str) -> None:
     """As it is in a shell where the command line reaches the server."""
     monkeypatch.setenv("UNIGROUND_SERVER", server)
     monkeypatch.setenv("UNIGROUND_API_KEY", KEY)
+    # For documentation that starts a server of its own.
+    monkeypatch.setenv("UNIGROUND_PROGRAM", str(PROGRAM))
 
 
 @pytest.fixture(scope="session")

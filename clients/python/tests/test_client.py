@@ -330,7 +330,7 @@ def test_a_list_that_was_cut_off_goes_on(client: Client, scene: Scene, tmp_path:
     whole = file.read_bytes()
     lines = whole.splitlines(keepends=True)
     file.write_bytes(b"".join(lines[:2]) + lines[2][:10])
-    assert client.get_batch(batch.id).save(file) == len(QUESTIONS)
+    assert client.batch(batch.id).save(file) == len(QUESTIONS)
     assert file.read_bytes() == whole
     assert [json.loads(line)["item"] for line in lines] == [0, 1, 2, 3]
     assert [result.item for result in batch.results(start=3)] == [3]
@@ -350,6 +350,53 @@ def test_a_list_outlives_the_server(few_frames: Path, tmp_path: Path) -> None:
         results = list(again.results())
     assert len(results) == len(questions)
     assert results[0] == first
+
+
+def test_a_batch_is_known_by_its_id(client: Client, scene: Scene) -> None:
+    batch = client.batch(["the sofa"], scene=scene.id[:-1], label="by id")
+    assert next(batch.results()).scene_id == scene.id
+    assert client.batch(batch.id).info.label == "by id"
+    with pytest.deprecated_call():
+        assert client.get_batch(batch.id).id == batch.id
+    with pytest.raises(ValueError, match="the id of a batch or a list of questions, not 'the sofa'"):
+        client.batch("the sofa", scene=scene)
+    with pytest.raises(UnigroundError) as unknown:
+        client.batch("01a204e5-ec2d-7755-9640-869af6cd5b99")
+    assert unknown.value.code == "batch_not_found"
+
+
+def test_a_scene_is_known_by_its_name(client: Client, scene: Scene, server: str) -> None:
+    names = ["Attic", "attic", "attic upstairs", "cellar"]
+    made = [client.upload(SAMPLE, name=name, parse=False) for name in names]
+    try:
+        for wanted, name in [("Attic", "Attic"), ("attic", "attic"), ("ATTIC U", "attic upstairs"), ("cel", "cellar")]:
+            assert client.scene(wanted).name == name
+        assert client.scene(made[3].id[:-1]).id == made[3].id
+        assert client.scene(made[3].id.upper()).id == made[3].id
+        with pytest.raises(UnigroundError) as several:
+            client.scene("att")
+        assert several.value.code == "scene_ambiguous"
+        assert all(f"{one.id}  {one.name} (uploaded)" in several.value.detail for one in made[:3])
+        assert made[3].id not in several.value.detail
+        for missing in ("kitchen", "", "../stats"):
+            with pytest.raises(UnigroundError, match=r"Scenes of this server:(.|\n)*cellar") as none:
+                client.scene(missing)
+            assert none.value.code == "scene_not_found"
+        with pytest.raises(UnigroundError, match="scene_not_found"):
+            client.scene("01a204e5-ec2d-7755-9640-869af6cd5b99")
+    finally:
+        for one in made:
+            one.delete()
+
+
+def test_a_misspelled_parameter_suggests_the_near_one(client: Client, scene: Scene) -> None:
+    with pytest.raises(UnigroundError) as wrong:
+        scene.ask("the mug", topk=3)  # type: ignore[call-arg]
+    assert wrong.value.detail == "/topk: unknown field `topk`, did you mean `top_k`?"
+    assert wrong.value.errors == [{"pointer": "/topk", "detail": "unknown field `topk`, did you mean `top_k`?"}]
+    [failed] = client.batch([{"query": "the mug", "top_n": 3, "scene_id": scene.id}], label="misspelled").results()
+    assert failed.error is not None
+    assert "did you mean `top_k`?" in failed.error.detail
 
 
 def test_an_upload_with_a_key_is_made_once(client: Client, scene: Scene, tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from typing import Any, Optional, get_args, get_type_hints
 import pytest
 from served import ROOT
 
+from uniground import Vector
+
 GENERATOR = ROOT / "scripts/python-client.py"
 
 
@@ -35,7 +37,8 @@ def written(schemas: dict[str, Any], request: Optional[str] = None) -> dict[str,
 @pytest.mark.parametrize(
     ("shape", "expected"),
     [
-        ({"type": "array", "prefixItems": [{"type": "number"}] * 3, "items": False}, list[float]),
+        ({"type": "array", "prefixItems": [{"type": "number"}] * 3, "items": False}, Vector),
+        ({"type": "array", "items": {"type": "array", "items": {"type": "number"}}}, list[Vector]),
         ({"type": ["string", "integer", "null"]}, Any),
         ({"type": ["string", "null"]}, Optional[str]),
         ({"type": "object", "additionalProperties": {"type": "integer"}}, dict[str, int]),

@@ -20,6 +20,7 @@ from uniground import AsyncClient, Client, Scene, UnigroundError
 # What a scripted server does with a request.
 Reply = Callable[[BaseHTTPRequestHandler], None]
 BUSY = {"type": "about:blank", "title": "Too Many Requests", "status": 429, "detail": "too many at once", "code": "overloaded"}
+ID = "01a204e5-ec2d-7755-9640-869af6cd5b99"
 JOB = {"id": "j", "kind": "parse", "subject": "s", "progress": 0.5, "attempts": 1, "created_at": "now"}
 SCENE = {"id": "s", "name": "n", "status": "parsing", "content_hash": "h", "parse_version": 0, "created_at": "now", "updated_at": "now"}
 
@@ -133,7 +134,7 @@ def test_what_may_have_been_done_is_not_done_again(scripted: Callable[..., Scrip
 def test_a_question_is_repeated_under_one_key(scripted: Callable[..., Scripted], scene: Scene) -> None:
     answer = dataclasses.asdict(scene.ask("the mug on the coffee table"))
     server = scripted(says(200, SCENE), breaks_off, says(503, BUSY, {"retry-after": "0"}), says(200, answer), says(200, answer))
-    asked = Client(server.url).scene("s")
+    asked = Client(server.url).scene(ID)
     for _ in range(2):
         assert dataclasses.asdict(asked.ask("the mug", top_k=2)) == answer
     sent = [(request, body, headers["idempotency-key"]) for request, headers, body in server.requests[1:]]
@@ -229,7 +230,7 @@ def test_results_go_on_behind_the_last_one(scripted: Callable[..., Scripted]) ->
         says(200, line(1) + line(2)),
         says(200, {**batch, "state": "succeeded", "done": 3}),
     )
-    assert [result.item for result in Client(server.url).get_batch("b").results()] == [0, 1, 2]
+    assert [result.item for result in Client(server.url).batch(ID).results()] == [0, 1, 2]
     assert server.requests[3][0] == "GET /v1/batches/b/results?from=1&follow=true"
 
 
@@ -246,5 +247,5 @@ def test_a_list_that_is_paused_says_why(scripted: Callable[..., Scripted]) -> No
     }
     server = scripted(says(200, batch), says(200, b""), says(200, batch))
     with pytest.raises(UnigroundError, match="budget_spent") as paused:
-        list(Client(server.url).get_batch("b").results())
+        list(Client(server.url).batch(ID).results())
     assert paused.value.code == "batch_paused"

@@ -20,6 +20,9 @@ DEFINITIONS = {
     "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
     "vision_msgs/msg/Detection3D": "std_msgs/Header header\nObjectHypothesisWithPose[] results\nBoundingBox3D bbox\nstring id",
     "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nDetection3D[] detections",
+    "nav2_msgs/msg/NavigateToPose_Goal": "geometry_msgs/PoseStamped pose\nstring behavior_tree",
+    "std_srvs/msg/Trigger_Request": "",
+    "std_srvs/msg/Trigger_Response": "bool success\nstring message",
 }
 ARRAY, SEQUENCE = 3, 4
 
@@ -160,19 +163,76 @@ class Node:
         pass
 
 
+class Future:
+    """As rclpy's: done when the test says so."""
+
+    def __init__(self) -> None:
+        self.callbacks: list[Any] = []
+
+    def add_done_callback(self, callback: Any) -> None:
+        self.callbacks.append(callback)
+
+    def result(self) -> Any:
+        return self.value
+
+    def end(self, value: Any) -> None:
+        self.value = value
+        for callback in self.callbacks:
+            callback(self)
+
+
+class GoalHandle:
+    def __init__(self, accepted: bool) -> None:
+        self.accepted, self.ended, self.cancels = accepted, Future(), 0
+
+    def get_result_async(self) -> Future:
+        return self.ended
+
+    def cancel_goal_async(self) -> Future:
+        self.cancels += 1
+        return Future()
+
+
+class ActionClient:
+    """Nav2 as the test plays it: `sent` has each goal and the future of its reply. There is none where `is_there` says so."""
+
+    is_there: ClassVar[bool] = True
+    made: ClassVar[list[ActionClient]] = []
+
+    def __init__(self, _node: Any, kind: Any, name: str, **_: Any) -> None:
+        self.kind, self.name, self.sent = kind, name, []
+        self.made.append(self)
+
+    def wait_for_server(self, timeout_sec: float) -> bool:
+        return self.is_there
+
+    def send_goal_async(self, goal: Any) -> Future:
+        assert type(goal) is self.kind.Goal
+        assert packed(goal)
+        self.sent.append((goal, Future()))
+        return self.sent[-1][1]
+
+
 def install(service: str) -> None:
     """Puts all of it where `import` finds it."""
     messages = Messages(service)
-    for package in ("builtin_interfaces", "geometry_msgs", "nav_msgs", "std_msgs", "vision_msgs", "visualization_msgs"):
+    for package in ("action_msgs", "builtin_interfaces", "geometry_msgs", "nav_msgs", "std_msgs", "vision_msgs", "visualization_msgs"):
         inside = ModuleType(f"{package}.msg")
         for name in [name for name in messages.store.fielddefs if name.startswith(f"{package}/msg/")]:
             setattr(inside, name.rsplit("/", 1)[1], messages.named(name))
         sys.modules[package], sys.modules[inside.__name__] = ModuleType(package), inside
     halves = {half: messages.named(f"uniground_interfaces/msg/Ground_{half}") for half in ("Request", "Response")}
+    trigger = {half: messages.named(f"std_srvs/msg/Trigger_{half}") for half in ("Request", "Response")}
+    navigate = SimpleNamespace(Goal=messages.named("nav2_msgs/msg/NavigateToPose_Goal"))
     modules: dict[str, dict[str, Any]] = {
+        "nav2_msgs": {},
+        "nav2_msgs.action": {"NavigateToPose": navigate},
+        "std_srvs": {},
+        "std_srvs.srv": {"Trigger": SimpleNamespace(**trigger)},
         "uniground_interfaces": {},
         "uniground_interfaces.srv": {"Ground": SimpleNamespace(**halves)},
         "rclpy": {"init": lambda: None, "try_shutdown": lambda: None},
+        "rclpy.action": {"ActionClient": ActionClient},
         "rclpy.callback_groups": {"ReentrantCallbackGroup": object},
         "rclpy.executors": {"MultiThreadedExecutor": object},
         "rclpy.node": {"Node": Node},

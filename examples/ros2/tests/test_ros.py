@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import runpy
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,11 +18,14 @@ import stubs
 
 from uniground import Scene, models
 
+LAUNCH = Path(__file__).parents[1] / "uniground_ros/launch/grounding.launch.py"
 SERVICE = Path(__file__).parents[1] / "uniground_interfaces/srv/Ground.srv"
 stubs.install("\n".join(line for line in SERVICE.read_text().splitlines() if not line.startswith("#")) + "\n")
 
 from geometry_msgs.msg import TransformStamped  # noqa: E402
+from nav_msgs.msg import OccupancyGrid  # noqa: E402
 from std_msgs.msg import Header, String  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
 from uniground_interfaces.srv import Ground  # noqa: E402
 
 from uniground_ros import convert  # noqa: E402
@@ -235,6 +242,173 @@ def test_what_goes_wrong_is_the_status(node: Grounding, monkeypatch: pytest.Monk
     away = Grounding()
     away.client._retries = 0
     assert ask(away, MUG).status == "unreachable"
+
+
+def grid(node: Grounding, occupied: list[Any], frame_id: str = "map", yaw: float = 0.0) -> None:
+    """The robot's own map arrives: 16 m by 16 m in cells of 0.1 m around (10, 5), free but for the cells at these points of its frame."""
+    message, corner = OccupancyGrid(), np.array([10.0, 5.0]) - 8 * np.array([math.cos(yaw) - math.sin(yaw), math.sin(yaw) + math.cos(yaw)])
+    message.header.frame_id = frame_id
+    message.info.resolution, message.info.width, message.info.height = 0.1, 160, 160
+    message.info.origin.position.x, message.info.origin.position.y = corner.tolist()
+    message.info.origin.orientation.z, message.info.origin.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    message.data = [0] * 160 * 160
+    for point in occupied:
+        x, y = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) @ (np.array(point[:2]) - corner) / 0.1
+        message.data[int(y) * 160 + int(x)] = 100
+    node.entries["map"](message)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_the_goal_keeps_off_what_the_robots_own_map_has(node: Grounding, yaw: float) -> None:
+    given(node, **ROBOT)
+    first = ask(node, MUG)
+    grid(node, [], yaw=yaw)
+    assert at(ask(node, MUG).goal.pose.position) == at(first.goal.pose.position)
+    # Something stands where the best place was: the next one is taken.
+    grid(node, [at(first.goal.pose.position)], yaw=yaw)
+    second = ask(node, MUG)
+    assert second.has_goal
+    apart = math.dist(at(second.goal.pose.position), at(first.goal.pose.position))
+    assert apart > ROBOT["robot_radius_m"]
+    assert at(node.published["~/path"][-1].poses[-1].pose.position) == at(second.goal.pose.position)
+
+
+def test_where_the_robots_own_map_leaves_no_place_there_is_no_goal(node: Grounding, monkeypatch: pytest.MonkeyPatch) -> None:
+    straight = ask(node, MUG)
+    grid(node, [at(straight.goal.pose.position)])
+    blocked = ask(node, MUG)
+    assert (blocked.status, blocked.has_goal) == ("grounded", False)
+    assert blocked.goal_reason == "not on the straight line to the robot: the robot's map has an obstacle 0.00 m away"
+    everywhere = [(x / 10, y / 10) for x in range(25, 175, 2) for y in range(-25, 125, 2)]
+    grid(node, everywhere)
+    none = ask(given(node, **ROBOT), MUG)
+    assert (none.status, none.has_goal) == ("grounded", False)
+    assert "places to stand; at the best of them the robot's map has an obstacle 0." in none.goal_reason
+    # A map in another frame, as an odometry's costmap is.
+    monkeypatch.setitem(stubs.TRANSFORMS, ("odom", "map"), transform(100, 0, 0))
+    grid(node, [], "odom")
+    assert "outside the robot's map" in ask(node, MUG).goal_reason
+    monkeypatch.setitem(stubs.TRANSFORMS, ("odom", "map"), transform(0, 0, 0))
+    assert ask(node, MUG).has_goal
+    monkeypatch.delitem(stubs.TRANSFORMS, ("odom", "map"))
+    assert '"map" is not known in "odom"' in ask(node, MUG).goal_reason
+
+
+def test_a_map_that_is_not_wanted_is_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stubs.Node, "OVERRIDES", {"map_topic": ""})
+    assert "map" not in Grounding().entries
+
+
+@pytest.fixture
+def driving(node: Grounding, monkeypatch: pytest.MonkeyPatch) -> Grounding:
+    monkeypatch.setattr(stubs.Node, "OVERRIDES", {**stubs.Node.OVERRIDES, "navigate": True})
+    monkeypatch.setattr(stubs.ActionClient, "made", [])
+    return Grounding()
+
+
+def states(node: Grounding) -> list[str]:
+    return [state.data for state in node.published.get("~/navigation", [])]
+
+
+def cancel(node: Grounding) -> Any:
+    response = node.entries["~/cancel"](Trigger.Request(), Trigger.Response())
+    assert stubs.packed(response)
+    return response
+
+
+def test_nav2_drives_to_the_goal(driving: Grounding) -> None:
+    [nav2] = stubs.ActionClient.made
+    assert nav2.name == "navigate_to_pose"
+    assert (cancel(driving).success, cancel(driving).message) == (False, "there is no goal")
+    said = ask(driving, MUG)
+    [(goal, reply)] = nav2.sent
+    assert goal.pose == said.goal
+    assert goal.pose.header.frame_id == "map"
+    handle = stubs.GoalHandle(accepted=True)
+    reply.end(handle)
+    assert states(driving) == ["sent", "accepted"]
+    handle.ended.end(SimpleNamespace(status=4))
+    assert states(driving) == ["sent", "accepted", "succeeded"]
+    assert not cancel(driving).success
+    # No sure answer, nothing to drive to.
+    ask(driving, "the stool")
+    assert len(nav2.sent) == 1
+
+
+def test_a_drive_is_canceled(driving: Grounding) -> None:
+    [nav2] = stubs.ActionClient.made
+    ask(driving, MUG)
+    handle = stubs.GoalHandle(accepted=True)
+    nav2.sent[0][1].end(handle)
+    assert cancel(driving).success
+    assert handle.cancels == 1
+    handle.ended.end(SimpleNamespace(status=5))
+    assert states(driving) == ["sent", "accepted", "canceled"]
+    # Before Nav2 has replied: its reply is met with a cancel.
+    ask(driving, MUG)
+    assert cancel(driving).success
+    late = stubs.GoalHandle(accepted=True)
+    nav2.sent[1][1].end(late)
+    assert (late.cancels, states(driving)[3:]) == (1, ["sent", "canceled"])
+
+
+def test_a_new_goal_replaces_the_one_before(driving: Grounding) -> None:
+    [nav2] = stubs.ActionClient.made
+    first, second = stubs.GoalHandle(accepted=True), stubs.GoalHandle(accepted=True)
+    ask(driving, MUG)
+    nav2.sent[0][1].end(first)
+    ask(driving, MUG)
+    nav2.sent[1][1].end(second)
+    # Nav2 ends the first for the second: that is not the end of the drive.
+    first.ended.end(SimpleNamespace(status=6))
+    assert states(driving) == ["sent", "accepted", "sent", "accepted"]
+    second.ended.end(SimpleNamespace(status=6))
+    assert states(driving)[-1] == "aborted"
+    assert driving.log[-1] == "Nav2: goal aborted"
+
+
+def test_nav2_may_refuse_or_not_be_there(driving: Grounding, monkeypatch: pytest.MonkeyPatch) -> None:
+    [nav2] = stubs.ActionClient.made
+    ask(driving, MUG)
+    nav2.sent[0][1].end(stubs.GoalHandle(accepted=False))
+    assert states(driving) == ["sent", "rejected"]
+    monkeypatch.setattr(stubs.ActionClient, "is_there", False)
+    assert ask(driving, MUG).has_goal
+    assert states(driving) == ["sent", "rejected", "unavailable"]
+    assert (len(nav2.sent), driving.log[-2]) == (1, "Nav2: goal unavailable")
+
+
+def test_without_navigate_nothing_drives(node: Grounding) -> None:
+    assert "~/cancel" not in node.entries
+    assert node.navigator is None
+
+
+def test_the_launch_file_leaves_the_server_to_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its arguments are declared and handed to the node, each as what the node declares; the launch system itself is not here."""
+    made: dict[str, list[Any]] = {}
+
+    def kind(name: str) -> Any:
+        return lambda *given, **named: made.setdefault(name, []).append((given, named)) or (name, given, named)
+
+    for module, names in {
+        "launch": ["LaunchDescription"],
+        "launch.actions": ["DeclareLaunchArgument"],
+        "launch.substitutions": ["LaunchConfiguration"],
+        "launch_ros": [],
+        "launch_ros.actions": ["Node"],
+        "launch_ros.parameter_descriptions": ["ParameterValue"],
+    }.items():
+        monkeypatch.setitem(sys.modules, module, ModuleType(module))
+        vars(sys.modules[module]).update({name: kind(name) for name in names})
+    runpy.run_path(str(LAUNCH))["generate_launch_description"]()
+    defaults = {given[0]: named["default_value"] for given, named in made["DeclareLaunchArgument"]}
+    assert defaults["server"] == ""
+    [parameters] = [named["parameters"] for _, named in made["Node"] if named["package"] == "uniground_ros"]
+    handed = {name: value[2]["value_type"] for part in parameters for name, value in part.items()}
+    known = Grounding().parameters
+    assert {name: type(known[name].value) for name in handed} == handed
+    # As the node reads it: the variable that the tests set.
+    assert Grounding().client.server == os.environ["UNIGROUND_SERVER"]
 
 
 def box(center: list[float], size: list[float], yaw: float = 0.0) -> models.OrientedBox:

@@ -8,9 +8,10 @@ print(scene.ask("the mug on the coffee table"))
 
 from uniground import models
 from uniground._async import AsyncBatch, AsyncClient, AsyncScene
+from uniground._local import Server, serve
 from uniground._scan import Cloud, Scan
 from uniground._sync import Batch, Client, Scene
-from uniground._values import boxes, row, table
+from uniground._values import Vector, boxes, row, table
 from uniground._wire import UnigroundError
 
 __all__ = [
@@ -22,9 +23,12 @@ __all__ = [
     "Cloud",
     "Scan",
     "Scene",
+    "Server",
     "UnigroundError",
+    "Vector",
     "boxes",
     "models",
     "row",
+    "serve",
     "table",
 ]

@@ -8,12 +8,14 @@ import json
 import os
 import time
 import uuid
-from collections.abc import AsyncIterator, Iterable, Mapping
+import warnings
+from collections.abc import AsyncIterator, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Callable, Optional, TypeVar, Union
 
 import httpx
 
-from uniground import models
+from uniground import _notebook, models
+from uniground._local import PathLike, Server, serve
 from uniground._scan import Cloud, Source, packed, read_ply
 from uniground._sync import Client  # async only
 from uniground._wire import (
@@ -22,9 +24,13 @@ from uniground._wire import (
     chunks,
     decode,
     given,
+    is_id,
+    matching,
     pause_before,
     problem_of,
+    scene_problem,
     settings,
+    suggest,
     to_json,
     transport_problem,
     whole_lines,
@@ -61,9 +67,30 @@ class AsyncClient:
     ) -> None:
         self.server, headers = settings(server, api_key)
         self._retries = retries
+        self._local: Optional[Server] = None
         self._waiting = Client(server, api_key, timeout_s=timeout_s, retries=retries)  # async only
         timeout = httpx.Timeout(timeout_s, connect=min(10.0, timeout_s))
         self._http = httpx.AsyncClient(base_url=self.server, headers=headers, timeout=timeout)
+
+    @classmethod
+    async def local(
+        cls,
+        data_dir: Optional[PathLike] = None,
+        models: PathLike = "builtin",
+        *,
+        program: Optional[PathLike] = None,
+        options: Sequence[str] = (),
+        timeout_s: float = 300.0,
+        retries: int = 4,
+    ) -> AsyncClient:
+        """A client with a private server of its own, which stops when the client is closed and when Python ends.
+
+        Without `data_dir` its scenes are gone then. `uniground.serve` describes the arguments.
+        """
+        server = await asyncio.to_thread(serve, data_dir, models, program=program, options=options)
+        client = cls(server.url, server.api_key, timeout_s=timeout_s, retries=retries)
+        client._local = server
+        return client
 
     async def __aenter__(self) -> AsyncClient:
         return self
@@ -74,6 +101,8 @@ class AsyncClient:
     async def close(self) -> None:
         self._waiting.close()  # async only
         await self._http.aclose()
+        if self._local is not None:
+            await asyncio.to_thread(self._local.stop)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.server!r})"
@@ -100,8 +129,14 @@ class AsyncClient:
         return AsyncScene(self, created.scene)
 
     async def scene(self, scene_id: str) -> AsyncScene:
-        """A scene by its id."""
-        return AsyncScene(self, decode(models.Scene, await self.call("GET", f"/v1/scenes/{scene_id}")))
+        """A scene by its id or its name. The beginning of either will do, if no other scene's begins so."""
+        if is_id(scene_id):
+            return AsyncScene(self, decode(models.Scene, await self.call("GET", f"/v1/scenes/{scene_id.lower()}")))
+        known = [info async for info in self._pages("/v1/scenes", models.Scene, "scenes")]
+        found = matching(known, scene_id)
+        if len(found) != 1:
+            raise scene_problem(scene_id, found, known)
+        return AsyncScene(self, found[0])
 
     async def scenes(self, labels: Optional[Mapping[str, str]] = None) -> AsyncIterator[AsyncScene]:
         """All scenes, or those that have these labels, newest first."""
@@ -112,15 +147,19 @@ class AsyncClient:
     async def find(self, query: str, **options: Unpack[models.ManyGroundOptions]) -> models.ManyAnswers:
         """In which of many scenes something is, the likeliest first. `options` are the fields of the API's request: `labels` or `scenes`
         say where to look, `top_k` how many scenes are answered in full."""
-        return decode(models.ManyAnswers, await self.call("POST", "/v1/ground", body={"query": query, **options}))
+        many = decode(models.ManyAnswers, await self.call("POST", "/v1/ground", body={"query": query, **options}))
+        for one in many.answers:
+            one.answer._http = self._waiting._http
+        return many
 
     async def answer(self, answer_id: str) -> models.Answer:
         """An answer that was given before."""
-        return decode(models.Answer, await self.call("GET", f"/v1/answers/{answer_id}"))
+        return self._answer(await self.call("GET", f"/v1/answers/{answer_id}"))
 
     async def answers(self, **params: str) -> AsyncIterator[models.Answer]:
         """Answers that were given, newest first: of a `scene_id`, `batch_id` or `status`, `since` or `until` a time."""
         async for answer in self._pages("/v1/answers", models.Answer, "answers", params):
+            answer._http = self._waiting._http
             yield answer
 
     async def job(self, job_id: str) -> models.Job:
@@ -163,7 +202,7 @@ class AsyncClient:
 
     async def batch(
         self,
-        questions: Iterable[Union[str, Mapping[str, Any]]],
+        questions: Union[str, Iterable[Union[str, Mapping[str, Any]]]],
         *,
         scene: Union[AsyncScene, str, None] = None,
         defaults: Optional[models.GroundOptions] = None,
@@ -173,11 +212,17 @@ class AsyncClient:
         idempotency_key: Optional[str] = None,
     ) -> AsyncBatch:
         """Has the server ask a list of questions in the background: words, or dictionaries with `query`, `scene_id` and what else
-        a question may have.
+        a question may have. `batch(id)` is a batch that was made before.
 
         The same questions under the same options, about the same parse of a scene, are the same batch: a program that was stopped goes on
         with it when it is run again, also where it was paused. Another `label`, or an `idempotency_key` of yours, asks anew.
         """
+        if isinstance(questions, str):
+            if not is_id(questions):
+                raise ValueError(f"batch takes the id of a batch or a list of questions, not {questions!r}: scene.ask() asks one question")
+            return await self._batch(questions)
+        if isinstance(scene, str) and not is_id(scene):
+            scene = await self.scene(scene)
         scene_id, version = (scene.id, scene.info.parse_version) if isinstance(scene, AsyncScene) else (scene, None)
         lines: list[Mapping[str, Any]] = [{"defaults": given({**(defaults or {}), "scene_id": scene_id})}]
         lines += [{"query": question} if isinstance(question, str) else question for question in questions]
@@ -196,8 +241,9 @@ class AsyncClient:
         return await batch.resume() if batch.info.state == "paused" else batch
 
     async def get_batch(self, batch_id: str) -> AsyncBatch:
-        """A batch by its id."""
-        return AsyncBatch(self, decode(models.Batch, await self.call("GET", f"/v1/batches/{batch_id}")))
+        """Deprecated: `batch(batch_id)` does the same."""
+        warnings.warn("get_batch(id) is deprecated: use batch(id)", DeprecationWarning, stacklevel=2)
+        return await self._batch(batch_id)
 
     async def batches(self) -> AsyncIterator[AsyncBatch]:
         """All batches, newest first."""
@@ -214,6 +260,23 @@ class AsyncClient:
     async def download(self, path: str, params: Optional[Mapping[str, Any]] = None) -> bytes:
         """A file of the server, such as a picture: `path` as an answer gives it."""
         return (await self._send("GET", path, params=params)).content
+
+    async def _batch(self, batch_id: str) -> AsyncBatch:
+        return AsyncBatch(self, decode(models.Batch, await self.call("GET", f"/v1/batches/{batch_id}")))
+
+    def _answer(self, value: Any) -> models.Answer:
+        """An answer that finds its picture when a notebook shows it."""
+        answer = decode(models.Answer, value)
+        answer._http = self._waiting._http
+        return answer
+
+    def _result(self, line: str) -> models.BatchResult:
+        result = decode(models.BatchResult, json.loads(line))
+        if result.answer is not None:
+            result.answer._http = self._waiting._http
+        if result.error is not None:
+            result.error.detail = suggest(result.error.detail)
+        return result
 
     async def _upload(
         self, path: str, scan: Source, params: Mapping[str, Any], key: Optional[str], on_progress: Optional[Progress]
@@ -313,6 +376,9 @@ class AsyncScene:
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, {self.id}, {self.status})"
 
+    def _repr_html_(self) -> str:
+        return _notebook.scene(self.info)
+
     async def refresh(self) -> AsyncScene:
         """Asks the server again how the scene stands."""
         self.info = decode(models.Scene, await self._client.call("GET", f"/v1/scenes/{self.id}"))
@@ -335,7 +401,7 @@ class AsyncScene:
         Every call has a key, so that a question whose connection was lost is sent again and a model is still paid once. With an
         `idempotency_key` of yours the answer that it got before comes back, however often the program is run.
         """
-        return decode(models.Answer, await self._post("ground", {"query": query, **options}, idempotency_key or str(uuid.uuid4())))
+        return self._client._answer(await self._post("ground", {"query": query, **options}, idempotency_key or str(uuid.uuid4())))
 
     async def ask_all(
         self, questions: Iterable[Union[str, Mapping[str, Any]]], **options: Unpack[models.GroundOptions]
@@ -502,7 +568,7 @@ class AsyncBatch:
         """Results in the order of the questions, from a place on. `follow` waits for those that are still asked, and goes on where it was
         when the connection breaks; without it, only what is there already."""
         async for line in self._result_lines(start, follow):
-            yield decode(models.BatchResult, json.loads(line))
+            yield self._client._result(line)
 
     async def save(self, file: Union[str, os.PathLike[str]]) -> int:
         """Writes results to a file, a line of JSON each, behind those that it has: a program that was stopped goes on. Returns how many

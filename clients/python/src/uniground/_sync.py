@@ -8,12 +8,14 @@ import json
 import os
 import time
 import uuid
-from collections.abc import Iterator, Iterable, Mapping
+import warnings
+from collections.abc import Iterator, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Callable, Optional, TypeVar, Union
 
 import httpx
 
-from uniground import models
+from uniground import _notebook, models
+from uniground._local import PathLike, Server, serve
 from uniground._scan import Cloud, Source, packed, read_ply
 from uniground._wire import (
     Progress,
@@ -21,9 +23,13 @@ from uniground._wire import (
     chunks,
     decode,
     given,
+    is_id,
+    matching,
     pause_before,
     problem_of,
+    scene_problem,
     settings,
+    suggest,
     to_json,
     transport_problem,
     whole_lines,
@@ -60,8 +66,29 @@ class Client:
     ) -> None:
         self.server, headers = settings(server, api_key)
         self._retries = retries
+        self._local: Optional[Server] = None
         timeout = httpx.Timeout(timeout_s, connect=min(10.0, timeout_s))
         self._http = httpx.Client(base_url=self.server, headers=headers, timeout=timeout)
+
+    @classmethod
+    def local(
+        cls,
+        data_dir: Optional[PathLike] = None,
+        models: PathLike = "builtin",
+        *,
+        program: Optional[PathLike] = None,
+        options: Sequence[str] = (),
+        timeout_s: float = 300.0,
+        retries: int = 4,
+    ) -> Client:
+        """A client with a private server of its own, which stops when the client is closed and when Python ends.
+
+        Without `data_dir` its scenes are gone then. `uniground.serve` describes the arguments.
+        """
+        server = serve(data_dir, models, program=program, options=options)
+        client = cls(server.url, server.api_key, timeout_s=timeout_s, retries=retries)
+        client._local = server
+        return client
 
     def __enter__(self) -> Client:
         return self
@@ -71,6 +98,8 @@ class Client:
 
     def close(self) -> None:
         self._http.close()
+        if self._local is not None:
+            self._local.stop()
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.server!r})"
@@ -97,8 +126,14 @@ class Client:
         return Scene(self, created.scene)
 
     def scene(self, scene_id: str) -> Scene:
-        """A scene by its id."""
-        return Scene(self, decode(models.Scene, self.call("GET", f"/v1/scenes/{scene_id}")))
+        """A scene by its id or its name. The beginning of either will do, if no other scene's begins so."""
+        if is_id(scene_id):
+            return Scene(self, decode(models.Scene, self.call("GET", f"/v1/scenes/{scene_id.lower()}")))
+        known = [info for info in self._pages("/v1/scenes", models.Scene, "scenes")]
+        found = matching(known, scene_id)
+        if len(found) != 1:
+            raise scene_problem(scene_id, found, known)
+        return Scene(self, found[0])
 
     def scenes(self, labels: Optional[Mapping[str, str]] = None) -> Iterator[Scene]:
         """All scenes, or those that have these labels, newest first."""
@@ -109,15 +144,19 @@ class Client:
     def find(self, query: str, **options: Unpack[models.ManyGroundOptions]) -> models.ManyAnswers:
         """In which of many scenes something is, the likeliest first. `options` are the fields of the API's request: `labels` or `scenes`
         say where to look, `top_k` how many scenes are answered in full."""
-        return decode(models.ManyAnswers, self.call("POST", "/v1/ground", body={"query": query, **options}))
+        many = decode(models.ManyAnswers, self.call("POST", "/v1/ground", body={"query": query, **options}))
+        for one in many.answers:
+            one.answer._http = self._http
+        return many
 
     def answer(self, answer_id: str) -> models.Answer:
         """An answer that was given before."""
-        return decode(models.Answer, self.call("GET", f"/v1/answers/{answer_id}"))
+        return self._answer(self.call("GET", f"/v1/answers/{answer_id}"))
 
     def answers(self, **params: str) -> Iterator[models.Answer]:
         """Answers that were given, newest first: of a `scene_id`, `batch_id` or `status`, `since` or `until` a time."""
         for answer in self._pages("/v1/answers", models.Answer, "answers", params):
+            answer._http = self._http
             yield answer
 
     def job(self, job_id: str) -> models.Job:
@@ -160,7 +199,7 @@ class Client:
 
     def batch(
         self,
-        questions: Iterable[Union[str, Mapping[str, Any]]],
+        questions: Union[str, Iterable[Union[str, Mapping[str, Any]]]],
         *,
         scene: Union[Scene, str, None] = None,
         defaults: Optional[models.GroundOptions] = None,
@@ -170,11 +209,17 @@ class Client:
         idempotency_key: Optional[str] = None,
     ) -> Batch:
         """Has the server ask a list of questions in the background: words, or dictionaries with `query`, `scene_id` and what else
-        a question may have.
+        a question may have. `batch(id)` is a batch that was made before.
 
         The same questions under the same options, about the same parse of a scene, are the same batch: a program that was stopped goes on
         with it when it is run again, also where it was paused. Another `label`, or an `idempotency_key` of yours, asks anew.
         """
+        if isinstance(questions, str):
+            if not is_id(questions):
+                raise ValueError(f"batch takes the id of a batch or a list of questions, not {questions!r}: scene.ask() asks one question")
+            return self._batch(questions)
+        if isinstance(scene, str) and not is_id(scene):
+            scene = self.scene(scene)
         scene_id, version = (scene.id, scene.info.parse_version) if isinstance(scene, Scene) else (scene, None)
         lines: list[Mapping[str, Any]] = [{"defaults": given({**(defaults or {}), "scene_id": scene_id})}]
         lines += [{"query": question} if isinstance(question, str) else question for question in questions]
@@ -193,8 +238,9 @@ class Client:
         return batch.resume() if batch.info.state == "paused" else batch
 
     def get_batch(self, batch_id: str) -> Batch:
-        """A batch by its id."""
-        return Batch(self, decode(models.Batch, self.call("GET", f"/v1/batches/{batch_id}")))
+        """Deprecated: `batch(batch_id)` does the same."""
+        warnings.warn("get_batch(id) is deprecated: use batch(id)", DeprecationWarning, stacklevel=2)
+        return self._batch(batch_id)
 
     def batches(self) -> Iterator[Batch]:
         """All batches, newest first."""
@@ -211,6 +257,23 @@ class Client:
     def download(self, path: str, params: Optional[Mapping[str, Any]] = None) -> bytes:
         """A file of the server, such as a picture: `path` as an answer gives it."""
         return (self._send("GET", path, params=params)).content
+
+    def _batch(self, batch_id: str) -> Batch:
+        return Batch(self, decode(models.Batch, self.call("GET", f"/v1/batches/{batch_id}")))
+
+    def _answer(self, value: Any) -> models.Answer:
+        """An answer that finds its picture when a notebook shows it."""
+        answer = decode(models.Answer, value)
+        answer._http = self._http
+        return answer
+
+    def _result(self, line: str) -> models.BatchResult:
+        result = decode(models.BatchResult, json.loads(line))
+        if result.answer is not None:
+            result.answer._http = self._http
+        if result.error is not None:
+            result.error.detail = suggest(result.error.detail)
+        return result
 
     def _upload(
         self, path: str, scan: Source, params: Mapping[str, Any], key: Optional[str], on_progress: Optional[Progress]
@@ -308,6 +371,9 @@ class Scene:
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, {self.id}, {self.status})"
 
+    def _repr_html_(self) -> str:
+        return _notebook.scene(self.info)
+
     def refresh(self) -> Scene:
         """Asks the server again how the scene stands."""
         self.info = decode(models.Scene, self._client.call("GET", f"/v1/scenes/{self.id}"))
@@ -330,7 +396,7 @@ class Scene:
         Every call has a key, so that a question whose connection was lost is sent again and a model is still paid once. With an
         `idempotency_key` of yours the answer that it got before comes back, however often the program is run.
         """
-        return decode(models.Answer, self._post("ground", {"query": query, **options}, idempotency_key or str(uuid.uuid4())))
+        return self._client._answer(self._post("ground", {"query": query, **options}, idempotency_key or str(uuid.uuid4())))
 
     def ask_all(
         self, questions: Iterable[Union[str, Mapping[str, Any]]], **options: Unpack[models.GroundOptions]
@@ -497,7 +563,7 @@ class Batch:
         """Results in the order of the questions, from a place on. `follow` waits for those that are still asked, and goes on where it was
         when the connection breaks; without it, only what is there already."""
         for line in self._result_lines(start, follow):
-            yield decode(models.BatchResult, json.loads(line))
+            yield self._client._result(line)
 
     def save(self, file: Union[str, os.PathLike[str]]) -> int:
         """Writes results to a file, a line of JSON each, behind those that it has: a program that was stopped goes on. Returns how many

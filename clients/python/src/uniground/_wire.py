@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import functools
 import io
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+import re
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Optional, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, BinaryIO, Optional, Protocol, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import httpx
 import numpy as np
 
+from uniground._values import Vector
+
 T = TypeVar("T")
+S = TypeVar("S", bound="Named")
 Progress = Callable[[int, int], object]
 
 CHUNK = 256 * 1024
 SERVER = "http://127.0.0.1:8080"
+# How the server names a field or a word that it does not know, and those it knows.
+UNKNOWN = re.compile(r"unknown (field|variant) `([^`]*)`, expected (?:one of )?(`[^`]*`(?:(?:, | or )`[^`]*`)*)( at line \d+ column \d+)?")
+# Scenes that an error lists.
+LISTED = 12
 # What a reply may tell us to wait before we rather give up and say so.
 LONGEST_PAUSE_S = 60.0
 
@@ -27,7 +37,8 @@ class UnigroundError(Exception):
     """Something went wrong, at the server or on the way to it. Decide on `code`: it is stable.
 
     The codes are listed in the manual under "HTTP API". This side adds `unreachable`, `timed_out` (silence on the wire), `wait_timed_out`
-    (a `timeout_s` of yours), `no_problem_document` (the reply of something else than uniground) and `unreadable_reply`.
+    (a `timeout_s` of yours), `no_problem_document` (the reply of something else than uniground), `unreadable_reply`, `scene_ambiguous`
+    (several scenes of that name), `program_not_found` and `server_not_started` (`uniground.serve`).
     """
 
     def __init__(
@@ -83,16 +94,28 @@ def problem_of(response: httpx.Response) -> UnigroundError:
     except (ValueError, KeyError, TypeError):
         problem, code, title = {}, "no_problem_document", response.reason_phrase
         detail = f"{response.request.url} answered {response.status_code}: {response.text[:200]}"
+    errors = [{**error, "detail": suggest(error.get("detail", ""))} for error in problem.get("errors") or []]
     return UnigroundError(
         code,
-        detail,
+        suggest(detail),
         title=title,
         status=response.status_code,
         retry_after=_seconds(response.headers.get("retry-after")),
-        errors=problem.get("errors"),
+        errors=errors,
         job_id=problem.get("job_id"),
         request_id=problem.get("request_id"),
     )
+
+
+def suggest(detail: str) -> str:
+    """A message with the nearest known name instead of all of them, where one is near: "unknown field `topk`, did you mean `top_k`?"."""
+
+    def nearest(match: re.Match[str]) -> str:
+        kind, word, known = match[1], match[2], re.findall(r"`([^`]*)`", match[3])
+        near = difflib.get_close_matches(word.lower(), known, n=1)
+        return f"unknown {'field' if kind == 'field' else 'value'} `{word}`, did you mean `{near[0]}`?" if near else match[0]
+
+    return UNKNOWN.sub(nearest, detail)
 
 
 def transport_problem(error: httpx.TransportError, server: str) -> UnigroundError:
@@ -113,6 +136,49 @@ def pause_before(attempt: int, error: UnigroundError, cause: Optional[Exception]
 
 def _seconds(header: Optional[str]) -> Optional[float]:
     return float(header) if header and header.isdigit() else None
+
+
+class Named(Protocol):
+    """A scene, as far as its name matters: models stand on this module's neighbors and are not known here."""
+
+    id: str
+    name: str
+    status: Any
+
+
+def is_id(text: str) -> bool:
+    """Whether this is a whole id, written out."""
+    try:
+        return len(text) == 36 and str(uuid.UUID(text)) == text.lower()
+    except ValueError:
+        return False
+
+
+def matching(scenes: Sequence[S], wanted: str) -> list[S]:
+    """Scenes that may be meant: by the id, else the name, else the name in other letters, else how an id or a name begins."""
+    lower = wanted.lower()
+    ways: list[Callable[[S], bool]] = [
+        lambda scene: scene.id == lower,
+        lambda scene: scene.name == wanted,
+        lambda scene: scene.name.lower() == lower,
+        lambda scene: scene.id.startswith(lower) or scene.name.lower().startswith(lower),
+    ]
+    found = ([scene for scene in scenes if is_meant(scene)] for is_meant in ways) if lower else iter(())
+    return next((some for some in found if some), [])
+
+
+def scene_problem(wanted: str, found: Sequence[Named], known: Sequence[Named]) -> UnigroundError:
+    """Why a name is not one scene: there is none, or there are several."""
+    listed = found or known
+    lines = [f"  {scene.id}  {scene.name} ({scene.status})" for scene in listed[:LISTED]]
+    if len(listed) > LISTED:
+        lines.append(f"  and {len(listed) - LISTED} more")
+    candidates = "\n".join(lines)
+    if found:
+        return UnigroundError("scene_ambiguous", f"{wanted!r} matches {len(found)} scenes. Use the id of one:\n{candidates}\n")
+    if not known:
+        return UnigroundError("scene_not_found", f"There is no scene {wanted!r}: this server has no scenes yet. upload() a scan.")
+    return UnigroundError("scene_not_found", f"There is no scene {wanted!r}. Scenes of this server:\n{candidates}\n")
 
 
 def to_json(body: Any) -> bytes:
@@ -142,6 +208,8 @@ def _decoded(kind: Any, value: Any) -> Any:
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         fields = _fields(kind)
         return kind(**{fields[key][0]: _decoded(fields[key][1], part) for key, part in value.items() if key in fields})
+    if kind is Vector:
+        return Vector(value)
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Union:
         return _decoded(arguments[0], value)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Optional, TypedDict
 
-from uniground._values import AnswerMethods, BoxMethods
+from uniground._values import AnswerMethods, BoxMethods, ShortRepr, ThingMethods, Vector
 
 Ablation = Literal["full", "no_global", "no_candidate", "simple_prompt", "raw_render", "no_loop"]
 """Parts of the paper's prompt left out; only a vision-language model has a prompt."""
@@ -85,12 +85,12 @@ UpAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 UploadState = Literal["receiving", "making", "done", "refused"]
 """How far an upload has come."""
 
-@dataclass
+@dataclass(repr=False)
 class Aabb(BoxMethods):
     """Axis-aligned box in the world frame (metres, Z up): the benchmark's `(cx, cy, cz, dx, dy, dz)`."""
-    center: list[float]
+    center: Vector
     """Centre, metres, world frame (Z up)."""
-    size: list[float]
+    size: Vector
     """Full extent along X, Y and Z, metres."""
 
 
@@ -110,7 +110,7 @@ class Alternative:
     """Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service."""
 
 
-@dataclass
+@dataclass(repr=False)
 class Answer(AnswerMethods):
     """The answer to a question. `box` is set when the status is `grounded`, or `uncertain`."""
     id: str
@@ -204,8 +204,8 @@ class AppearanceSettings(TypedDict, total=False):
     """Views looked at per instance, those that show most. Paper: 10."""
 
 
-@dataclass
-class Approach:
+@dataclass(repr=False)
+class Approach(ShortRepr):
     """Where to stand for a thing, best first, or why nowhere."""
     scene_id: str
     """UUIDv7 of the scene."""
@@ -267,8 +267,8 @@ class ApproachTarget:
     """What it stands on or hangs on."""
 
 
-@dataclass
-class AuditEntry:
+@dataclass(repr=False)
+class AuditEntry(ShortRepr):
     """Something that was done: a request that changes what is stored."""
     id: str
     """UUIDv7; in order of time."""
@@ -295,8 +295,8 @@ class AuditList:
     """`cursor` of the next page; `null` on the last."""
 
 
-@dataclass
-class Batch:
+@dataclass(repr=False)
+class Batch(ShortRepr):
     """A batch as it stands."""
     id: str
     """UUIDv7; in order of time."""
@@ -399,8 +399,8 @@ class BatchRequest(BatchOptions):
     """Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are sent as JSONL, an item a line."""
 
 
-@dataclass
-class BatchResult:
+@dataclass(repr=False)
+class BatchResult(ShortRepr):
     """What came of one item: a line of the results."""
     item: int
     """Its place in the batch, from 0."""
@@ -433,8 +433,8 @@ class Call:
     """Why there was no reply."""
 
 
-@dataclass
-class Candidate:
+@dataclass(repr=False)
+class Candidate(ShortRepr):
     """An instance that may be meant."""
     id: InstanceId
     """Numbered from 1 within the parse; instances with more points come first."""
@@ -451,8 +451,8 @@ class Candidate:
     """Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service."""
 
 
-@dataclass
-class CellCounts:
+@dataclass(repr=False)
+class CellCounts(ShortRepr):
     """Cells of the floor that each condition left, of those that the conditions before it had left."""
     near: int
     """Within the limits of distance."""
@@ -483,8 +483,8 @@ class Change(ChangeOptions):
     kind: Literal["rename", "dismiss", "merge", "split"]
 
 
-@dataclass
-class ChangedThing:
+@dataclass(repr=False)
+class ChangedThing(ThingMethods):
     """A thing that changed."""
     id: InstanceId
     """In the look it is in: the earlier one for what is gone, the later one for what appeared."""
@@ -494,8 +494,8 @@ class ChangedThing:
     """Its box, metres, in the coordinates of that look."""
 
 
-@dataclass
-class Changes:
+@dataclass(repr=False)
+class Changes(ShortRepr):
     """Things that are not as they were. Floor, walls and ceilings are left out."""
     appeared: list[ChangedThing]
     """Things that stand where nothing was before."""
@@ -568,8 +568,8 @@ class Created:
     job: Optional[Job] = None
 
 
-@dataclass
-class CreatedKey:
+@dataclass(repr=False)
+class CreatedKey(ShortRepr):
     """A key that was just made."""
     spent_today_usd: float
     """What its questions cost today (UTC), US dollars."""
@@ -636,8 +636,8 @@ class FieldError:
     """What would be right."""
 
 
-@dataclass
-class FloorMap:
+@dataclass(repr=False)
+class FloorMap(ShortRepr):
     """The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The picture's upper left pixel is at the least x
     and the greatest y.
     """
@@ -647,7 +647,7 @@ class FloorMap:
     """Always `trinary`: a cell is free, occupied or unknown."""
     resolution: float
     """Side of a pixel, metres."""
-    origin: list[float]
+    origin: Vector
     """x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and radians, always 0."""
     negate: int
     """Always 0: white is free, black occupied."""
@@ -692,8 +692,8 @@ class FrameSamplingSettings(TypedDict, total=False):
     """Every `max(1, floor(frames / this))`-th frame is used. Paper: 1000."""
 
 
-@dataclass
-class FrameView:
+@dataclass(repr=False)
+class FrameView(ShortRepr):
     """A photograph: pinhole camera and pose."""
     index: FrameIndex
     """Position in the scan's own list, from 0, as views name it; frames left out leave gaps."""
@@ -709,7 +709,7 @@ class FrameView:
     """Column where the optical axis meets the photograph; 0 is the middle of the first pixel."""
     cy: float
     """Row where the optical axis meets the photograph."""
-    camera_to_world: list[list[float]]
+    camera_to_world: list[Vector]
     """Takes points of the camera (x right, y down, z forward) to the scene's world (Z up), metres; rows of a 4 x 4 matrix."""
 
 
@@ -824,8 +824,8 @@ class Health:
     """Version of the server, like `1.2.3`."""
 
 
-@dataclass
-class ImportReport:
+@dataclass(repr=False)
+class ImportReport(ShortRepr):
     """What the importer found; part of the scene's public record."""
     format: str
     """Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on."""
@@ -928,8 +928,8 @@ class InstanceSettings(TypedDict, total=False):
     """but leave at most this share of the points outside at either end of each axis."""
 
 
-@dataclass
-class InstanceView:
+@dataclass(repr=False)
+class InstanceView(ThingMethods):
     """One object candidate. Lengths in metres, world frame (Z up)."""
     id: InstanceId
     """Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew, but for
@@ -980,8 +980,8 @@ class InstanceView:
     """The thing a part lies in; the things a whole is made of; empty for things."""
 
 
-@dataclass
-class Job:
+@dataclass(repr=False)
+class Job(ShortRepr):
     """A job as the outside sees it."""
     id: str
     """UUIDv7; in order of time."""
@@ -1043,8 +1043,8 @@ class JobList:
     """`cursor` of the next page; `null` on the last."""
 
 
-@dataclass
-class JobStats:
+@dataclass(repr=False)
+class JobStats(ShortRepr):
     """Jobs of one kind. Those that are over are kept on record."""
     kind: str
     """What they do: `parse`, `naming`, `batch`."""
@@ -1064,8 +1064,8 @@ class JobStats:
     """How long ago the oldest that waits was asked for, seconds; `null` where none waits."""
 
 
-@dataclass
-class Key:
+@dataclass(repr=False)
+class Key(ShortRepr):
     """A key, but for its secret."""
     id: str
     """UUIDv7; in order of time."""
@@ -1145,8 +1145,8 @@ class LinkRequest(LinkOptions):
     """Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything below it, like `/v1/scenes/{scene_id}/*`."""
 
 
-@dataclass
-class LoadedModel:
+@dataclass(repr=False)
+class LoadedModel(ShortRepr):
     """A model in use, as told to callers."""
     name: str
     """Name of the bundle."""
@@ -1316,12 +1316,12 @@ class Observer(TypedDict):
     """Direction of view about +Z, radians; 0 looks along +X."""
 
 
-@dataclass
+@dataclass(repr=False)
 class OrientedBox(BoxMethods):
     """A box turned about the vertical: the paper's output asks for an oriented box."""
-    center: list[float]
+    center: Vector
     """Centre, metres, world frame (Z up)."""
-    size: list[float]
+    size: Vector
     """Full extent along the box's own X, Y and the world's Z, metres."""
     yaw_rad: float
     """Rotation of the box's X axis from the world's X axis about +Z, radians, in `-pi/4..=pi/4`."""
@@ -1336,8 +1336,8 @@ class ParseModels:
     """Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`."""
 
 
-@dataclass
-class ParseReport:
+@dataclass(repr=False)
+class ParseReport(ShortRepr):
     """What stage 1 did, for people who want to know what went wrong."""
     points: int
     """Points of the cloud that was parsed."""
@@ -1442,22 +1442,22 @@ class PlacedBox:
     """A box anyhow turned. As `vision_msgs/BoundingBox3D` has it."""
     id: InstanceId
     """The instance it is of."""
-    center: list[float]
+    center: Vector
     """Centre, in the frame's units."""
-    size: list[float]
+    size: Vector
     """Full extent along the box's own axes, in the frame's units."""
-    orientation: list[float]
+    orientation: Vector
     """Turns the box's own axes to the frame's: unit quaternion `x, y, z, w`."""
 
 
 @dataclass
 class PlacedPose:
     """A place to stand as `geometry_msgs/Pose` has it."""
-    position: list[float]
+    position: Vector
     """Middle of the robot's footprint, on the floor, in the frame's units."""
-    orientation: list[float]
+    orientation: Vector
     """Turns the robot's axes, X ahead and Z up, to the frame's: unit quaternion `x, y, z, w`."""
-    path: list[list[float]]
+    path: list[Vector]
     """The corners of the way, in the frame's units."""
 
 
@@ -1476,8 +1476,8 @@ class PosesInFrame:
     """What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said."""
 
 
-@dataclass
-class Problem:
+@dataclass(repr=False)
+class Problem(ShortRepr):
     """An error. `code` is stable; `detail` is for people and names the file, frame or field."""
     type: str
     """Always `about:blank`: the code says which problem it is."""
@@ -1520,8 +1520,8 @@ class PromptPart:
     """JPEG, as it was shown; relative to the server."""
 
 
-@dataclass
-class Readiness:
+@dataclass(repr=False)
+class Readiness(ShortRepr):
     """What the service needs to do its work, each `ok` or what is wrong."""
     ready: bool
     """Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status is 503 otherwise."""
@@ -1569,8 +1569,8 @@ class ReportPictureLink:
     """JPEG, relative to the server."""
 
 
-@dataclass
-class Retention:
+@dataclass(repr=False)
+class Retention(ShortRepr):
     """How long things are kept, in days, and how much of what only saves time. 0 days: for ever, except for evidence."""
     answers_days: int
     """Answers."""
@@ -1667,9 +1667,9 @@ class SamSettings(TypedDict, total=False):
 @dataclass
 class ScanAlignment:
     """From the coordinates of the earlier scan to those of the later one: `to = rotation * from + translation_m`."""
-    rotation: list[float]
+    rotation: Vector
     """Unit quaternion `x, y, z, w`."""
-    translation_m: list[float]
+    translation_m: Vector
     """Metres."""
     refined: bool
     """Whether it was refined by laying the two clouds over each other."""
@@ -1679,8 +1679,8 @@ class ScanAlignment:
     """Their root mean square distance to its surfaces, metres."""
 
 
-@dataclass
-class Scene:
+@dataclass(repr=False)
+class Scene(ShortRepr):
     """A scene: one uploaded scan and its current parse."""
     id: str
     """UUIDv7; in order of time."""
@@ -1786,8 +1786,8 @@ class SceneList:
     """Pass as `cursor` for the next page; `null` on the last."""
 
 
-@dataclass
-class SceneReport:
+@dataclass(repr=False)
+class SceneReport(ShortRepr):
     """Everything known about a scene's current parse."""
     scene_id: str
     """UUIDv7 of the scene."""
@@ -1804,9 +1804,9 @@ class SceneReport:
 @dataclass
 class SceneToFrame:
     """From a scene's coordinates to others: `other = scale * rotation * scene + translation`."""
-    rotation: list[float]
+    rotation: Vector
     """Unit quaternion `x, y, z, w`."""
-    translation: list[float]
+    translation: Vector
     """In units of the other coordinates."""
     scale: float
     """Units of the other coordinates to a metre; 1 for maps."""
@@ -1834,7 +1834,7 @@ class Seen:
     """Where a vision-language model sees what is asked for, though no instance is it."""
     picture: str
     """The picture it is seen in, one of the answer's evidence: `candidate-7`, `global`."""
-    at: list[float]
+    at: Vector
     """From the left and the upper rim, shares of the picture's width and height, `0..=1`."""
     name: str
     """What the model calls it."""
@@ -1891,9 +1891,9 @@ class SourceToScene:
     """From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene = rotation * (metres_per_unit * source) +
     translation_m`. In double precision: what lies at map coordinates keeps its place.
     """
-    rotation: list[list[float]]
+    rotation: list[Vector]
     """Rows of a 3x3 rotation matrix."""
-    translation_m: list[float]
+    translation_m: Vector
     """Metres, in the scene's axes."""
     metres_per_unit: float
     """Length of one unit of the files, metres."""
@@ -1938,14 +1938,14 @@ class Stamp:
     """Nanoseconds on top."""
 
 
-@dataclass
-class StandingPose:
+@dataclass(repr=False)
+class StandingPose(ShortRepr):
     """A place to stand, facing the thing. World frame (Z up), metres."""
-    position: list[float]
+    position: Vector
     """Middle of the robot's footprint, on the floor."""
     yaw_rad: float
     """Direction it faces about +Z, radians; 0 looks along +X."""
-    look_at: list[float]
+    look_at: Vector
     """What to look at: the middle of what is in sight of the thing."""
     distance_m: float
     """Horizontal distance to the thing's nearest point."""
@@ -1953,7 +1953,7 @@ class StandingPose:
     """From the robot's cylinder to the thing's nearest point: what the arm has to reach."""
     visible_share: float
     """Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of itself counts as seen."""
-    path: list[list[float]]
+    path: list[Vector]
     """From the start to here, corner by corner, straight in between; free of obstacles by the robot's radius, to within half a cell of the
     grid. Empty without `from`.
     """
@@ -1978,8 +1978,8 @@ class Start:
     """Whether the robot can stand where it says it is."""
 
 
-@dataclass
-class Stats:
+@dataclass(repr=False)
+class Stats(ShortRepr):
     """A server in numbers."""
     version: str
     """Version of the server, like `1.2.3`."""
@@ -2042,8 +2042,8 @@ class Support:
     """The wall, itself an instance."""
 
 
-@dataclass
-class Target:
+@dataclass(repr=False)
+class Target(ShortRepr):
     """A thing the question means."""
     id: InstanceId
     """Numbered from 1 within the parse the answer comes from."""
@@ -2090,9 +2090,9 @@ class TrueObject:
     """Id of the instance."""
     name: str
     """What it is called."""
-    min: list[float]
+    min: Vector
     """Lowest corner."""
-    max: list[float]
+    max: Vector
     """Highest corner."""
     obb: TurnedBox
     """Turned about the vertical to fit it."""
@@ -2103,14 +2103,14 @@ class TrueObject:
 @dataclass
 class TurnedBox:
     """A box turned about the vertical."""
-    center: list[float]
-    size: list[float]
+    center: Vector
+    size: Vector
     yaw_deg: float
     """Counter-clockwise from above, degrees."""
 
 
-@dataclass
-class Upload:
+@dataclass(repr=False)
+class Upload(ShortRepr):
     """An upload that comes in parts."""
     id: str
     """UUIDv7; in order of time."""

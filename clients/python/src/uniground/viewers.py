@@ -51,5 +51,4 @@ def _boxes(of: tuple[Any, ...]) -> Iterator[tuple[str, Any, tuple[int, int, int]
         if hasattr(one, "targets"):
             yield from ((target.name, target.oriented_box, GREEN) for target in one.targets)
         else:
-            name = getattr(one, "model_name", None) or getattr(one, "label", None) or getattr(one, "name", None) or str(one.id)
-            yield name, getattr(one, "oriented_box", None) or one.box, BLUE
+            yield one.name or str(one.id), getattr(one, "oriented_box", None) or one.box, BLUE

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Pose, PoseStamped
@@ -20,6 +21,8 @@ from uniground import models
 GREEN, YELLOW, BLUE = (0.0, 0.6, 0.25), (0.9, 0.7, 0.0), (0.15, 0.35, 0.8)
 COLORS = {"grounded": GREEN, "uncertain": YELLOW, "ambiguous": BLUE}
 LABEL_HEIGHT_M = 0.12
+# As in Nav2: from this occupancy on a cell of a map is an obstacle. Below 0 nobody has seen it.
+OCCUPIED = 65
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,40 @@ class Placed:
 
     def place(self, point) -> np.ndarray:
         return self.rotation @ np.asarray(point) + self.translation
+
+
+class FloorGrid(NamedTuple):
+    """What a `nav_msgs/OccupancyGrid` knows of the floor."""
+
+    cells: np.ndarray
+    """Occupancy in percent, -1 unknown; rows along Y, columns along X of the grid's own axes."""
+    resolution: float
+    """Side of a cell, metres."""
+    origin: Placed
+    """How the grid's lower left corner lies in its frame."""
+    frame_id: str
+
+    @classmethod
+    def of(cls, grid) -> FloorGrid:
+        info, q, t = grid.info, grid.info.origin.orientation, grid.info.origin.position
+        cells = np.array(grid.data, dtype=np.int8).reshape(info.height, info.width)
+        origin = Placed(rotation_of([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z]))
+        return cls(cells, float(info.resolution), origin, grid.header.frame_id)
+
+    def obstacle(self, point, radius_m: float) -> str | None:
+        """Why a robot cannot stand at a point of the grid's frame; `None` where it can. Cells that nobody has seen are no obstacle."""
+        x, y = (self.origin.rotation.T @ (np.asarray(point) - self.origin.translation))[:2] / self.resolution
+        height, width = self.cells.shape
+        if not (0 <= x < width and 0 <= y < height):
+            return "it is outside the robot's map"
+        reach = radius_m / self.resolution + 1
+        left, lower = max(0, int(x - reach)), max(0, int(y - reach))
+        rows, columns = np.nonzero(self.cells[lower : int(y + reach) + 1, left : int(x + reach) + 1] >= OCCUPIED)
+        # To the nearest point of each occupied cell.
+        apart = [np.maximum(np.abs(cells + 0.5 - at) - 0.5, 0) for cells, at in ((columns + left, x), (rows + lower, y))]
+        off = np.hypot(*apart) * self.resolution
+        nearest = off.min(initial=np.inf)
+        return f"the robot's map has an obstacle {nearest:.2f} m away" if nearest <= radius_m else None
 
 
 @dataclass(frozen=True)

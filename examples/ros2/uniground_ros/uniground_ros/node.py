@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
+from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 from std_msgs.msg import Header, String
+from std_srvs.srv import Trigger
 from tf2_ros import Buffer, TransformException, TransformListener
 from uniground_interfaces.srv import Ground
 from vision_msgs.msg import Detection3DArray
@@ -22,10 +23,13 @@ from visualization_msgs.msg import MarkerArray
 
 from uniground import Client, Scene, UnigroundError, models
 from uniground_ros import convert
-from uniground_ros.convert import Placed
+from uniground_ros.convert import FloorGrid, Placed
+from uniground_ros.navigation import Navigator
 
 # How many things may lie on one another: a mug on a tray on a table.
 MOST_SUPPORTS = 5
+# Places to stand that the service is asked for where the robot's own map may rule some out.
+MOST_PLACES = 10
 # What is no higher than this, a rug, can be driven on.
 FLAT_M = 0.15
 
@@ -46,6 +50,9 @@ class Frames(NamedTuple):
 class Grounding(Node):
     """Service `~/ground` and topic `~/question` in; `~/detections`, `~/markers`, `~/goal`, `~/path` and `~/answer` out.
 
+    Goals keep off what the robot's own map has (`map_topic`), and are driven to by Nav2 where `navigate` is set: `~/navigation` tells
+    how that goes, `~/cancel` ends it.
+
     Address and key come from `UNIGROUND_SERVER` and `UNIGROUND_API_KEY`; the key is no parameter, since everybody may read those.
     """
 
@@ -65,6 +72,11 @@ class Grounding(Node):
             "standoff_m": 0.6,
             "min_confidence": 0.5,
             "timeout_s": 10.0,
+            # What the robot itself knows of the floor, a map or a costmap; empty: goals are not checked.
+            "map_topic": "map",
+            # Whether Nav2 drives to every goal.
+            "navigate": False,
+            "navigate_action": "navigate_to_pose",
         }.items():
             self.declare_parameter(name, default)
         self.client = Client(self.value("server") or None)
@@ -83,6 +95,14 @@ class Grounding(Node):
         group = ReentrantCallbackGroup()
         self.create_service(Ground, "~/ground", self.on_request, callback_group=group)
         self.create_subscription(String, "~/question", self.on_question, 1, callback_group=group)
+        self.grid: FloorGrid | None = None
+        if self.value("map_topic"):
+            self.create_subscription(OccupancyGrid, self.value("map_topic"), self.on_map, kept, callback_group=group)
+        self.navigator: Navigator | None = None
+        if self.value("navigate"):
+            self.states = self.create_publisher(String, "~/navigation", kept)
+            self.navigator = Navigator(self, self.value("navigate_action"), group, self.on_navigation)
+            self.create_service(Trigger, "~/cancel", self.on_cancel, callback_group=group)
 
     def value(self, name: str):
         return self.get_parameter(name).value
@@ -101,6 +121,22 @@ class Grounding(Node):
         self.get_logger().info(f"{request.query}: {response.status}. {response.explanation}")
         if response.goal_reason and not response.has_goal:
             self.get_logger().warning(f"no goal: {response.goal_reason}")
+        return response
+
+    def on_map(self, grid: OccupancyGrid) -> None:
+        self.grid = FloorGrid.of(grid)
+
+    def on_navigation(self, state: str) -> None:
+        self.states.publish(String(data=state))
+        # Two lines: rclpy lets a line of code log with one severity only.
+        if state in ("unavailable", "rejected", "aborted"):
+            self.get_logger().warning(f"Nav2: goal {state}")
+        else:
+            self.get_logger().info(f"Nav2: goal {state}")
+
+    def on_cancel(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self.navigator.cancel()
+        response.message = "goal canceled" if response.success else "there is no goal"
         return response
 
     def answer(self, request: Ground.Request, response: Ground.Response) -> None:
@@ -144,18 +180,45 @@ class Grounding(Node):
         if not self.value("robot_radius_m"):
             here = self.placed(frames.told_in, self.value("robot_frame"))
             around = supports(scene, target.id)
-            response.goal = convert.goal(target.oriented_box, around, scan, here, self.value("standoff_m"), header)
+            goal = convert.goal(target.oriented_box, around, scan, here, self.value("standoff_m"), header)
+            if obstacle := self.obstacle(goal):
+                response.goal_reason = f"not on the straight line to the robot: {obstacle}"
+                return
+            response.goal = goal
             response.goal_reason = "on the straight line to the robot: walls and furniture are not looked at, robot_radius_m is not set"
         else:
             here = self.placed(frames.asked_in, self.value("robot_frame"))
-            found = scene.approach(self.robot(), instance_id=target.id, start=here.translation, frame=frames.choice, max_poses=1)
+            most = 1 if self.grid is None else MOST_PLACES
+            found = scene.approach(self.robot(), instance_id=target.id, start=here.translation, frame=frames.choice, max_poses=most)
             response.goal_reason = found.detail
             if found.status != "found":
                 return
-            response.goal = convert.stand(found.poses[0], scan, header)
-            self.paths.publish(convert.path(found.poses[0], scan, header))
+            obstacles = []
+            for pose in found.poses:
+                goal = convert.stand(pose, scan, header)
+                if obstacle := self.obstacle(goal):
+                    obstacles.append(obstacle)
+                    continue
+                response.goal, response.goal_reason = goal, pose.why
+                self.paths.publish(convert.path(pose, scan, header))
+                break
+            else:
+                response.goal_reason = f"the scan has {len(obstacles)} places to stand; at the best of them {obstacles[0]}"
+                return
         response.has_goal = True
         self.goals.publish(response.goal)
+        if self.navigator is not None:
+            self.navigator.send(response.goal)
+
+    def obstacle(self, goal: PoseStamped) -> str | None:
+        """What the robot's own map has against a goal; `None` without a map."""
+        grid = self.grid
+        if grid is None:
+            return None
+        position = [goal.pose.position.x, goal.pose.position.y, goal.pose.position.z]
+        if grid.frame_id != goal.header.frame_id:
+            position = self.placed(grid.frame_id, goal.header.frame_id).place(position)
+        return grid.obstacle(position, self.value("robot_radius_m"))
 
     def robot(self) -> models.Robot:
         """As the service wants it; it says what is missing."""
