@@ -17,7 +17,7 @@ pub fn correct(instances: &mut [Instance], corrections: &[Correction]) {
         match change {
             Change::Rename { instance_id, name } => {
                 modify_instances(instances, [instance_id], |instance| {
-                    instance.given_name = Some(name.clone())
+                    instance.given_name = Some(name.clone());
                 });
             }
             Change::Dismiss { instance_ids } => {

@@ -62,7 +62,7 @@ impl Triangle {
             .filter(|_| self.corners.iter().all(|c| c.uv.is_some()));
         let base = texture.map_or([255; 3], |texture| {
             let uv = |i: usize| mix(&|c| f64::from(c.uv.unwrap_or_default()[i])) as f32;
-            texture.at(uv(0), uv(1))
+            texture.interpolate(uv(0), uv(1))
         });
         (position, std::array::from_fn(|i| (f64::from(base[i]) * tint[i]).round() as u8))
     }

@@ -37,7 +37,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         .map(|name| find_folder(folder, name).ok_or_else(|| missing(name)));
     let (rgb, depth, calibration) = (rgb?, depth?, calibration?);
     let file = find_poses_file(folder).ok_or_else(|| {
-        missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 1)")
+        missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 10)")
     })?;
     let pictures = ScanImages {
         color: folder.files(&rgb, PICTURES)?,
