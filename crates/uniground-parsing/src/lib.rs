@@ -285,12 +285,10 @@ pub fn parse(
         stages: watch.stages,
         warnings: blind_frame_warnings(frames.len(), &blind),
     };
-    let instance_of_point = labels.thing_of_point.into_owned();
-    let superpoint_of_point = superpoints.of_point;
     Ok(ParsedScene {
         cloud,
-        instance_of_point,
-        superpoint_of_point,
+        instance_of_point: labels.thing_of_point.into_owned(),
+        superpoint_of_point: superpoints.of_point,
         instances,
         embeddings,
         frame_embeddings,

@@ -13,152 +13,157 @@ from typing import Any, Literal, Optional, TypedDict
 from uniground._values import AnswerMethods, BoxMethods, ShortRepr, ThingMethods, Vector
 
 Ablation = Literal["full", "no_global", "no_candidate", "simple_prompt", "raw_render", "no_loop"]
-"""Parts of the paper's prompt left out; only a vision-language model has a prompt."""
+"""Parts of the paper's prompt to omit. Applies only to a vision-language model."""
 ApproachStatus = Literal["found", "none_possible", "not_grounded"]
-"""Whether there is a place to stand."""
+"""Whether a standing pose was found."""
 BatchState = Literal["running", "paused", "succeeded", "cancelled"]
-"""Where a batch stands."""
+"""State of a batch."""
 Binary = str
-"""Bytes: a file as it is."""
+"""The bytes of a file."""
 CandidateSource = Literal["fused", "encoder", "reasoner"]
-"""Who chooses the candidates: what a vision-language model is shown and may choose from."""
+"""Source of the candidates that a vision-language model is shown and can choose from."""
 DirectionConvention = Literal["paper", "viewer"]
-"""Named conventions. World frame, Z up."""
+"""Convention for left, right, front and back. World frame, Z up."""
 EvidenceMode = Literal["full", "cached_names", "sheet", "two_step"]
-"""What a vision-language model is shown of the candidates."""
+"""Pictures of the candidates that a vision-language model is shown."""
 FailedCondition = Literal["start_not_free", "no_floor", "no_room", "not_reachable", "out_of_reach", "not_visible"]
-"""The first condition that left no place to stand, in the order they are looked at."""
+"""The first condition that excluded all positions, in the order of checking."""
 FrameChoice = Literal["scene", "source", "map"]
-"""Whose coordinates a question and its answer's boxes are in. The scene's own are told in any case."""
+"""Frame of a question's observer, and additional frame of the answer's boxes. Boxes in the scene's frame are always returned."""
 FrameIndex = int
-"""Position of a frame in the scan's own list; stable when frames are skipped."""
+"""Index of a frame in the scan's own list. Skipped frames keep their index."""
 GraphRelation = Literal["part_of", "on", "on_wall", "inside", "above", "next_to", "in_zone"]
-"""A relation of the graph."""
+"""A relation between two nodes."""
 Include = Literal["candidates", "evidence", "trace"]
-"""Parts of an answer that can be left out of the reply."""
+"""Optional parts of an answer."""
 InstanceId = int
-"""Number of an instance within its scene, counted from 1: things in falling order of points, then parts and wholes, best shown first."""
+"""Id of an instance within its scene, from 1: objects by descending number of points, then parts and wholes, best visible first."""
 JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
-"""Where a job stands. `succeeded`, `failed` and `cancelled` are final."""
+"""State of a job. `succeeded`, `failed` and `cancelled` are final."""
 Level = Literal["thing", "part", "whole"]
-"""What an instance is among the others. Every point belongs to one thing or none; parts and wholes overlap them."""
+"""Level of an instance. Each point belongs to at most one object. Parts and wholes overlap objects."""
 LevellingChoice = Literal["auto", "off"]
-"""Whether a world that is tilted is turned level."""
+"""Whether to level a tilted world."""
 MaskOrder = Literal["ascending_quality", "larger_first"]
-"""How masks that overlap are painted."""
+"""Order in which overlapping masks are painted."""
 Message = Mapping[str, Any]
-"""A message of JSON-RPC 2.0."""
+"""A JSON-RPC 2.0 message."""
 NoMatchReason = Literal["absent", "not_recognised", "not_english", "elsewhere", "none_seen", "not_listed"]
-"""Why nothing was chosen."""
+"""Why no object was chosen."""
 NodeKind = Literal["thing", "part", "whole", "structure", "zone"]
-"""What kind of node it is."""
+"""Kind of node."""
 Normalisation = Literal["normalised", "literal"]
-"""How Eq. (1) averages over frames."""
+"""Averaging of Eq. (1) over frames."""
 ParsePreset = Literal["default", "paper"]
-"""Where settings start from; given settings then replace single values."""
+"""Preset of settings. Given settings override its values."""
 ParserChoice = Literal["auto", "builtin", "vlm"]
-"""Who reads the question."""
+"""The parser of the question."""
 PartChoice = Literal["configured", "builtin"]
-"""Who does a part of the work."""
+"""Choice of a component."""
 PoseConvention = Literal["camera_to_world", "world_to_camera"]
-"""How poses are to be read."""
+"""Direction of the poses in the files."""
 PromptVersion = Literal["paper", "revised"]
-"""What a vision-language model is told."""
+"""Version of the prompt for a vision-language model."""
 QueryText = Literal["full", "target", "mean"]
-"""Which words are compared with instances for the shortlist."""
+"""Text that is compared with instances to select candidates."""
 ReasonerChoice = Literal["auto", "vlm", "builtin"]
-"""Who decides."""
+"""The reasoner that decides."""
 Role = Literal["masks", "encoder"]
-"""What a model is for."""
+"""Role of a model."""
 SamPrompts = Literal["grid", "segments"]
-"""Where a promptable segmenter is asked."""
+"""Prompt points of a promptable segmentation model."""
 SceneStatus = Literal["uploaded", "parsing", "ready", "failed"]
-"""How far a scene has come."""
+"""Status of a scene."""
 Scope = Literal["read", "write", "admin"]
-"""What a key lets its holder do; each includes those before it."""
+"""Scope of a key. Each scope includes the previous ones."""
 Status = Literal["grounded", "uncertain", "ambiguous", "no_match"]
-"""Whether the question has an answer in this room."""
+"""Status of an answer."""
 Structure = Literal["floor", "ceiling", "wall"]
-"""Part of the building rather than an object in it."""
+"""Kind of building element."""
 UpAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
-"""The world axis that points up in the file; after import it is always `z`."""
+"""The axis that points up in a file. After import it is always `z`."""
 UploadState = Literal["receiving", "making", "done", "refused"]
-"""How far an upload has come."""
+"""State of an upload."""
 
 @dataclass(repr=False)
 class Aabb(BoxMethods):
-    """Axis-aligned box in the world frame (metres, Z up): the benchmark's `(cx, cy, cz, dx, dy, dz)`."""
+    """Axis-aligned box in the world frame (meters, Z up): the benchmark's `(cx, cy, cz, dx, dy, dz)`."""
     center: Vector
-    """Centre, metres, world frame (Z up)."""
+    """Center; meters, world frame (Z up)."""
     size: Vector
-    """Full extent along X, Y and Z, metres."""
+    """Full extent along X, Y and Z, meters."""
 
 
 @dataclass
 class Alternative:
-    """Another instance the question may mean."""
+    """Another instance that the question may refer to."""
     id: InstanceId
-    """Numbered from 1 within the parse the answer comes from."""
+    """Id within the parse of the answer, from 1."""
     confidence: float
-    """Share of the belief, `0..=1`."""
+    """Share of the total confidence, `0..=1`."""
     box: Aabb
-    """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
+    """Axis-aligned box without outlier points; meters, world frame (Z up)."""
     name: Optional[str] = None
-    """What it is called, without regard to the question; empty in answers given before this was told."""
+    """Name of the object, independent of the question. Empty in answers from older versions."""
     oriented_box: Optional[OrientedBox] = None
     view: Optional[str] = None
-    """Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service."""
+    """Path of a cropped picture with the best view of the object. `null` if no frame shows it, or without a server."""
 
 
 @dataclass(repr=False)
 class Answer(AnswerMethods):
-    """The answer to a question. `box` is set when the status is `grounded`, or `uncertain`."""
+    """The answer to a question. `box` is set if the status is `grounded` or `uncertain`."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     scene_id: str
-    """UUIDv7 of the scene that was asked about."""
+    """UUIDv7 of the scene."""
     parse_version: int
-    """Number of the scene's parse that was asked, from 1; instance ids belong to it."""
+    """Version of the scene's parse that was used, from 1. Instance ids belong to it."""
     query: str
-    """The question, word for word."""
+    """The question, unchanged."""
     status: Status
-    """Whether one object fits, surely or not, several or none."""
+    """Whether an object was found: `grounded`, `uncertain`, `ambiguous` or `no_match`."""
     answer: SixFields
-    """The six fields."""
+    """The six output fields of the paper."""
     confidence: float
-    """Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known what is asked for."""
+    """Confidence in the answer, `0..=1`. For `no_match`, confidence that no object fits; 0.5 if the question was not understood."""
     alternatives: list[Alternative]
-    """Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`."""
+    """Other instances that the question may refer to, most likely first. If `ambiguous`, the tied instances come first. Empty for
+    `no_match`.
+    """
     parsed_query: ParsedQuerySummary
-    """How the question was understood."""
+    """The parsed question."""
     models: Models
-    """Who found, compared, read and decided."""
+    """Components that produced the answer."""
     direction_convention: str
-    """Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the door" in the question comes before it."""
+    """Convention for left, right, front and back: `paper`, `viewer` or `observer`. An orientation in the question, like "facing the door",
+    takes precedence.
+    """
     frame: CoordinateFrame
-    """The frame of all boxes here, but for those of `in_frame`."""
+    """The coordinate frame of all boxes except those in `in_frame`."""
     usage: Usage
-    """What the calls took and cost."""
+    """Usage and cost of the model calls."""
     timings_ms: Timings
-    """What each step took, milliseconds."""
+    """Duration of each step, milliseconds."""
     box: Optional[Aabb] = None
     candidates: Optional[list[Candidate]] = None
-    """Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent where `include` leaves it out."""
+    """Candidates, best first, at most `top_k`. Objects shown to a model only for orientation have score 0. Absent if `include` omits them.
+    """
     count: Optional[int] = None
-    """How many there are; absent where the question asks for one thing."""
+    """Number of matching objects. Absent if the question asks for a single object."""
     degraded: Optional[bool] = None
-    """A built-in part took the place of a model that could not be used, or that never chose a candidate; `trace.corrections` says why."""
+    """Whether a built-in component replaced a model that failed or returned no valid candidate. `trace.corrections` gives the reason."""
     evidence: Optional[list[str]] = None
-    """Paths of the pictures that go with the answer."""
+    """Paths of the pictures used as evidence."""
     in_frame: Optional[InFrame] = None
     no_match_reason: Optional[NoMatchReason] = None
     oriented_box: Optional[OrientedBox] = None
     seen: Optional[Seen] = None
     stored: Optional[bool] = None
-    """`false`: the server could not keep this answer (its disk is full, say). It is given here and can not be asked for again."""
+    """Whether the server stored this answer. If `false` (for example on a full disk), the answer cannot be fetched again."""
     targets: list[Target] = field(default_factory=list)
-    """All things the question means, best first: several where it asks for several ("the chairs", "how many mugs"), else the answer's own;
-    empty unless `grounded` or `uncertain`, and in answers given before this was told.
+    """All objects that the question refers to, best first. More than one if the question asks for several ("the chairs", "how many mugs").
+    Empty unless `grounded` or `uncertain`, and in answers from older versions.
     """
     trace: Optional[Trace] = None
 
@@ -167,65 +172,65 @@ class Answer(AnswerMethods):
 class AnswerList:
     """A page of answers, newest first."""
     answers: list[Answer]
-    """Newest first, each as it was given."""
+    """Answers, newest first."""
     next_cursor: Optional[str] = None
-    """`cursor` of the next page; `null` on the last."""
+    """Cursor of the next page. `null` on the last page."""
 
 
 @dataclass
 class AnswerPrompt:
-    """Every prompt of an answer, in order."""
+    """All prompts of an answer, in order."""
     model: str
-    """The model that was asked, by the name its endpoint knows it by."""
+    """Name of the model at its endpoint."""
     calls: list[PromptCall]
-    """In the order they were made."""
+    """Calls in order."""
 
 
 @dataclass
 class AnswerReply:
-    """Every reply of an answer, in order."""
+    """All replies for an answer, in order."""
     model: str
-    """The model that was asked, by the name its endpoint knows it by."""
+    """Name of the model at its endpoint."""
     calls: list[ReplyCall]
-    """In the order they were made, one for every prompt."""
+    """Replies in order, one for each prompt."""
 
 
 class AppearanceSettings(TypedDict, total=False):
-    """Which pictures of an instance an encoder looks at."""
+    """Pictures of an instance for the encoder."""
     frames: int
-    """Frames looked at as a whole, spread over the scan: for what is in no instance. Paper: none."""
+    """Number of full frames to encode, spread over the scan, for content outside of instances. At most 1000. Default: 40. Paper: none."""
     level_step: float
-    """Level `l` grows the tight box by `l` times this share of its width and height, per side. Paper: 0.1."""
+    """Crop `l` enlarges the tight box by `l` times this share of its width and height per side. Default and paper: 0.1."""
     levels: int
-    """Crops per view. Paper: 5."""
+    """Number of crops per view, 1 to 16. Default: 3. Paper: 5."""
     min_visible: float
-    """Least share of its points a view must show; the best view always counts. Paper: 0.2."""
+    """Minimum share of the instance's points that a view must show. The best view is always used. Default and paper: 0.2."""
     views: int
-    """Views looked at per instance, those that show most. Paper: 10."""
+    """Number of views per instance, best visible first, 1 to 100. Default: 5. Paper: 10."""
 
 
 @dataclass(repr=False)
 class Approach(ShortRepr):
-    """Where to stand for a thing, best first, or why nowhere."""
+    """Standing poses for an object, best first, or the reason why none exists."""
     scene_id: str
     """UUIDv7 of the scene."""
     parse_version: int
-    """Number of the scene's parse, from 1; instance ids belong to it."""
+    """Version of the scene's parse, from 1. Instance ids belong to it."""
     status: ApproachStatus
-    """Whether there is a place to stand."""
+    """Whether a standing pose was found."""
     poses: list[StandingPose]
-    """Best first: near the thing, little to drive, much of it in sight, room around."""
+    """Poses, best first: near the object, with a short path, good visibility and much clearance."""
     detail: str
-    """What came of it, in words."""
+    """The result in words, for people."""
     frame: CoordinateFrame
-    """The frame of all coordinates here, but those of `in_frame`."""
+    """The coordinate frame of all coordinates except those in `in_frame`."""
     answer_id: Optional[str] = None
-    """The answer to `query`, at `/v1/answers/{id}`; `null` without one."""
+    """Id of the answer to `query`, available at `/v1/answers/{id}`. `null` without a query."""
     answer_status: Optional[Status] = None
     cells: Optional[CellCounts] = None
     failed: Optional[FailedCondition] = None
     floor_z_m: Optional[float] = None
-    """Height of the floor, metres, world frame; `null` where `not_grounded`."""
+    """Height of the floor; meters, world frame. `null` if `not_grounded`."""
     in_frame: Optional[PosesInFrame] = None
     start: Optional[Start] = None
     target: Optional[ApproachTarget] = None
@@ -235,183 +240,183 @@ _ApproachOptions = TypedDict("_ApproachOptions", {"from": "Optional[FloorPoint]"
 class ApproachOptions(_ApproachOptions, total=False):
     """What `ApproachRequest` may have besides."""
     frame: FrameChoice
-    """Whose coordinates `from` is in, and in which poses are told beside the scene's own (`in_frame`)."""
+    """Frame of `from`, and additional frame of the result (`in_frame`). Default: `scene`."""
     instance_id: Optional[InstanceId]
-    """An instance of the scene's current parse."""
+    """Id of an instance of the scene's current parse."""
     max_distance_m: float
-    """Greatest horizontal distance from the middle of the robot to the thing's nearest point, metres."""
+    """Maximum horizontal distance from the robot's center to the object's nearest point, meters. Default: 2.5."""
     max_poses: int
-    """Most poses to send back; fewer where there are not so many apart from each other."""
+    """Maximum number of poses. Fewer are returned if not enough lie apart from each other. Default: 3."""
     min_distance_m: float
-    """Least horizontal distance from the middle of the robot to the thing's nearest point, metres."""
+    """Minimum horizontal distance from the robot's center to the object's nearest point, meters. Default: 0."""
     query: Optional[str]
-    """What to find, in plain English: answered by the built-in reasoner, and kept like any answer."""
+    """Description of the object in English. The built-in reasoner answers it, and the answer is stored."""
 class ApproachRequest(ApproachOptions):
-    """Asks where to stand for a thing: one of `instance_id` and `query`."""
+    """A request for standing poses. Exactly one of `instance_id` and `query` is required."""
     robot: Robot
-    """Who is to stand there."""
+    """The robot."""
 
 
 @dataclass
 class ApproachTarget:
-    """What is approached."""
+    """The object to approach."""
     id: InstanceId
-    """Numbered from 1 within the parse."""
+    """Id within the parse, from 1."""
     name: str
-    """What it is called."""
+    """Name of the object."""
     box: Aabb
-    """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
+    """Axis-aligned box without outlier points; meters, world frame (Z up)."""
     oriented_box: OrientedBox
-    """Box turned about the vertical to fit it."""
+    """Box rotated about the vertical axis."""
     support: Support
-    """What it stands on or hangs on."""
+    """What the object stands on or hangs on."""
 
 
 @dataclass(repr=False)
 class AuditEntry(ShortRepr):
-    """Something that was done: a request that changes what is stored."""
+    """An entry of the audit log: a request that changed stored data."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     at: str
-    """RFC 3339, UTC."""
+    """Time, RFC 3339 UTC."""
     method: str
     """HTTP method."""
     path: str
-    """What was asked for, without its query."""
+    """Path of the request, without the query."""
     status: int
-    """HTTP status of the answer."""
+    """HTTP status of the response."""
     key_id: Optional[str] = None
-    """Whose key; `null`: the server's own key, or nobody's where none is wanted."""
+    """Id of the key. `null` for the server's own key, and without authentication."""
     request_id: Optional[str] = None
-    """As the header `x-request-id` and the log have it."""
+    """Request id, as in the header `x-request-id` and in the log."""
 
 
 @dataclass
 class AuditList:
-    """A page of what was done, newest first."""
+    """A page of the audit log, newest first."""
     entries: list[AuditEntry]
-    """Newest first."""
+    """Entries, newest first."""
     next_cursor: Optional[str] = None
-    """`cursor` of the next page; `null` on the last."""
+    """Cursor of the next page. `null` on the last page."""
 
 
 @dataclass(repr=False)
 class Batch(ShortRepr):
-    """A batch as it stands."""
+    """A batch and its progress."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     state: BatchState
-    """Where it stands."""
+    """State of the batch."""
     items: int
-    """Questions in it."""
+    """Number of questions."""
     done: int
-    """Of those, answered or failed."""
+    """Number of questions that are answered or failed."""
     by_status: dict[str, int]
-    """Done ones by the status of their answer, or `failed`."""
+    """Number of finished questions by answer status, or `failed`."""
     cost_usd: float
-    """What the answers cost, US dollars."""
+    """Cost of the answers, US dollars."""
     created_at: str
-    """RFC 3339, UTC."""
+    """Creation time, RFC 3339 UTC."""
     eta_s: Optional[float] = None
-    """Seconds until all are done, as it went so far; absent while nobody can tell."""
+    """Estimated seconds until the batch is finished. Absent while unknown."""
     finished_at: Optional[str] = None
-    """RFC 3339, UTC."""
+    """Completion time, RFC 3339 UTC. `null` until then."""
     job_id: Optional[str] = None
-    """The job that asks them: follow it at `/v1/jobs/{job_id}/events`."""
+    """Id of the job that runs the batch. Its progress is at `/v1/jobs/{job_id}/events`."""
     label: Optional[str] = None
-    """As it was submitted."""
+    """Display name."""
     reason: Optional[str] = None
-    """Why it is paused, where nobody asked for that: a stable code."""
+    """Why the server paused the batch: a stable code. Absent if a user paused it."""
 
 
 class BatchItemOptions(TypedDict, total=False):
     """What `BatchItem` may have besides."""
     ablation: Ablation
-    """For experiments: what a vision-language model is not told."""
+    """For experiments: parts to omit from the prompt. Default: `full`, which omits nothing."""
     allow_builtin: bool
-    """Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
+    """Whether to answer by names and measurements if the encoder fails or is not the one of the parse. The answer is then marked as
+    `degraded`. Default: `false`.
     """
     candidates: CandidateSource
-    """Who chooses the candidates that a vision-language model is shown."""
+    """Source of the candidates for a vision-language model. Default: `fused`."""
     direction_convention: DirectionConvention
-    """What left, right, front and back mean; an `observer` comes before it."""
+    """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
     evidence: EvidenceMode
-    """What a vision-language model is shown of the candidates."""
+    """Pictures of the candidates that a vision-language model is shown. Default: `full`."""
     frame: FrameChoice
-    """Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer."""
+    """Frame of `observer`, and additional frame for the boxes (`in_frame` of the answer). Default: `scene`."""
     include: Optional[Sequence[Include]]
-    """Optional parts to send back; all when left out."""
+    """Optional parts to return. Default: all."""
     max_cost_usd: Optional[float]
-    """Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked."""
+    """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are right of
-    what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5, where about four of five
+    answers are correct for objects named by a model or a person, and two of three for other objects. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
-    """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
-    `frame` names.
-    """
+    """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""
     parser: ParserChoice
-    """Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
-    something open; never the model where `reasoner` is `builtin`.
+    """Parser of the question. Default: `auto`, which uses the grammar, and the configured model for questions that the grammar does not
+    fully understand. Never calls the model if `reasoner` is `builtin`.
     """
     prompt: PromptVersion
-    """What a vision-language model is told."""
+    """Version of the prompt for a vision-language model. Default: `revised`."""
     query_text: QueryText
-    """Which words are compared with the instances' looks, where an encoder has seen them."""
+    """Text that is compared with the appearance of instances, if an encoder has processed the scene. Default: `mean`."""
     reasoner: ReasonerChoice
-    """Who decides."""
+    """The reasoner that decides. Default: `auto`."""
     timeout_s: Optional[float]
-    """Give up after this many seconds."""
+    """Timeout, seconds, at most 3600."""
     top_k: int
-    """Candidates to keep; contact sheets (`evidence`) show 24 at least."""
+    """Maximum number of candidates, 1 to 100. Contact sheets (`evidence`) use at least 24. Default: 5."""
 class BatchItem(BatchItemOptions):
-    """One question of a batch: the scene, and all that a question may have."""
+    """One question of a batch: the scene and all fields of a question."""
     scene_id: str
-    """UUIDv7 of the scene that is asked about."""
+    """UUIDv7 of the scene."""
     query: str
-    """What to find, in plain English."""
+    """Description of the object in English, 1 to 1000 characters."""
 
 
 @dataclass
 class BatchList:
     """A page of batches, newest first."""
     batches: list[Batch]
-    """Newest first."""
+    """Batches, newest first."""
     next_cursor: Optional[str] = None
-    """`cursor` of the next page; `null` on the last."""
+    """Cursor of the next page. `null` on the last page."""
 
 
 class BatchOptions(TypedDict, total=False):
     """What `BatchRequest` may have besides."""
     concurrency: Optional[int]
-    """Questions asked at once; default: 4."""
+    """Number of questions answered in parallel, 1 to 64. Default: 4."""
     defaults: Mapping[str, Any]
-    """Fields of every item that does not have them itself, `scene_id` too."""
+    """Default fields of all items, may include `scene_id`. Fields of an item take precedence."""
     label: Optional[str]
-    """For people."""
+    """Display name, at most 200 characters."""
     max_cost_usd: Optional[float]
-    """Most that all questions together may cost, US dollars. Where it is spent, the batch pauses. With it, `auto` items are asked as `vlm`.
+    """Spending limit for the whole batch, US dollars. The batch pauses when it is reached. If set, `auto` items use the vision-language
+    model.
     """
 class BatchRequest(BatchOptions):
-    """A list of questions, and what holds for all of them."""
+    """A new batch: a list of questions and common options."""
     items: Sequence[BatchItem]
-    """Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are sent as JSONL, an item a line."""
+    """Questions with `scene_id`, `query` and any other fields of a question. Send longer lists as JSONL, one item per line."""
 
 
 @dataclass(repr=False)
 class BatchResult(ShortRepr):
-    """What came of one item: a line of the results."""
+    """Result of one item: one line of the results."""
     item: int
-    """Its place in the batch, from 0."""
+    """Index of the item in the batch, from 0."""
     scene_id: str
-    """The scene it asks about."""
+    """UUIDv7 of the scene."""
     query: str
-    """The question; empty where the item has none."""
+    """The question. Empty if the item has none."""
     status: str
     """Status of the answer, or `failed`."""
     answer_id: str
-    """Where the answer is kept: `/v1/answers/{answer_id}`."""
+    """Id of the answer, available at `/v1/answers/{answer_id}`."""
     answer: Optional[Answer] = None
     error: Optional[JobError] = None
 
@@ -420,341 +425,342 @@ class BatchResult(ShortRepr):
 class Call:
     """One call of a vision-language model."""
     purpose: str
-    """`parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`, `inconsistent`."""
+    """Purpose of the call: `parse`, `naming`, `spatial`, or the defect of the previous reply that it corrects: `out_of_set`, `unreadable`,
+    `inconsistent`.
+    """
     attempts: int
-    """How often the endpoint was tried; 0 when nothing was sent."""
+    """Number of requests sent to the endpoint. 0 if none was sent."""
     latency_ms: float
-    """Wall-clock milliseconds over all attempts, waits between them included."""
+    """Total duration in milliseconds, including all attempts and the delays between them."""
     prompt_tokens: int
-    """Tokens of the prompt as the endpoint counts them, estimated where it does not; 0 without a reply."""
+    """Tokens of the prompt as reported by the endpoint, else estimated. 0 without a reply."""
     completion_tokens: int
-    """Tokens of the reply, counted alike; 0 without a reply."""
+    """Tokens of the reply, counted the same way. 0 without a reply."""
     error: Optional[str] = None
-    """Why there was no reply."""
+    """Error if there was no reply."""
 
 
 @dataclass(repr=False)
 class Candidate(ShortRepr):
-    """An instance that may be meant."""
+    """An instance that the question may refer to."""
     id: InstanceId
-    """Numbered from 1 within the parse; instances with more points come first."""
+    """Id within the parse, from 1. Instances with more points have lower ids."""
     rank: int
-    """From 1."""
+    """Rank, from 1."""
     score: float
-    """Fit to the question, `0..=1`."""
+    """How well it fits the question, `0..=1`."""
     box: Aabb
-    """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
+    """Axis-aligned box without outlier points; meters, world frame (Z up)."""
     name: Optional[str] = None
-    """What it is called, without regard to the question; empty in answers given before this was told."""
+    """Name of the object, independent of the question. Empty in answers from older versions."""
     oriented_box: Optional[OrientedBox] = None
     view: Optional[str] = None
-    """Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service."""
+    """Path of a cropped picture with the best view of the object. `null` if no frame shows it, or without a server."""
 
 
 @dataclass(repr=False)
 class CellCounts(ShortRepr):
-    """Cells of the floor that each condition left, of those that the conditions before it had left."""
+    """Number of floor cells that remain after each condition."""
     near: int
-    """Within the limits of distance."""
+    """Cells within the distance limits."""
     floor: int
-    """With floor, and nothing on or above it that is lower than the robot."""
+    """Cells with observed floor and no obstacle lower than the robot."""
     clear: int
-    """No nearer to an obstacle than the robot's radius."""
+    """Cells at least the robot's radius away from obstacles."""
     connected: int
-    """In one free area with `from`; without it, in the largest near the thing that is no pocket."""
+    """Cells connected to `from`, or without `from` in the largest free area near the object."""
     in_reach: int
-    """From where the arm reaches; all where no reach was given."""
+    """Cells from which the arm reaches the object. All cells if no reach is given."""
     looked_from: int
-    """Looked from: the clearest of every nine cells."""
+    """Cells tested for visibility: the one with the most clearance in every nine cells."""
     visible: int
-    """From where enough of the thing is in sight."""
+    """Cells that see enough of the object."""
 
 
 class ChangeOptions(TypedDict, total=False):
     """What `Change` may have besides."""
     instance_id: InstanceId
-    """Which thing."""
+    """Id of the instance."""
     name: Optional[str]
-    """What people would call it; left out, its measures tell."""
+    """Name of the new instance, 1 to 100 characters. If omitted, it is named automatically."""
     instance_ids: Sequence[InstanceId]
-    """Two things or more, at most 100."""
+    """Ids of the instances, 2 to 100."""
 class Change(ChangeOptions):
-    """What is to be different."""
+    """A correction of the parse."""
     kind: Literal["rename", "dismiss", "merge", "split"]
 
 
 @dataclass(repr=False)
 class ChangedThing(ThingMethods):
-    """A thing that changed."""
+    """A changed object."""
     id: InstanceId
-    """In the look it is in: the earlier one for what is gone, the later one for what appeared."""
+    """Instance id in its version: the earlier one for `gone`, the later one for `appeared`."""
     label: str
-    """What it is called."""
+    """Name of the object."""
     box: Aabb
-    """Its box, metres, in the coordinates of that look."""
+    """Box, meters, in the coordinates of that version."""
 
 
 @dataclass(repr=False)
 class Changes(ShortRepr):
-    """Things that are not as they were. Floor, walls and ceilings are left out."""
+    """Changed objects. Excludes floor, walls and ceilings."""
     appeared: list[ChangedThing]
-    """Things that stand where nothing was before."""
+    """New objects in places that were empty before."""
     gone: list[ChangedThing]
-    """Things whose place is empty now."""
+    """Objects whose place is now empty."""
     moved: list[MovedThing]
-    """Things that are gone in one place and, alike in size, colour and name, appeared in another."""
+    """Objects that disappeared from one place and appeared in another, with similar size, color and name."""
     first_seen: list[ChangedThing]
-    """Things nobody had seen before, though they may have been there: no frame had looked at their places, or too few for it to be known.
-    """
+    """Objects observed for the first time that may have been there before, because too few earlier frames show their places."""
     not_seen: list[ChangedThing]
-    """Things in places that the later scan did not look at: nobody knows whether they are still there."""
+    """Objects whose places the later scan did not observe. Whether they are still there is unknown."""
     regrouped: list[ChangedThing]
-    """Things of before that are no things of their own any more, though their surfaces are still there: the same points are grouped
-    otherwise.
-    """
+    """Earlier objects whose points now belong to other instances. Their surfaces are still there."""
     unchanged: int
-    """How many things stayed."""
+    """Number of unchanged objects."""
 
 
 @dataclass
 class CoordinateFrame:
-    """The frame all coordinates are in."""
+    """The coordinate frame of all coordinates."""
     up: str
-    """The axis that points up, always `z`: scans are turned when they are imported."""
+    """The axis that points up. Always `z`, because scans are rotated during import."""
     units: str
-    """Unit of lengths, always `m` (metres)."""
+    """Unit of lengths. Always `m` (meters)."""
 
 
 @dataclass
 class Correction:
-    """A change somebody has made."""
+    """A stored correction."""
     id: str
-    """UUIDv7; in order of time, in which they take effect."""
+    """UUIDv7, so ids sort by time. Corrections apply in this order."""
     change: Change
-    """What is different."""
+    """The correction."""
     created_at: str
-    """When it was made, RFC 3339 UTC."""
+    """Creation time, RFC 3339 UTC."""
     author: Optional[str] = None
-    """Name of the key it was made with; `null` for the server's own, and where no key is wanted."""
+    """Name of the key that made it. `null` for the server's own key, and without authentication."""
     made: Optional[InstanceId] = None
     undone_at: Optional[str] = None
-    """When it was taken back, RFC 3339 UTC; `null` while it holds."""
+    """Time when it was undone, RFC 3339 UTC. `null` while it applies."""
 
 
 @dataclass
 class CorrectionList:
     """All corrections of a scene's current parse."""
     corrections: list[Correction]
-    """Newest first, those that were taken back included."""
+    """Corrections, newest first, including undone ones."""
 
 
 class CorrectionSettings(TypedDict, total=False):
-    """How a segmentation model corrects the outlines of instances in pictures."""
+    """Correction of instance outlines in pictures by a segmentation model."""
     known_agreement: Optional[float]
-    """From this F-score on a mask that was found in the frame anyway is believed, and the segmenter not asked again. `null`: always ask."""
+    """F-score from which an existing mask of the frame is reused instead of a new prompt. `null` always prompts. Default: 0.8."""
     min_agreement: float
-    """A mask agrees with the projection from this F-score on: it holds its pixels and not much else."""
+    """Minimum F-score between a mask and the projection. Default: 0.6."""
     points: int
-    """Random visible pixels per prompt. Paper: 5."""
+    """Number of random visible pixels per prompt, 1 to 100. Default and paper: 5."""
     rounds: int
-    """Prompts tried per view. Paper: 10. 0 leaves the projection as it is."""
+    """Maximum number of prompts per view, at most 100. 0 disables the correction. Default: 2. Paper: 10."""
 
 
 @dataclass
 class Created:
-    """A new scene and the job that parses it."""
+    """A new scene and its parse job."""
     scene: Scene
-    """As it stands now; with a known `Idempotency-Key`, the scene that key made before."""
+    """The scene. With a known `Idempotency-Key`, the scene of the first request."""
     job: Optional[Job] = None
 
 
 @dataclass(repr=False)
 class CreatedKey(ShortRepr):
-    """A key that was just made."""
+    """A newly created key with its secret."""
     spent_today_usd: float
-    """What its questions cost today (UTC), US dollars."""
+    """Cost of the key's questions today (UTC), US dollars."""
     secret: str
-    """What callers show as a bearer token. It is told this once: only its hash is kept."""
+    """The secret that callers send as a bearer token. It is returned only once; the server stores only its hash."""
     scope: Scope
-    """What it lets its holder do."""
+    """Scope of the key."""
     prefix: str
-    """How the secret begins: enough to know it again."""
+    """Beginning of the secret, for recognition."""
     name: str
-    """Who holds it."""
+    """Name of the holder."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     created_at: str
-    """RFC 3339, UTC."""
+    """Creation time, RFC 3339 UTC."""
     daily_usd: Optional[float] = None
-    """Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may spend."""
+    """Spending limit for questions per day (UTC), US dollars. `null`: the server's limit."""
     expires_at: Optional[str] = None
-    """From then on it is refused, RFC 3339 UTC; `null`: never."""
+    """Expiry time, RFC 3339 UTC. `null`: never."""
     last_used_at: Optional[str] = None
-    """When it was last shown, to the minute, RFC 3339 UTC."""
+    """Time of the last use, to the minute, RFC 3339 UTC. `null`: never used."""
     max_scenes: Optional[int] = None
-    """Scenes it may have uploaded and not deleted; `null`: no limit."""
+    """Maximum number of scenes the key may own. `null`: no limit."""
     requests_per_minute: Optional[int] = None
-    """Requests a minute; `null`: no limit."""
+    """Maximum number of requests per minute. `null`: no limit."""
     revoked_at: Optional[str] = None
-    """Since when it is refused, RFC 3339 UTC."""
+    """Time of revocation, RFC 3339 UTC. `null` if not revoked."""
 
 
 @dataclass
 class DiskUse:
-    """Bytes on the disk."""
+    """Disk usage in bytes."""
     database_bytes: int
-    """The database with its journal."""
+    """Size of the database with its journal."""
     free_bytes: int
-    """What may still be written."""
+    """Available disk space."""
     blob_bytes: Optional[dict[str, int]] = None
-    """Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `uploads` (in parts), `tmp`,
-    `quarantine`. Measured in the background, a minute apart at least; `null` until that was done once.
+    """Size of files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (evidence of models), `uploads` (unfinished), `tmp`,
+    `quarantine`. Measured in the background at most once a minute. `null` before the first measurement.
     """
 
 
 @dataclass
 class ExportedScene:
-    """What was found in a scene, as corrected."""
+    """The instances of a scene, with corrections applied."""
     scene_id: str
     """UUIDv7."""
     name: str
-    """What the scene is called."""
+    """Name of the scene."""
     parse_version: int
-    """Which parse the instances are of: counted from 1, one more whenever the scene is parsed again."""
+    """Version of the parse of the instances, from 1. Each new parse increments it."""
     frame: CoordinateFrame
-    """The frame of all coordinates."""
+    """The coordinate frame of all coordinates."""
     instances: list[InstanceView]
-    """Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what was dismissed is left out."""
+    """Objects including floor, walls and ceiling, then parts and wholes, ordered by id. Excludes dismissed instances."""
 
 
 @dataclass
 class FieldError:
-    """A field of a request that is wrong, and why."""
+    """An invalid field of a request."""
     pointer: str
     """JSON pointer into the request body, or the name of a query parameter."""
     detail: str
-    """What would be right."""
+    """The expected value."""
 
 
 @dataclass(repr=False)
 class FloorMap(ShortRepr):
-    """The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The picture's upper left pixel is at the least x
-    and the greatest y.
+    """Metadata of a scene's floor map in the format of the ROS `map_server`. The JSON is also valid YAML. The upper left pixel has the
+    smallest x and the largest y.
     """
     image: str
-    """Name of the picture beside this file."""
+    """File name of the image next to this file."""
     mode: str
     """Always `trinary`: a cell is free, occupied or unknown."""
     resolution: float
-    """Side of a pixel, metres."""
+    """Size of a pixel, meters."""
     origin: Vector
-    """x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and radians, always 0."""
+    """x, y and yaw of the lower left corner of the lower left pixel; meters and radians, world frame. The yaw is always 0."""
     negate: int
-    """Always 0: white is free, black occupied."""
+    """Always 0: white is free and black is occupied."""
     occupied_thresh: float
-    """A pixel `p` is occupied where `(255 - p) / 255` is above this: black, 0."""
+    """A pixel `p` is occupied if `(255 - p) / 255` is above this value. Occupied pixels are black, 0."""
     free_thresh: float
-    """A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is unknown: grey, 205."""
+    """A pixel `p` is free if `(255 - p) / 255` is below this value. Free pixels are white, 254. Unknown pixels are gray, 205."""
     width: int
-    """Columns of the picture."""
+    """Width of the image, pixels."""
     height: int
-    """Rows of the picture."""
+    """Height of the image, pixels."""
     height_m: float
-    """What is higher above the floor than this is no obstacle, metres."""
+    """Maximum height of obstacles above the floor, meters. Anything higher is ignored."""
     floor_z_m: float
-    """Height of the floor, metres, world frame."""
+    """Height of the floor; meters, world frame."""
 
 
 class FloorPointOptions(TypedDict, total=False):
     """What `FloorPoint` may have besides."""
     z: float
-    """Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere."""
+    """Z, meters. Required if the Z axis of `frame` does not point up, otherwise ignored. Default: 0."""
 class FloorPoint(FloorPointOptions):
-    """A place on the floor: metres, world frame (Z up), unless a request's `frame` says otherwise."""
+    """A position on the floor, meters. World frame (Z up) unless the request sets another `frame`."""
     x: float
-    """Metres along X."""
+    """X, meters."""
     y: float
-    """Metres along Y."""
+    """Y, meters."""
 
 
 @dataclass
 class FrameList:
-    """The photographs of a scan, in its own order."""
+    """The photographs of a scan, in their own order."""
     frames: list[FrameView]
-    """Empty for a scan without frames, and in parses that were made before frames were kept."""
+    """Photographs. Empty for a scan without frames, and for parses from older versions."""
 
 
 class FrameSamplingSettings(TypedDict, total=False):
-    """Which frames of a scan are looked at."""
+    """Selection of the frames to process."""
     max_frames: Optional[int]
-    """At most this many frames, spread evenly along the camera path; `null` = no limit."""
+    """Maximum number of frames, spread evenly along the camera path. `null`: no limit. Default: 400."""
     stride_frames: int
-    """Every `max(1, floor(frames / this))`-th frame is used. Paper: 1000."""
+    """Uses every `max(1, floor(frames / this))`-th frame. Default and paper: 1000."""
 
 
 @dataclass(repr=False)
 class FrameView(ShortRepr):
-    """A photograph: pinhole camera and pose."""
+    """A photograph with its pinhole camera and pose."""
     index: FrameIndex
-    """Position in the scan's own list, from 0, as views name it; frames left out leave gaps."""
+    """Index in the scan's own list, from 0, as used by views. Skipped frames leave gaps."""
     width: int
-    """Columns of the photograph."""
+    """Width of the photograph, pixels."""
     height: int
-    """Rows of the photograph."""
+    """Height of the photograph, pixels."""
     fx: float
     """Focal length along x, pixels."""
     fy: float
     """Focal length along y, pixels."""
     cx: float
-    """Column where the optical axis meets the photograph; 0 is the middle of the first pixel."""
+    """Column of the principal point, pixels. 0 is the center of the first pixel."""
     cy: float
-    """Row where the optical axis meets the photograph."""
+    """Row of the principal point, pixels. 0 is the center of the first pixel."""
     camera_to_world: list[Vector]
-    """Takes points of the camera (x right, y down, z forward) to the scene's world (Z up), metres; rows of a 4 x 4 matrix."""
+    """Transform from camera (x right, y down, z forward) to world coordinates (Z up), meters. Rows of a 4 x 4 matrix."""
 
 
 class FusionSettings(TypedDict, total=False):
-    """How a cloud is fused from depth pictures: a truncated signed distance volume."""
+    """Fusion of depth pictures into a cloud with a truncated signed distance volume."""
     max_depth_m: float
-    """Depth beyond this is not fused, metres: consumer sensors are noise out there."""
+    """Maximum depth, meters. Consumer sensors are unreliable beyond it. Default: 8."""
     min_share_of_mean: float
-    """A place becomes a point when it was seen by at least this share of the frames that see a place on average: what hardly anybody saw is
-    mostly noise.
+    """Minimum number of observations of a point, as a share of the mean over all points. Rarely observed points are mostly noise. Default:
+    0.25.
     """
     silhouette_tolerance: float
-    """A pixel whose depth differs from a neighbour's by more than this share lies on a silhouette, where sensors smear."""
+    """Relative depth difference to a neighboring pixel above which a pixel counts as a silhouette and is ignored. Default: 0.05."""
     truncation_voxels: float
-    """Distances are kept this many voxels to either side of a surface. More survives more noise, less keeps thin things apart."""
+    """Truncation distance in voxels on each side of a surface. Larger values tolerate more noise, smaller ones separate thin objects
+    better. Default: 5.
+    """
     voxel_m: float
-    """Edge of the voxels, metres; points come out about as far apart."""
+    """Voxel size and approximate point distance, meters. Default: 0.018."""
 
 
 @dataclass
 class GraphEdge:
-    """What holds between two nodes: `from` stands in the relation to `to`."""
+    """A relation between two nodes: `from` has the relation to `to`."""
     from_: str
-    """A node's `id`."""
+    """`id` of a node."""
     to: str
-    """Another node's `id`."""
+    """`id` of another node."""
     relation: GraphRelation
-    """What holds."""
+    """The relation."""
     score: float
-    """How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse itself says (support, parts)."""
+    """Geometric score of the relation, `0..=1`. 1 for relations from the parse itself (support, parts)."""
     distance_m: float
-    """Shortest distance between the two boxes, metres; 0 where they touch."""
+    """Shortest distance between the two boxes, meters. 0 if they touch."""
 
 
 @dataclass
 class GraphNode:
-    """Something in the scene."""
+    """A node of the graph."""
     id: str
-    """`i12` for instance 12, `z1` for the first zone."""
+    """Node id: `i12` for instance 12, `z1` for the first zone."""
     kind: NodeKind
-    """What kind of node it is."""
+    """Kind of node."""
     name: str
-    """What it is called: "red sofa", "wall", "kitchen"."""
+    """Name: "red sofa", "wall", "kitchen"."""
     box: Aabb
-    """Axis-aligned box; of a zone, around the things that make it."""
+    """Axis-aligned box, meters. The box of a zone encloses the objects that define it."""
     instance_id: Optional[InstanceId] = None
     oriented_box: Optional[OrientedBox] = None
 
@@ -762,48 +768,47 @@ class GraphNode:
 class GroundOptions(TypedDict, total=False):
     """What `GroundRequest` may have besides."""
     ablation: Ablation
-    """For experiments: what a vision-language model is not told."""
+    """For experiments: parts to omit from the prompt. Default: `full`, which omits nothing."""
     allow_builtin: bool
-    """Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
+    """Whether to answer by names and measurements if the encoder fails or is not the one of the parse. The answer is then marked as
+    `degraded`. Default: `false`.
     """
     candidates: CandidateSource
-    """Who chooses the candidates that a vision-language model is shown."""
+    """Source of the candidates for a vision-language model. Default: `fused`."""
     direction_convention: DirectionConvention
-    """What left, right, front and back mean; an `observer` comes before it."""
+    """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
     evidence: EvidenceMode
-    """What a vision-language model is shown of the candidates."""
+    """Pictures of the candidates that a vision-language model is shown. Default: `full`."""
     frame: FrameChoice
-    """Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer."""
+    """Frame of `observer`, and additional frame for the boxes (`in_frame` of the answer). Default: `scene`."""
     include: Optional[Sequence[Include]]
-    """Optional parts to send back; all when left out."""
+    """Optional parts to return. Default: all."""
     max_cost_usd: Optional[float]
-    """Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked."""
+    """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are right of
-    what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5, where about four of five
+    answers are correct for objects named by a model or a person, and two of three for other objects. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
-    """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
-    `frame` names.
-    """
+    """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""
     parser: ParserChoice
-    """Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
-    something open; never the model where `reasoner` is `builtin`.
+    """Parser of the question. Default: `auto`, which uses the grammar, and the configured model for questions that the grammar does not
+    fully understand. Never calls the model if `reasoner` is `builtin`.
     """
     prompt: PromptVersion
-    """What a vision-language model is told."""
+    """Version of the prompt for a vision-language model. Default: `revised`."""
     query_text: QueryText
-    """Which words are compared with the instances' looks, where an encoder has seen them."""
+    """Text that is compared with the appearance of instances, if an encoder has processed the scene. Default: `mean`."""
     reasoner: ReasonerChoice
-    """Who decides."""
+    """The reasoner that decides. Default: `auto`."""
     timeout_s: Optional[float]
-    """Give up after this many seconds."""
+    """Timeout, seconds, at most 3600."""
     top_k: int
-    """Candidates to keep; contact sheets (`evidence`) show 24 at least."""
+    """Maximum number of candidates, 1 to 100. Contact sheets (`evidence`) use at least 24. Default: 5."""
 class GroundRequest(GroundOptions):
     """A question about a scene."""
     query: str
-    """What to find, in plain English."""
+    """Description of the object in English, 1 to 1000 characters."""
 
 
 @dataclass
@@ -817,895 +822,902 @@ class GroundTruth:
 
 @dataclass
 class Health:
-    """Whether the process is alive."""
+    """Health of the process."""
     status: str
-    """Always `ok`: a process that answers is alive."""
+    """Always `ok`."""
     version: str
     """Version of the server, like `1.2.3`."""
 
 
 @dataclass(repr=False)
 class ImportReport(ShortRepr):
-    """What the importer found; part of the scene's public record."""
+    """Report of the importer. Part of the scene in the API."""
     format: str
-    """Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on."""
+    """Detected layout of the files: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on."""
     up: UpAxis
-    """The axis of the files next to what is up; the stored scene has Z up. Of a tilted world `levelling` says the rest."""
+    """Axis of the files that is nearest to up. The stored scene has Z up. `levelling` gives the remaining tilt."""
     pose: PoseConvention
-    """Which way the poses of the files were read."""
+    """Direction of the poses in the files."""
     camera_axes: str
     """Camera axes of the files: `opencv` or `opengl`."""
     frames: int
-    """Frames that can be used: those left out are not counted."""
+    """Number of usable frames, without skipped ones."""
     frames_skipped: int
-    """Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or missing. The warnings name them."""
+    """Number of skipped frames: their pose is marked as lost (infinite), or one of their files is damaged or missing. The warnings name
+    them.
+    """
     warnings: list[str]
-    """What is odd but was accepted, each with its file or frame."""
+    """Unusual but accepted properties, each with its file or frame."""
     cloud_points: Optional[int] = None
-    """Points in the archive's own cloud; `null` when the cloud is fused from the frames."""
+    """Number of points in the archive's own cloud. `null` if the cloud is fused from the frames."""
     levelling: Optional[Levelling] = None
     reprojection_agreement: Optional[float] = None
-    """Share of sampled points that agree with the depth pictures they project into, `0..=1`; `null` where it could not be measured."""
+    """Share of sampled points that agree with the depth pictures they project into, `0..=1`. `null` if it could not be measured."""
     source_to_scene: Optional[SourceToScene] = None
 
 
 class ImportOptions(TypedDict, total=False):
     """What `ImportRequest` may have besides."""
     levelling: LevellingChoice
-    """Whether a world that is tilted is turned level."""
+    """Whether to level a tilted world."""
     metres_per_unit: Optional[float]
-    """Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size."""
+    """Length of one unit of the files' clouds and poses, meters. Default: estimated from their size."""
     name: Optional[str]
-    """Name of the scene; default: what the archive calls itself."""
+    """Name of the scene. Default: the name in the archive."""
     parse: bool
-    """`false` only stores the scan."""
+    """`false` stores the scan without parsing it. Default: `true`."""
     preset: ParsePreset
-    """Settings to parse with."""
+    """Preset of the parse settings."""
     up: Optional[UpAxis]
-    """The axis that points up in the files, for scans that do not say; default: the axis the cameras hold up."""
+    """Axis of the files that points up, for scans that do not state it. Default: the axis that the cameras hold up."""
 class ImportRequest(ImportOptions):
-    """A scan on the server's own disk."""
+    """A scan on the server's disk to import."""
     path: str
-    """A file or folder below the one that the server's operator named, relative to it: whatever can be uploaded, a folder unpacked."""
+    """Path of a file or an unpacked folder, relative to the configured import folder. Same formats as for uploads."""
 
 
 class ImportSettings(TypedDict, total=False):
-    """How a scan becomes a scene; part of the parse settings, because they decide the result."""
+    """Import settings. Part of the parse settings because they affect the result."""
     fusion: FusionSettings
-    """Used when the archive has no cloud of its own."""
+    """Fusion settings, used if the archive has no cloud of its own."""
     levelling: LevellingChoice
-    """Whether a world that is tilted is turned level."""
+    """Whether to level a tilted world. Default: `auto`."""
     metres_per_unit: Optional[float]
-    """Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud without cameras is far too large for that.
+    """Length of one unit of the files' clouds and poses, meters. `null` means meters, unless a cloud without cameras is far too large for
+    that.
     """
     up: Optional[UpAxis]
-    """The world axis that points up in the files. `null`: what the manifest says; without one, the axis the cameras hold up."""
+    """Axis of the files that points up. `null` uses the manifest, or without one the axis that the cameras hold up."""
 
 
 @dataclass
 class InFrame:
-    """The boxes of an answer in the coordinates that were asked for."""
+    """The boxes of an answer in the requested frame."""
     frame: FrameChoice
     """`source` or `map`."""
     scene_to_frame: SceneToFrame
-    """From the scene's coordinates to these: for everything else the answer tells."""
+    """Transform from the scene's frame to this frame, for the other coordinates of the answer."""
     boxes: list[PlacedBox]
-    """One for each of `targets`, in their order."""
+    """One box for each of `targets`, in the same order."""
     frame_id: Optional[str] = None
-    """What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said."""
+    """Name of the map frame: the scene's `map_frame_id`. `null` if not set."""
     stamp: Optional[Stamp] = None
 
 
 @dataclass
 class InstanceList:
-    """One page of a scene's instances."""
+    """A page of a scene's instances."""
     instances: list[InstanceView]
-    """In order of id."""
+    """Instances, ordered by id."""
     next_cursor: Optional[int] = None
-    """Pass as `cursor` for the next page; `null` on the last."""
+    """Cursor of the next page. `null` on the last page."""
 
 
 class InstanceSettings(TypedDict, total=False):
-    """Which regions become instances, and how stray points and the sensor's noise are kept out of their boxes."""
+    """Filter for regions, and removal of outlier points and sensor noise from boxes."""
     min_agreement: float
-    """Regions with which no mask agrees better (IoU over their visible points, mean over frames) are no instances. Not in the paper."""
+    """Minimum agreement of a region with its best mask (IoU over visible points, mean over frames). Default: 0.2. Not in the paper."""
     min_points: int
-    """Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no instances; 0: none are. Not in the paper.
+    """Minimum number of points of a region that no frame shows on 16 x 16 pixels. Smaller ones are dropped as specks. 0 keeps all. Default:
+    50. Not in the paper.
     """
     noise_sigmas: float
-    """Bounds of thin extents move inwards by this many standard deviations,"""
+    """Number of standard deviations by which the bounds of thin extents shrink. Default: 1.5."""
     parts_and_wholes: float
-    """At most this many parts and wholes for each thing are offered beside the things; 0: none. Not in the paper."""
+    """Maximum number of parts and wholes per object, 0 to 10. 0 disables them. Default: 1.5. Not in the paper."""
     stray_neighbours: int
-    """A point with fewer neighbours than this in its voxel and the 26 around is stray."""
+    """Minimum number of neighbors in a point's voxel and the 26 around it. Points with fewer are outliers. Default: 4."""
     stray_share: float
-    """Share of the points at either end of each axis that bounds never rest on."""
+    """Share of the points at both ends of each axis that is ignored for the bounds. Default: 0.001."""
     stray_voxel_m: float
-    """Edge of the voxels stray points are looked for in, metres."""
+    """Voxel size of the outlier search, meters, 0.001 to 10. Default: 0.03."""
     thin_sigmas: float
-    """An extent up to this many standard deviations of the sensor's noise is thin. The noise is measured on the scan itself."""
+    """Extents up to this many standard deviations of the sensor noise count as thin. The noise is estimated from the scan. Default: 12."""
     trim: float
-    """but leave at most this share of the points outside at either end of each axis."""
+    """Maximum share of the points that this excludes at each end of each axis. Default: 0.02."""
 
 
 @dataclass(repr=False)
 class InstanceView(ThingMethods):
-    """One object candidate. Lengths in metres, world frame (Z up)."""
+    """One instance. Lengths in meters, world frame (Z up)."""
     id: InstanceId
-    """Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew, but for
-    scenes that have grown: what stays keeps its id there, and what comes is numbered on.
+    """Id within the parse, from 1: objects by descending number of points, then parts and wholes. Another parse assigns new ids. Adding
+    frames to a scene keeps the ids of existing objects and appends new ones.
     """
     label: str
-    """What the encoder would call it, without having heard a question."""
+    """Name of the object, independent of any question."""
     box: Aabb
-    """Axis-aligned box of the robust bounds."""
+    """Axis-aligned box without outlier points."""
     raw_box: Aabb
-    """Axis-aligned box of every point, strays included."""
+    """Axis-aligned box of all points, including outliers."""
     oriented_box: OrientedBox
-    """Box of the robust bounds, turned about the vertical so that its footprint is smallest."""
+    """Box without outlier points, rotated about the vertical axis to the smallest footprint."""
     point_count: int
-    """Points of the cloud that belong to it."""
+    """Number of points."""
     mean_rgb: list[int]
-    """Mean 8-bit sRGB."""
+    """Mean color, 8-bit sRGB."""
     colours: dict[str, float]
-    """Share of the points per colour name, those of 10 % and more."""
+    """Share of the points per color name, `0..=1`. Omits colors below 10 %."""
     planarity: float
-    """Share of the points within 3 cm of the best plane."""
+    """Share of the points within 3 cm of the best-fitting plane, `0..=1`."""
     support: Support
-    """What it stands on or hangs on."""
+    """What the object stands on or hangs on."""
     height_above_floor_m: float
-    """Metres from the floor to the bottom of `box`; negative where it reaches below."""
+    """Height of the bottom of `box` above the floor, meters. Negative if below the floor."""
     names: list[NameGuess]
-    """Best first, at most five; empty for parts of the building, and where nothing fits."""
+    """Name guesses, best first, at most five. Empty for building elements, and if no name fits."""
     views: list[View]
-    """Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0."""
+    """Best views. Their pictures are at `/instances/{id}/views/{k}.jpg` with k from 0."""
     dismissed: Optional[bool] = None
-    """Somebody has said that it is no thing, or not one: no answer, and listed only with `level=all`."""
-    found_for: Optional[str] = None
-    """The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the parse
-    has found.
+    """Whether a user dismissed it as no object, or merged or split it. Dismissed instances are no answers and are listed only with
+    `level=all`.
     """
+    found_for: Optional[str] = None
+    """Question for which a vision-language model found this instance in a photograph. `null` for instances of the parse."""
     given_name: Optional[str] = None
-    """What somebody has said it is called; `null` where nobody has."""
+    """Name set by a user. `null` if not set."""
     gone: Optional[bool] = None
-    """Of a scene that has grown: it was there in an earlier version. Its id is never another's; dismissed as well."""
+    """Whether the object was in an earlier version and is gone after frames were added. Its id is not reused, and it is also dismissed."""
     level: Optional[Level] = None
-    """A thing, a part of one, or a whole of several."""
+    """Level: an object, a part of one, or a whole of several."""
     merged_from: list[InstanceId] = field(default_factory=list)
-    """The instances that somebody has said are one thing, this one; empty for what the parse has found."""
+    """Ids of the instances that a user merged into this one. Empty for instances of the parse."""
     model_name: Optional[str] = None
-    """What the configured vision-language model calls it, without having heard a question; `null` until it was asked."""
+    """Name from the configured vision-language model, independent of any question. `null` if the model has not named it."""
     structure: Optional[Structure] = None
     things: list[InstanceId] = field(default_factory=list)
-    """The thing a part lies in; the things a whole is made of; empty for things."""
+    """For a part, the object that contains it. For a whole, its objects. Empty for objects."""
 
 
 @dataclass(repr=False)
 class Job(ShortRepr):
-    """A job as the outside sees it."""
+    """A background job."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     kind: str
-    """What it does: `parse`, `naming`, `batch`."""
+    """Kind of job: `parse`, `naming`, `batch`."""
     state: JobState
-    """Where it stands."""
+    """State of the job."""
     progress: float
-    """`0..=1`."""
+    """Progress, `0..=1`."""
     attempts: int
-    """How often it was started; 0 while it waits for the first time, or when its result was there already."""
+    """Number of starts. 0 while it waits for the first start, or if the result already existed."""
     created_at: str
-    """When it was asked for, RFC 3339 UTC."""
+    """Creation time, RFC 3339 UTC."""
     ahead: Optional[int] = None
-    """While it waits, and where one job is asked for: how many of its kind were asked for before it and wait as well. Keys take turns, so
-    one with few jobs waits for fewer.
+    """Number of queued jobs of this kind created before this one. Set only for a queued job that is requested by id. Keys share the workers
+    fairly, so a key with few jobs may wait for fewer.
     """
     error: Optional[JobError] = None
     eta_s: Optional[float] = None
-    """Estimated seconds left; `null` while too little is done to tell."""
+    """Estimated remaining seconds. `null` while unknown."""
     finished_at: Optional[str] = None
-    """When it ended, however it did, RFC 3339 UTC; `null` until then."""
+    """End time, RFC 3339 UTC. `null` until then."""
     message: Optional[str] = None
-    """What came out of it, in a sentence."""
+    """Result, one sentence."""
     stage: Optional[str] = None
-    """Step it is in."""
+    """Current stage."""
     started_at: Optional[str] = None
-    """When the latest attempt began, RFC 3339 UTC; `null` while it waits for its turn."""
+    """Start time of the latest attempt, RFC 3339 UTC. `null` while queued."""
     subject: Optional[str] = None
-    """What it works on: the id of a scene, or of a batch."""
+    """Id of the scene or batch it works on."""
 
 
 @dataclass
 class JobError:
-    """Why a job, or an item of a batch, failed; `code` is stable."""
+    """Error of a job or of a batch item. `code` is stable."""
     code: str
-    """Stable, like the codes of problems; `interrupted` when the server stopped too often while the job ran."""
+    """Stable code, like the codes of problems. `interrupted` if the server stopped too often during the job."""
     detail: str
-    """For people: names the file, frame or model at fault."""
+    """Description for people that names the file, frame or model."""
 
 
 @dataclass
 class JobEvent:
-    """One event of a job's stream."""
+    """An event of a job's stream."""
     id: str
-    """Names the moment; send it back as `Last-Event-ID` to go on from there."""
+    """Event id. Send it as `Last-Event-ID` to resume the stream."""
     event: str
-    """`progress` or `done`."""
+    """Event type: `progress` or `done`."""
     data: str
-    """The job, as JSON."""
+    """The job as JSON."""
 
 
 @dataclass
 class JobList:
     """A page of jobs, newest first."""
     jobs: list[Job]
-    """Newest first."""
+    """Jobs, newest first."""
     next_cursor: Optional[str] = None
-    """`cursor` of the next page; `null` on the last."""
+    """Cursor of the next page. `null` on the last page."""
 
 
 @dataclass(repr=False)
 class JobStats(ShortRepr):
-    """Jobs of one kind. Those that are over are kept on record."""
+    """Statistics of one kind of job. Finished jobs count until retention removes them."""
     kind: str
-    """What they do: `parse`, `naming`, `batch`."""
+    """Kind of job: `parse`, `naming`, `batch`."""
     working: bool
-    """Whether this server works on them."""
+    """Whether this server runs these jobs."""
     queued: int
-    """Waiting for their turn, or for another try."""
+    """Number of jobs that wait for a worker or a retry."""
     running: int
-    """In a worker's hands."""
+    """Number of running jobs."""
     succeeded: int
-    """Done."""
+    """Number of succeeded jobs."""
     failed: int
-    """Given up."""
+    """Number of failed jobs."""
     cancelled: int
-    """Stopped because somebody asked for it."""
+    """Number of cancelled jobs."""
     oldest_queued_s: Optional[float] = None
-    """How long ago the oldest that waits was asked for, seconds; `null` where none waits."""
+    """Age of the oldest queued job, seconds. `null` if none is queued."""
 
 
 @dataclass(repr=False)
 class Key(ShortRepr):
-    """A key, but for its secret."""
+    """An API key without its secret."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     name: str
-    """Who holds it."""
+    """Name of the holder."""
     prefix: str
-    """How the secret begins: enough to know it again."""
+    """Beginning of the secret, for recognition."""
     scope: Scope
-    """What it lets its holder do."""
+    """Scope of the key."""
     spent_today_usd: float
-    """What its questions cost today (UTC), US dollars."""
+    """Cost of the key's questions today (UTC), US dollars."""
     created_at: str
-    """RFC 3339, UTC."""
+    """Creation time, RFC 3339 UTC."""
     daily_usd: Optional[float] = None
-    """Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may spend."""
+    """Spending limit for questions per day (UTC), US dollars. `null`: the server's limit."""
     expires_at: Optional[str] = None
-    """From then on it is refused, RFC 3339 UTC; `null`: never."""
+    """Expiry time, RFC 3339 UTC. `null`: never."""
     last_used_at: Optional[str] = None
-    """When it was last shown, to the minute, RFC 3339 UTC."""
+    """Time of the last use, to the minute, RFC 3339 UTC. `null`: never used."""
     max_scenes: Optional[int] = None
-    """Scenes it may have uploaded and not deleted; `null`: no limit."""
+    """Maximum number of scenes the key may own. `null`: no limit."""
     requests_per_minute: Optional[int] = None
-    """Requests a minute; `null`: no limit."""
+    """Maximum number of requests per minute. `null`: no limit."""
     revoked_at: Optional[str] = None
-    """Since when it is refused, RFC 3339 UTC."""
+    """Time of revocation, RFC 3339 UTC. `null` if not revoked."""
 
 
 @dataclass
 class KeyList:
     """All keys, newest first."""
     keys: list[Key]
-    """Newest first; revoked ones too."""
+    """Keys, newest first, including revoked ones."""
     next_cursor: Optional[str] = None
-    """`cursor` of the next page; `null` on the last."""
+    """Cursor of the next page. `null` on the last page."""
 
 
 @dataclass
 class Levelling:
-    """How level a scan's world is."""
+    """Tilt of a scan's world and its correction."""
     tilt_deg: float
-    """Angle between the axis called up in the files and what was found to be up, degrees."""
+    """Angle between the up axis of the files and the estimated up direction, degrees."""
     turned: bool
-    """Whether the scene was turned by it. Worlds that are level within a few degrees stay as they are."""
+    """Whether the scene was rotated to correct the tilt. Small tilts of a few degrees are not corrected."""
     confidence: float
-    """Share of the surfaces looked at that are level or upright with it, `0..=1`."""
+    """Share of the examined surfaces that are horizontal or vertical after correction, `0..=1`."""
     evidence: str
-    """What it was told by, a sentence."""
+    """Evidence for the estimate, one sentence."""
 
 
 @dataclass
 class Link:
-    """A link, and until when it works."""
+    """A signed link."""
     path: str
-    """As it was asked for."""
+    """The requested path."""
     token: str
-    """What makes it work: the query parameter `link` of any path it stands for."""
+    """Signature, sent as the query parameter `link` with any covered path."""
     expires_at: str
-    """RFC 3339 UTC."""
+    """Expiry time, RFC 3339 UTC."""
     url: Optional[str] = None
-    """The path with its token; `null` where the path stands for several."""
+    """The path with its token. `null` if the path covers several paths."""
 
 
 @dataclass
 class LinkList:
     """Links in the order of their paths."""
     links: list[Link]
-    """One for each path."""
+    """One link for each requested path."""
 
 
 class LinkOptions(TypedDict, total=False):
     """What `LinkRequest` may have besides."""
     expires_in_s: int
-    """How long they work, seconds."""
+    """Validity of the links, seconds, 10 to 86400. Default: 600."""
 class LinkRequest(LinkOptions):
-    """What is to be read without a key."""
+    """Paths to access without a key."""
     paths: Sequence[str]
-    """Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything below it, like `/v1/scenes/{scene_id}/*`."""
+    """1 to 500 paths of this server below `/v1/`. A path that ends in `/*`, like `/v1/scenes/{scene_id}/*`, covers everything below it."""
 
 
 @dataclass(repr=False)
 class LoadedModel(ShortRepr):
-    """A model in use, as told to callers."""
+    """A loaded model."""
     name: str
     """Name of the bundle."""
     role: Role
-    """Which part of the work it does."""
+    """Role of the model."""
     fingerprint: str
-    """SHA-256 over the bundle's files; of the manifest and the server's models where those run elsewhere."""
+    """SHA-256 over the bundle's files. On an inference server: over the manifest and the server's models."""
     runs_on: str
-    """`cpu`, `cuda`, `tensorrt`, `coreml`, or the inference server's address."""
+    """Device or server that runs it: `cpu`, `cuda`, `tensorrt`, `coreml`, or the address of the inference server."""
     batch: int
-    """Pictures, or prompts, per call."""
+    """Batch size: pictures or prompts per call."""
     licence: str
-    """As the bundle's manifest states it; empty where it does not."""
+    """License from the bundle's manifest. Empty if not stated."""
     dimensions: Optional[int] = None
-    """Dimensions of an embedding; none for masks."""
+    """Dimensions of an embedding. `null` for segmentation models."""
     library: Optional[str] = None
-    """The library that computes; none where networks run elsewhere."""
+    """Name and version of the inference library. `null` on an inference server."""
 
 
 @dataclass
 class ManyAnswers:
-    """What came of a question about many scenes."""
+    """Result of a question about many scenes."""
     query: str
-    """As asked."""
+    """The query, unchanged."""
     looked_into: int
-    """How many scenes were looked into."""
+    """Number of searched scenes."""
     answers: list[SceneAnswer]
-    """Best first: what is grounded before what is ambiguous, uncertain, or not there; then by confidence."""
+    """Answers, best first: grounded, then ambiguous, uncertain and no match; within these by confidence."""
     not_asked: list[NotAsked]
-    """Scenes that could not be asked, and why: those that are not parsed yet, for the most part."""
+    """Scenes that could not be searched, with the reason. Most of them are not parsed yet."""
     narrowed: Optional[bool] = None
-    """More than 1,000 scenes were meant: those were looked into that most likely have it, by what their things are called."""
+    """Whether the search was limited to the 1,000 most likely scenes, selected by the names of their objects."""
 
 
 class ManyGroundOptions(TypedDict, total=False):
     """What `ManyGroundRequest` may have besides."""
     labels: Mapping[str, str]
-    """Of those, only scenes with all of these labels."""
+    """Only search scenes with all of these labels."""
     max_cost_usd: Optional[float]
-    """Most all of it may cost, US dollars. 0: no model is asked."""
+    """Spending limit for the whole search, US dollars. 0: no model is called."""
     min_confidence: Optional[float]
-    """Least belief for a `grounded` answer, as in a question about one scene."""
+    """Minimum confidence of a `grounded` answer, as in a question about one scene."""
     reasoner: ReasonerChoice
-    """Who decides in those."""
+    """Reasoner for these answers."""
     scenes: Optional[Sequence[str]]
-    """Ids of the scenes to look in; left out: all."""
+    """Ids of the scenes to search. If omitted, all scenes."""
     timeout_s: Optional[float]
-    """Give up after this many seconds."""
+    """Timeout, seconds, at most 3600."""
     top_k: int
-    """How many scenes are answered in full: those that most likely have it."""
+    """Number of scenes answered in full, the most likely ones. 1 to 20. Default: 3."""
 class ManyGroundRequest(ManyGroundOptions):
     """A question about many scenes."""
     query: str
-    """What to find, in plain English."""
+    """Description of the object in English, 1 to 1000 characters."""
 
 
 class MergeSettings(TypedDict, total=False):
-    """How superpoints are merged into regions, stage by stage."""
+    """Merging of superpoints into regions in stages."""
     hop_decay: float
-    """A neighbour at hop `h` weighs `decay^(h-1)`. Paper: 0.5."""
+    """A neighbor at hop `h` has the weight `decay^(h-1)`. Default and paper: 0.5."""
     keep_planes_apart: bool
-    """Superpoints on different planes of the building, or on one and before it, are never joined, and small patches of a plane return to
-    it. Not in the paper.
+    """Never merges superpoints of different building planes, or of a plane and an object in front of it, and returns small patches to their
+    plane. Default: `true`. Not in the paper.
     """
     max_hop: int
-    """Superpoints this many borders apart still count as neighbours. Paper: 2."""
+    """Maximum number of borders between neighboring superpoints, 1 to 4. Default and paper: 2."""
     min_points: int
-    """Regions with fewer points join their most affine neighbour at the end. Paper: 50."""
+    """Minimum number of points of a region. Smaller ones join their most similar neighbor at the end. Default and paper: 50."""
     normalisation: Normalisation
-    """How Eq. (1) averages over frames."""
+    """Averaging of Eq. (1) over frames. Default: `normalised`."""
     split_at_depth_edges: bool
-    """Superpoints with a small gap between them are no neighbours where frames see through it. Not in the paper."""
+    """Separates superpoints with a small gap if frames see through the gap. Default: `true`. Not in the paper."""
     thresholds: Sequence[float]
-    """Affinity a neighbour must reach, one value per stage. Paper: 0.9 0.8 0.7 0.6 0.5."""
+    """Minimum affinity per stage, 1 to 20 values. Default and paper: 0.9 0.8 0.7 0.6 0.5."""
 
 
 class ModelChoice(TypedDict, total=False):
-    """Which of the server's models take part."""
+    """Choice of the server's models."""
     allow_builtin: bool
-    """Where a model fails the built-in parts do the work instead, and the report says so. Otherwise the parse fails."""
+    """Whether built-in components replace a model that fails. The report then records it. If `false`, the parse fails."""
     encoder: PartChoice
-    """Who compares pictures and words."""
+    """Encoder that compares pictures and words."""
     masks: PartChoice
-    """Who cuts pictures into masks, and corrects projections of instances."""
+    """Component that segments pictures and corrects the outlines of instances."""
 
 
 @dataclass
 class ModelList:
-    """The models a server was started with."""
+    """The models of a server."""
     models: list[LoadedModel]
-    """The neural models that take part in parses and questions; empty when all parts are built in."""
+    """Neural models for parses and questions. Empty if only built-in components are used."""
     vlm: Optional[str] = None
-    """The vision-language model that reasons, by the name its endpoint knows it by; `null` when none is configured."""
+    """Name of the vision-language model at its endpoint. `null` if none is configured."""
 
 
 @dataclass
 class Models:
-    """Name and version of the parts an answer came from."""
+    """Names and versions of the components that produced an answer."""
     masks: str
-    """Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`."""
+    """Component that segmented the pictures of the scene: a model as `name@fingerprint`, or a built-in component like `rgbd-2`."""
     encoder: str
-    """Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`."""
+    """Component that compared words with instances: a model as `name@fingerprint`, or a built-in component like `attributes-2`."""
     reasoner: str
-    """Decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-3`."""
+    """Component that decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-3`."""
     names: Optional[str] = None
-    """Named the scene's things without having heard a question, and answers used its names: a model with the version of its prompt; `null`
-    where no model has named them all.
-    """
+    """Model that named all objects of the scene, with the version of its prompt. `null` if no model has named them."""
     parser: Optional[str] = None
-    """Empty in answers given before this was recorded."""
+    """Component that parsed the question. Empty in answers from older versions."""
 
 
 @dataclass
 class MovedThing:
-    """A thing that is elsewhere."""
+    """A moved object."""
     before: ChangedThing
-    """As it was, in the coordinates of the earlier look."""
+    """The object in the earlier version, in its coordinates."""
     after: ChangedThing
-    """As it is, in those of the later one."""
+    """The object in the later version, in its coordinates."""
     distance_m: float
-    """Between the middles of the two boxes, metres."""
+    """Distance between the centers of the two boxes, meters."""
 
 
 @dataclass
 class NameGuess:
-    """A name the encoder would give without having heard a question."""
+    """A name guess of the encoder, independent of any question."""
     name: str
-    """An English noun of the built-in lexicon."""
+    """An English noun from the built-in lexicon."""
     score: float
-    """How well the name fits and how usual such a thing is, `0..=1`."""
+    """Fit of the name combined with its frequency, `0..=1`."""
 
 
 class NewKeyOptions(TypedDict, total=False):
     """What `NewKey` may have besides."""
     daily_usd: Optional[float]
-    """Most that its questions may cost in a day (UTC), US dollars. Default: what the server may spend."""
+    """Spending limit for questions per day (UTC), US dollars. Default: the server's limit."""
     expires_at: Optional[str]
-    """From then on it is refused, RFC 3339; default: never."""
+    """Expiry time, RFC 3339. Default: never."""
     max_scenes: Optional[int]
-    """Scenes it may have uploaded and not deleted. Default: no limit."""
+    """Maximum number of scenes the key may own. Default: no limit."""
     requests_per_minute: Optional[int]
-    """Requests a minute; as many may come at once after a pause. Default: no limit."""
+    """Maximum number of requests per minute, with bursts up to the same number. Default: no limit."""
 class NewKey(NewKeyOptions):
-    """A key that is wanted."""
+    """A new API key."""
     name: str
-    """Who holds it, for people: one line of 1 to 200 characters."""
+    """Name of the holder for display, one line of 1 to 200 characters."""
     scope: Scope
-    """What it lets its holder do."""
+    """Scope of the key."""
 
 
 @dataclass
 class NotAsked:
-    """A scene that could not be asked."""
+    """A scene that could not be searched."""
     scene_id: str
     """UUIDv7 of the scene."""
     code: str
-    """The code that a question about this scene alone gets."""
+    """Error code of a question about this scene alone."""
     detail: str
-    """What that means."""
+    """Description of the error."""
 
 
 class Observer(TypedDict):
-    """Somebody who stands in the room."""
+    """An observer in the room."""
     position: Sequence[float]
-    """Metres, world frame (Z up), unless a question's `frame` says otherwise."""
+    """Position, meters. World frame (Z up) unless the question sets another `frame`."""
     yaw_rad: float
-    """Direction of view about +Z, radians; 0 looks along +X."""
+    """View direction about +Z, radians. 0 looks along +X."""
 
 
 @dataclass(repr=False)
 class OrientedBox(BoxMethods):
-    """A box turned about the vertical: the paper's output asks for an oriented box."""
+    """A box rotated about the vertical axis."""
     center: Vector
-    """Centre, metres, world frame (Z up)."""
+    """Center; meters, world frame (Z up)."""
     size: Vector
-    """Full extent along the box's own X, Y and the world's Z, metres."""
+    """Full extent along the box's own X and Y and the world's Z, meters."""
     yaw_rad: float
-    """Rotation of the box's X axis from the world's X axis about +Z, radians, in `-pi/4..=pi/4`."""
+    """Rotation from the world's X axis to the box's X axis about +Z, radians, in `-pi/4..=pi/4`."""
 
 
 @dataclass
 class ParseModels:
-    """Models a parse was made with: name and version each."""
+    """Models of a parse, each with name and version."""
     masks: str
-    """Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`."""
+    """Component that segmented the pictures: a model as `name@fingerprint`, or a built-in component like `rgbd-2`."""
     encoder: str
-    """Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`."""
+    """Encoder of the instances: a model as `name@fingerprint`, or a built-in component like `attributes-2`."""
 
 
 @dataclass(repr=False)
 class ParseReport(ShortRepr):
-    """What stage 1 did, for people who want to know what went wrong."""
+    """Report of stage 1 (parsing) for diagnosis."""
     points: int
-    """Points of the cloud that was parsed."""
+    """Number of points in the parsed cloud."""
     frames_used: int
-    """Frames looked at, a sample of those imported."""
+    """Number of frames used, a sample of the imported ones."""
     superpoints: int
-    """Small even patches the cloud was cut into before merging."""
+    """Number of superpoints: small uniform patches of the cloud."""
     instances: int
-    """Things found, structural ones included."""
+    """Number of objects, including building elements."""
     structural: int
-    """Instances flagged as floor, wall or ceiling."""
+    """Number of instances classified as floor, wall or ceiling."""
     without_views: int
-    """Instances that no frame shows."""
+    """Number of instances that no frame shows."""
     stages: list[StageReport]
-    """What each stage did and took, in order."""
+    """Result and duration of each stage, in order."""
     warnings: list[str]
-    """What may have made the result worse, a sentence each."""
+    """Possible causes of a worse result, one sentence each."""
     dropped: Optional[int] = None
-    """Regions that became no instance because the masks of the frames that see them show something else; their points belong to nothing."""
+    """Number of regions rejected because the masks of the frames do not support them. Their points belong to no instance."""
     parts_and_wholes: Optional[int] = None
-    """Parts of things, and wholes of several, that masks show beside them."""
+    """Number of parts of objects, and of wholes that group several."""
     specks: Optional[int] = None
-    """Regions that became no instance because they have too few points and no frame shows more of them than a few pixels."""
+    """Number of regions rejected because they have too few points and are tiny in all frames."""
 
 
 class ParseRequest(TypedDict, total=False):
-    """How to parse. An empty object parses with the default settings."""
+    """Parse options. An empty object uses the default settings."""
     preset: ParsePreset
-    """What `settings` start from."""
+    """Preset from which `settings` start."""
     settings: Optional[ParseSettings]
-    """Single values that replace those of the preset, e.g. `{"parsing": {"superpoints": {"voxel_m": 0.02}}}`."""
+    """Values that override the preset, e.g. `{"parsing": {"superpoints": {"voxel_m": 0.02}}}`."""
 
 
 _ParseSettings = TypedDict("_ParseSettings", {"import": "ImportSettings"}, total=False)
 class ParseSettings(_ParseSettings, total=False):
-    """Everything a parse depends on, beside the content."""
+    """Parse settings. Together with the scan they determine the result."""
     models: ModelChoice
-    """Which models take part."""
+    """Choice of models."""
     parsing: ParsingSettings
-    """How the cloud is cut into instances."""
+    """Settings of stage 1, which segments the cloud into instances."""
 
 
 @dataclass
 class ParsedQuerySummary:
-    """How the question was understood."""
+    """The parsed question."""
     target: str
-    """The noun asked for, as the question says it."""
+    """Noun of the target, in the question's words."""
     attributes: list[str]
-    """What it is to be like: "red", "small", "not blue", "with 2 drawers", "tallest". Empty when only a noun was asked for."""
+    """Required attributes of the target: "red", "small", "not blue", "with 2 drawers", "tallest". May be empty."""
     anchors: list[str]
-    """Other things the question tells the place by: "round table", "door"."""
+    """Other objects that describe the location: "round table", "door"."""
     relations: list[str]
-    """How the target stands to the anchors, as the question says it; after "not" where it was denied."""
+    """Relations between the target and the anchors, in the question's words. A negated relation starts with "not"."""
     not_understood: list[str]
-    """Words that could not be used."""
+    """Words that were ignored because they were not understood."""
 
 
 class ParsingSettings(TypedDict, total=False):
-    """Settings of stage 1. Fields left out keep their default."""
+    """Settings of stage 1. Omitted fields use their default."""
     appearance: AppearanceSettings
-    """What an encoder looks at, where the server has one."""
+    """Pictures for the encoder, if the server has one."""
     correction: CorrectionSettings
-    """What a segmentation model does about projections that lost or took along something."""
+    """Correction of instance outlines by a segmentation model."""
     depth_tolerance: float
-    """A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose; 0.02 measures better."""
+    """Relative depth tolerance: a point fits the measured depth if `|z - d| <= this * d`. Default: 0.02. Paper: 0.15."""
     frame_sampling: FrameSamplingSettings
-    """Which frames are looked at."""
+    """Selection of the frames to process."""
     instances: InstanceSettings
-    """How regions become instances with boxes."""
+    """Filtering of regions and computation of boxes."""
     merging: MergeSettings
-    """How superpoints are merged into regions."""
+    """Merging of superpoints into regions."""
     part_merging: PartMergingSettings
-    """How parts join the furniture they belong to."""
+    """Merging of parts with their furniture."""
     refine_borders: bool
-    """Points at the border of a region go where most frames' masks put them. Not in the paper."""
+    """Whether points at the border of a region are reassigned by the masks of most frames. Default: `true`. Not in the paper."""
     rgbd_masks: RgbdSettings
-    """The built-in masks."""
+    """Built-in masks."""
     sam_masks: SamSettings
-    """Masks of a segmentation model, where the server has one."""
+    """Masks of a segmentation model, if the server has one."""
     superpoints: SuperpointSettings
-    """How finely the cloud is cut before anything is merged."""
+    """Segmentation of the cloud into superpoints."""
     views: ViewSettings
-    """Which views of an instance are kept as pictures."""
+    """Selection of the views stored as pictures."""
 
 
 class PartMergingSettings(TypedDict, total=False):
-    """How legs, backs and feet join the furniture they belong to. Not in the paper."""
+    """Merging of legs, backs and feet with their furniture. Not in the paper."""
     back_width: float
-    """A back is at least this share as wide as what it stands on, and at most the inverse."""
+    """Minimum width of a back relative to the part below it. The maximum is the inverse."""
     enabled: bool
-    """Whether parts are joined at all."""
+    """Whether parts are merged. Default: `true`."""
     leg_thickness_m: float
-    """Legs and poles are no thicker than this, metres."""
+    """Maximum thickness of legs and poles, meters."""
     longest_m: float
-    """Nothing longer than this is a part of furniture or is given parts, metres."""
+    """Maximum length of furniture and its parts for this step, meters."""
     plate_thickness_m: float
-    """A plate is no thicker than this, metres."""
+    """Maximum thickness of a plate, meters."""
 
 
 @dataclass
 class PlacedBox:
-    """A box anyhow turned. As `vision_msgs/BoundingBox3D` has it."""
+    """A box with any orientation, in the format of `vision_msgs/BoundingBox3D`."""
     id: InstanceId
-    """The instance it is of."""
+    """Id of the instance."""
     center: Vector
-    """Centre, in the frame's units."""
+    """Center, in the units of the frame."""
     size: Vector
-    """Full extent along the box's own axes, in the frame's units."""
+    """Full extent along the box's own axes, in the units of the frame."""
     orientation: Vector
-    """Turns the box's own axes to the frame's: unit quaternion `x, y, z, w`."""
+    """Rotation from the box's axes to the frame's axes: unit quaternion `x, y, z, w`."""
 
 
 @dataclass
 class PlacedPose:
-    """A place to stand as `geometry_msgs/Pose` has it."""
+    """A standing pose in the format of `geometry_msgs/Pose`."""
     position: Vector
-    """Middle of the robot's footprint, on the floor, in the frame's units."""
+    """Center of the robot's footprint, on the floor, in the units of the frame."""
     orientation: Vector
-    """Turns the robot's axes, X ahead and Z up, to the frame's: unit quaternion `x, y, z, w`."""
+    """Rotation from the robot's axes (X forward, Z up) to the frame's axes: unit quaternion `x, y, z, w`."""
     path: list[Vector]
-    """The corners of the way, in the frame's units."""
+    """Corners of the path, in the units of the frame."""
 
 
 @dataclass
 class PosesInFrame:
-    """Places to stand in other coordinates than the scene's."""
+    """Standing poses in another frame than the scene's."""
     frame: FrameChoice
     """`source` or `map`."""
     stamp: Stamp
-    """When this was told; with `frame_id` the header of a ROS message."""
+    """Time of the response. Together with `frame_id`, it forms the header of a ROS message."""
     scene_to_frame: SceneToFrame
-    """From the scene's coordinates to these: for everything else that is told."""
+    """Transform from the scene's frame to this frame, for the other coordinates of the response."""
     poses: list[PlacedPose]
-    """One for each of `poses`, in their order."""
+    """One pose for each of `poses`, in the same order."""
     frame_id: Optional[str] = None
-    """What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said."""
+    """Name of the map frame: the scene's `map_frame_id`. `null` if not set."""
 
 
 @dataclass(repr=False)
 class Problem(ShortRepr):
-    """An error. `code` is stable; `detail` is for people and names the file, frame or field."""
+    """An error. `code` is stable. `detail` is for people and names the file, frame or field."""
     type: str
-    """Always `about:blank`: the code says which problem it is."""
+    """Always `about:blank`. `code` identifies the problem."""
     title: str
-    """The status in words."""
+    """HTTP status as text."""
     status: int
-    """HTTP status, as in the status line."""
+    """HTTP status code."""
     detail: str
-    """What was wrong with this very request, for people; wording may change."""
+    """Description of the error for people. The wording may change."""
     code: str
-    """Stable; what a program should look at."""
+    """Stable error code for programs."""
     errors: list[FieldError] = field(default_factory=list)
-    """Fields of the request that are wrong."""
+    """Invalid fields of the request."""
     job_id: Optional[str] = None
-    """The job to wait for, where there is one."""
+    """Id of the job to wait for, if any."""
     request_id: Optional[str] = None
-    """The same as the header `x-request-id`."""
+    """Request id, as in the header `x-request-id`."""
 
 
 @dataclass
 class PromptCall:
-    """What was said to the model in one call."""
+    """The prompt of one call."""
     purpose: str
-    """`parse`, `naming`, `spatial`, or what was wrong: `out_of_set`, `unreadable`, `inconsistent`."""
+    """Purpose of the call: `parse`, `naming`, `spatial`, or the defect of the previous reply: `out_of_set`, `unreadable`, `inconsistent`.
+    """
     system: str
-    """The system message: what the model is there for."""
+    """The system message."""
     user: list[PromptPart]
-    """In the order the model got them."""
+    """Parts of the user message, in order."""
     schema: Optional[dict[str, Any]] = None
-    """The JSON schema asked for, if one was."""
+    """The requested JSON schema. `null` if none was requested."""
 
 
 @dataclass
 class PromptPart:
-    """A piece of what the model was shown."""
+    """A part of a prompt."""
     type: Literal["text", "picture"]
     text: Optional[str] = None
-    """As it was sent."""
+    """The text as sent."""
     href: Optional[str] = None
-    """JPEG, as it was shown; relative to the server."""
+    """URL of the JPEG as sent, relative to the server."""
 
 
 @dataclass(repr=False)
 class Readiness(ShortRepr):
-    """What the service needs to do its work, each `ok` or what is wrong."""
+    """Readiness of the service. Each component is `ok` or describes its problem."""
     ready: bool
-    """Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status is 503 otherwise."""
+    """Whether database, folder, disk, workers and inference server are all `ok`. If not, the HTTP status is 503."""
     database: str
-    """`ok`, or why the database can not be written."""
+    """`ok`, or why the database cannot be written."""
     blob_folder: str
-    """`ok`, or why nothing can be read or written where scans and results are kept."""
+    """`ok`, or why the storage of scans and results cannot be read or written."""
     worker: str
-    """`ok`, or `stopped` with the kinds of jobs that are no longer worked on."""
+    """`ok`, or `stopped` with the kinds of jobs that are not processed."""
     masks: str
-    """Where masks come from."""
+    """Source of 2D masks."""
     encoder: str
-    """How instances and words are compared."""
+    """Encoder that compares instances and words."""
     models: list[LoadedModel]
-    """The neural models among these, loaded and run once at the start."""
+    """Loaded neural models. Each was run once at startup."""
     disk: Optional[str] = None
-    """`ok`, or how little room is left."""
+    """`ok`, or the remaining disk space if it is low."""
     inference_server: Optional[str] = None
-    """`ok`, or why the inference server does not answer; absent where networks run in the server itself."""
+    """`ok`, or why the inference server does not respond. Absent if networks run in the server itself."""
     vlm: Optional[str] = None
-    """`ok`, or since when the vision-language model has answered no call; absent where none is configured. It does not count for `ready`:
-    built-in parts answer meanwhile.
+    """`ok`, or the time since when the vision-language model has not responded. Absent if none is configured. Does not affect `ready`,
+    because built-in components take over.
     """
 
 
 @dataclass
 class ReplyCall:
-    """What the model said in one call."""
+    """The reply of one call."""
     purpose: str
-    """Why it was asked, as in the prompt of the same place."""
+    """Purpose of the call, as in the prompt with the same index."""
     error: Optional[str] = None
-    """Why there was no reply; `null` when there was one."""
+    """Error if there was no reply, else `null`."""
     text: Optional[str] = None
-    """The model's words as they came; `null` when there were none."""
+    """Text of the reply, unchanged. `null` without a reply."""
 
 
 @dataclass
 class ReportPictureLink:
     """A picture of a parse."""
     name: str
-    """`superpoints`, `instances`, `frame-1` and so on: the file without `.jpg`."""
+    """File name without `.jpg`: `superpoints`, `instances`, `frame-1` and so on."""
     title: str
-    """What it shows."""
+    """Title of the picture."""
     url: str
-    """JPEG, relative to the server."""
+    """URL of the JPEG, relative to the server."""
 
 
 @dataclass(repr=False)
 class Retention(ShortRepr):
-    """How long things are kept, in days, and how much of what only saves time. 0 days: for ever, except for evidence."""
+    """Retention periods in days and size limits. 0 keeps data forever, except for evidence."""
     answers_days: int
-    """Answers."""
+    """Retention of answers, days."""
     evidence_days: int
-    """Prompts, replies and pictures of answers; 0: none are kept."""
+    """Retention of prompts, replies and pictures of answers, days. 0 stores none."""
     jobs_days: int
-    """Jobs that are over and that no scene and no batch refers to."""
+    """Retention of finished jobs that no scene or batch refers to, days."""
     batches_days: int
-    """Batches that are over, with their items."""
+    """Retention of finished batches and their items, days."""
     idempotency_days: int
-    """Idempotency keys of uploads."""
+    """Retention of idempotency keys, days."""
     audit_days: int
-    """What was done, and with whose key."""
+    """Retention of the audit log, days."""
     superseded_days: int
-    """Parses, from when no scene and no answer refers to them."""
+    """Retention of parses that no scene or answer refers to, days."""
     uploads_days: int
-    """Uploads that come in parts, from the last part."""
+    """Retention of resumable uploads since their last part, days."""
     checkpoints_days: int
-    """Finished stages of parses, from their last use."""
+    """Retention of parse checkpoints since their last use, days."""
     checkpoints_bytes: int
-    """Of all finished stages together; those go first that were not used for longest."""
+    """Maximum total size of parse checkpoints, bytes. The least recently used ones are removed first."""
     quarantine_days: int
-    """Folders no record speaks of; not a setting."""
+    """Retention of quarantined orphan folders, days. Not configurable."""
 
 
 class RgbdSettings(TypedDict, total=False):
-    """The built-in masks: even patches of colour and surface, joined into things."""
+    """Built-in masks: patches of uniform color and surface, merged into objects."""
     colour_edge: float
-    """CIELAB difference between neighbouring pixels that counts as one unit of edge."""
+    """CIELAB difference between neighboring pixels that counts as one unit of edge. Default: 12."""
     concave_edge_deg: float
-    """Angle between neighbouring normals that counts as one unit of edge where the surface is concave, degrees."""
+    """Angle between neighboring normals on a concave surface that counts as one unit of edge, degrees. Default: 25."""
     convex_edge_deg: float
-    """The same where it is convex: objects are allowed to bulge."""
+    """The same for a convex surface, degrees. Larger because objects are convex. Default: 60."""
     join_colour: float
-    """Mean CIELAB difference of two patches that costs one unit."""
+    """Mean CIELAB difference of two patches that costs one unit. Default: 25."""
     join_concave_deg: float
-    """Concave angle between two patches that costs one unit, degrees."""
+    """Concave angle between two patches that costs one unit, degrees. Default: 60."""
     join_cost: float
-    """Patches join into things while the cost of the cheapest border stays below this."""
+    """Maximum border cost for merging patches into objects. Default: 0.8."""
     min_patch_pixels: int
-    """Patches under this many grid pixels join their most similar neighbour."""
+    """Minimum size of a patch in grid pixels. Smaller ones join their most similar neighbor. Default: 20."""
     patch_scale: float
-    """How readily even areas grow across edges (Felzenszwalb's k, in units of edge times pixels)."""
+    """Felzenszwalb's k in units of edge times pixels. Larger values give larger patches. Default: 30."""
     plane_area_m2: float
-    """A flat patch of at least this area is a plane that things rest on, square metres."""
+    """Minimum area of a flat patch that counts as a supporting plane, square meters. Default: 0.35."""
     stride: int
-    """Every `stride`-th pixel of the depth image is looked at."""
+    """Uses every `stride`-th pixel of the depth image, 1 to 16. Default: 2."""
 
 
 class RobotOptions(TypedDict, total=False):
     """What `Robot` may have besides."""
     reach_m: Optional[float]
-    """How far its arm reaches out of the cylinder, metres. Left out, it only has to see the thing."""
+    """Reach of the arm beyond the cylinder, meters. If omitted, the robot only has to see the object."""
 class Robot(RobotOptions):
-    """A robot as an upright cylinder on the floor."""
+    """A robot, modeled as an upright cylinder on the floor."""
     radius_m: float
-    """Of the circle around its footprint, metres."""
+    """Radius of the circle around its footprint, meters."""
     height_m: float
-    """What is higher above the floor than this it passes under, metres."""
+    """Height of the robot, meters. It passes under anything higher."""
     eye_height_m: float
-    """Where it sees from: above the middle of its footprint, metres above the floor, at most `height_m`."""
+    """Height of the camera above the floor, meters, over the center of the footprint. At most `height_m`."""
 
 
 class SamSettings(TypedDict, total=False):
-    """Masks of a promptable segmentation model, asked at points of each picture."""
+    """Settings of a promptable segmentation model."""
     cache_mb: int
-    """Encoded pictures are kept on disk until the parse is done, for the prompts of defect correction; at most so many megabytes."""
+    """Maximum disk space for encoded pictures during a parse, megabytes. Defect correction reuses them. Default: 4096."""
     max_area: float
-    """Masks over this share of the picture are the picture."""
+    """Maximum area of a mask as a share of the picture. Default: 0.9."""
     max_masks: int
-    """Masks kept per picture, the best."""
+    """Maximum number of masks per picture. Keeps the best. Default: 400."""
     max_overlap: float
-    """Of two masks that overlap by more (IoU), the better stays."""
+    """IoU above which the worse of two overlapping masks is removed. Default: 0.7."""
     min_area: float
-    """Masks under this share of the picture are specks."""
+    """Minimum area of a mask as a share of the picture. Default: 0.0003."""
     min_predicted_iou: float
-    """Masks the model is less sure of are left out."""
+    """Minimum predicted quality (IoU) of a mask. Default: 0.5."""
     min_stability: float
-    """Least overlap of a mask with itself when its threshold moves by `stability_margin` both ways."""
+    """Minimum overlap of a mask with itself when its threshold moves by `stability_margin` in both directions. Default: 0.7."""
     order: MaskOrder
-    """Which masks are painted last, over the others."""
+    """Order in which overlapping masks are painted. Default: `ascending_quality`."""
     points_per_side: int
-    """Points per side of the grid."""
+    """Points per side of the grid, 1 to 128. Default: 16."""
     prompts: SamPrompts
-    """Where it is asked."""
+    """Prompt points. Default: `segments`."""
     quarters: bool
-    """Also asks four overlapping quarters of each picture, each with half the points per side: small things, at five times the encoding."""
+    """Also segments four overlapping quarters of each picture, each with half the points per side. Finds smaller objects at five times the
+    encoding cost. Default: `false`.
+    """
     stability_margin: float
-    """In logits."""
+    """Change of the mask threshold for the stability test, in logits. Default: 1."""
     wholes: bool
-    """Whether a second id image has a vote, in which wholes cover their parts: masks up to a quarter of the picture, the largest last."""
+    """Whether to vote with a second id image in which wholes cover their parts: masks up to a quarter of the picture, the largest painted
+    last. Default: `true`.
+    """
 
 
 @dataclass
 class ScanAlignment:
-    """From the coordinates of the earlier scan to those of the later one: `to = rotation * from + translation_m`."""
+    """Transform from the earlier scan to the later one: `to = rotation * from + translation_m`."""
     rotation: Vector
     """Unit quaternion `x, y, z, w`."""
     translation_m: Vector
-    """Metres."""
+    """Translation, meters."""
     refined: bool
-    """Whether it was refined by laying the two clouds over each other."""
+    """Whether the transform was refined by registering the two clouds."""
     overlap: float
-    """Share of the earlier scan's points that have one of the later scan's within 5 cm."""
+    """Share of the earlier scan's points with a point of the later scan within 5 cm, `0..=1`."""
     rms_m: float
-    """Their root mean square distance to its surfaces, metres."""
+    """Root mean square distance of these points to the later scan's surfaces, meters."""
 
 
 @dataclass(repr=False)
 class Scene(ShortRepr):
-    """A scene: one uploaded scan and its current parse."""
+    """A scene: an uploaded scan and its current parse."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     name: str
-    """One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`. Need not be unique."""
+    """Name, one line of 1 to 200 characters: set at the upload, taken from the archive, or `scene`. Names may repeat."""
     status: SceneStatus
-    """Whether questions can be asked."""
+    """Status of the scene."""
     content_hash: str
-    """SHA-256 of the uploaded bytes, hex; of a scene that has grown, of what it is made of."""
+    """SHA-256 of the uploaded bytes, hex. If frames were added, a hash over all uploads."""
     parse_version: int
-    """Number of the current parse, from 1; 0 before the first. Questions use the current one until a newer is ready."""
+    """Version of the current parse, from 1. 0 before the first. Questions use it until a newer one is ready."""
     created_at: str
-    """When it was uploaded, RFC 3339 UTC."""
+    """Upload time, RFC 3339 UTC."""
     updated_at: str
-    """When it was last changed, parsed, or asked to be, RFC 3339 UTC."""
+    """Time of the last change or parse request, RFC 3339 UTC."""
     counts: Optional[SceneCounts] = None
     error: Optional[JobError] = None
     extent: Optional[Aabb] = None
     import_: Optional[ImportReport] = None
     job_id: Optional[str] = None
-    """The latest parse job on this scene."""
+    """Id of the latest parse job of this scene."""
     labels: Optional[dict[str, str]] = None
-    """What the scene is filed under: `building`, `floor`, whatever its owner says."""
+    """Labels, like `building` or `floor`."""
     map_frame_id: Optional[str] = None
-    """What that map's frame is called; `null` where nobody has said."""
+    """Name of the map frame. `null` if not set."""
     models: Optional[ParseModels] = None
     report: Optional[ParseReport] = None
     scene_to_map: Optional[SceneToMap] = None
@@ -1714,38 +1726,38 @@ class Scene(ShortRepr):
 
 @dataclass
 class SceneAnswer:
-    """The answer of one of many scenes."""
+    """Answer for one scene."""
     scene_name: str
     """Name of the scene; its id is in the answer."""
     labels: dict[str, str]
-    """Its labels."""
+    """Labels of the scene."""
     answer: Answer
-    """As a question about that scene alone is answered; kept, as any."""
+    """The answer, as for a question about this scene alone. It is stored like any answer."""
 
 
 class SceneChange(TypedDict, total=False):
-    """What is to be different about a scene; what is left out stays."""
+    """Changes of a scene. Omitted fields stay unchanged."""
     labels: Optional[Mapping[str, str]]
-    """What the scene is filed under, all of it: labels that are left out are taken away. At most 20; names of 1 to 63 letters, digits, `.`,
-    `_`, `-` and `/`, values of 1 to 100 characters without commas.
+    """Labels. They replace all existing labels. At most 20; names of 1 to 63 letters, digits, `.`, `_`, `-` and `/`, values of 1 to 100
+    characters without commas.
     """
     map_frame_id: Optional[str]
-    """What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away."""
+    """Name of the map frame in tf, 1 to 200 characters. `null` removes it."""
     name: Optional[str]
-    """One line of 1 to 200 characters, not blank, without control characters."""
+    """Name, one line of 1 to 200 characters, not blank, without control characters."""
     scene_to_map: Optional[SceneToMap]
-    """Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it away."""
+    """Transform from the scene to a map. Questions can then request boxes in the map. `null` removes it."""
 
 
 @dataclass
 class SceneChanges:
-    """What changed in a scene: since an earlier version of it, or from one scan of a room to another."""
+    """Changes in a scene: since an earlier version, or between two scans of a room."""
     from_: SceneVersion
-    """The earlier look."""
+    """The earlier version."""
     to: SceneVersion
-    """The later one."""
+    """The later version."""
     changes: Changes
-    """What is different."""
+    """The changes."""
     alignment: Optional[ScanAlignment] = None
 
 
@@ -1753,48 +1765,48 @@ class SceneChanges:
 class SceneCounts:
     """Sizes of a scene's current parse."""
     points: int
-    """Points of the cloud."""
+    """Number of points in the cloud."""
     frames_used: int
-    """Frames looked at, a sample of those imported."""
+    """Number of frames used, a sample of the imported ones."""
     superpoints: int
-    """Small even patches the cloud was cut into before merging."""
+    """Number of superpoints: small uniform patches of the cloud."""
     instances: int
-    """Instances found, floor, walls and ceiling included."""
+    """Number of instances, including floor, walls and ceiling."""
 
 
 @dataclass
 class SceneGraph:
-    """A scene graph: things, parts, wholes, the building and zones, and relations between them. Metres, world frame (Z up)."""
+    """A scene graph: objects, parts, wholes, building elements and zones, with the relations between them. Meters, world frame (Z up)."""
     scene_id: str
     """UUIDv7 of the scene."""
     parse_version: int
-    """Number of the scene's parse, from 1; instance ids belong to it."""
+    """Version of the scene's parse, from 1. Instance ids belong to it."""
     frame: CoordinateFrame
-    """The frame of all coordinates."""
+    """The coordinate frame of all coordinates."""
     nodes: list[GraphNode]
-    """In order of instance id, then zones."""
+    """Nodes ordered by instance id, then zones."""
     edges: list[GraphEdge]
-    """In order of their nodes. What goes without saying is left out: a symmetric relation stands once, and no relation has its inverse."""
+    """Edges in the order of their nodes. A symmetric relation is listed once, and inverse relations are omitted."""
 
 
 @dataclass
 class SceneList:
-    """One page of scenes."""
+    """A page of scenes."""
     scenes: list[Scene]
-    """Newest first."""
+    """Scenes, newest first."""
     next_cursor: Optional[str] = None
-    """Pass as `cursor` for the next page; `null` on the last."""
+    """Cursor of the next page. `null` on the last page."""
 
 
 @dataclass(repr=False)
 class SceneReport(ShortRepr):
-    """Everything known about a scene's current parse."""
+    """Full report of a scene's current parse."""
     scene_id: str
     """UUIDv7 of the scene."""
     parse_version: int
-    """Number of the current parse, from 1."""
+    """Version of the current parse, from 1."""
     pictures: list[ReportPictureLink]
-    """The cloud by superpoint and by instance, and instances over up to three frames; empty for parses of old versions."""
+    """Pictures of the cloud by superpoint and by instance, and of instances in up to three frames. Empty for parses from older versions."""
     import_: Optional[ImportReport] = None
     models: Optional[ParseModels] = None
     parse: Optional[ParseReport] = None
@@ -1803,284 +1815,285 @@ class SceneReport(ShortRepr):
 
 @dataclass
 class SceneToFrame:
-    """From a scene's coordinates to others: `other = scale * rotation * scene + translation`."""
+    """Transform from the scene to another frame: `other = scale * rotation * scene + translation`."""
     rotation: Vector
     """Unit quaternion `x, y, z, w`."""
     translation: Vector
-    """In units of the other coordinates."""
+    """Translation in the units of the other frame."""
     scale: float
-    """Units of the other coordinates to a metre; 1 for maps."""
+    """Units of the other frame per meter. 1 for maps."""
 
 
 class SceneToMap(TypedDict):
-    """Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on both sides."""
+    """Transform from the scene to a map: `map = rotation * scene + translation_m`, with meters in both frames."""
     rotation: Sequence[float]
-    """Unit quaternion `x, y, z, w`, as ROS has it."""
+    """Unit quaternion `x, y, z, w`, in the order of ROS."""
     translation_m: Sequence[float]
-    """Metres, in the map's axes."""
+    """Translation in the map's axes, meters."""
 
 
 @dataclass
 class SceneVersion:
-    """A scene as it was parsed at some time."""
+    """A version of a scene."""
     scene_id: str
     """UUIDv7 of the scene."""
     version: int
-    """Number of its parse, from 1."""
+    """Version of its parse, from 1."""
 
 
 @dataclass
 class Seen:
-    """Where a vision-language model sees what is asked for, though no instance is it."""
+    """Location in a picture where a vision-language model sees an object that is not an instance."""
     picture: str
-    """The picture it is seen in, one of the answer's evidence: `candidate-7`, `global`."""
+    """Name of the picture in the answer's evidence: `candidate-7`, `global`."""
     at: Vector
-    """From the left and the upper rim, shares of the picture's width and height, `0..=1`."""
+    """Position from the left and the top, as fractions of the picture's width and height, `0..=1`."""
     name: str
-    """What the model calls it."""
+    """Name that the model gives the object."""
 
 
 class ShortlistOptions(TypedDict, total=False):
     """What `ShortlistRequest` may have besides."""
     allow_builtin: bool
-    """Where the encoder fails, or is not the one the scene was parsed with, rank by names and measures."""
+    """Whether to rank by names and measurements if the encoder fails or is not the one of the parse. Default: `false`."""
     calibrated: bool
-    """Scores are likelihoods against a vocabulary instead of cosines."""
+    """Whether scores are likelihoods against a vocabulary instead of cosines. Default: `false`."""
     candidates: CandidateSource
-    """Who chooses. By default the encoder, where one has seen the scene."""
+    """Source of the candidates. Default: `encoder`, if one has processed the scene."""
     query_text: QueryText
-    """Which words are compared with the instances, where an encoder has seen them."""
+    """Text that is compared with the instances, if an encoder has processed the scene. Default: `mean`."""
     top_k: int
-    """Most candidates to send back; fewer when fewer fit."""
+    """Maximum number of candidates, 1 to 100. Default: 5."""
 class ShortlistRequest(ShortlistOptions):
-    """A query for candidates only."""
+    """A query that returns only candidates."""
     query: str
-    """What to find, in plain English."""
+    """Description of the object in English, 1 to 1000 characters."""
 
 
 @dataclass
 class Shortlisted:
-    """Candidates without reasoning over relations: by appearance where an encoder has seen the scene, by names and attributes otherwise."""
+    """Candidates without spatial reasoning: ranked by appearance if an encoder has processed the scene, else by names and attributes."""
     query: str
-    """The query, word for word."""
+    """The query, unchanged."""
     candidates: list[Candidate]
-    """Best first; instances that do not fit at all are left out."""
+    """Candidates, best first. Instances that do not fit are omitted."""
     encoder: str
-    """Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`."""
+    """Component that compared words with instances: a model as `name@fingerprint`, or a built-in component like `attributes-2`."""
     cut: bool
-    """The sentence is longer than the encoder reads: its end does not count."""
+    """Whether the query was truncated because it is longer than the encoder's input."""
 
 
 @dataclass
 class SixFields:
-    """The paper's six fields."""
+    """The six output fields of the paper."""
     explanation: str
-    """Why, in words a person can check."""
+    """Explanation of the decision for people."""
     candidate_names: dict[str, str]
-    """What each candidate is called, by id, without regard to the question."""
+    """Names of the candidates by id, independent of the question."""
     anchor_id: Optional[InstanceId] = None
     predicted_id: Optional[InstanceId] = None
     relation_used: Optional[str] = None
-    """The relation the decision used, in the question's words."""
+    """The relation that the decision used, in the question's words."""
     target_name_matches: Optional[bool] = None
-    """Whether the chosen candidate's own name means what the question asks for; `null` when nothing was chosen."""
+    """Whether the name of the chosen candidate matches the question. `null` if no candidate was chosen."""
 
 
 @dataclass
 class SourceToScene:
-    """From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene = rotation * (metres_per_unit * source) +
-    translation_m`. In double precision: what lies at map coordinates keeps its place.
+    """Transform from the uploaded files to the scene (meters, Z up): `scene = rotation * (metres_per_unit * source) + translation_m`.
+    Double precision, so that large map coordinates keep their precision.
     """
     rotation: list[Vector]
     """Rows of a 3x3 rotation matrix."""
     translation_m: Vector
-    """Metres, in the scene's axes."""
+    """Translation in the scene's axes, meters."""
     metres_per_unit: float
-    """Length of one unit of the files, metres."""
+    """Length of one unit of the files, meters."""
 
 
 @dataclass
 class Spending:
-    """What vision-language models have cost, at the prices the server was given."""
+    """Spending on vision-language models at the configured prices."""
     day: str
-    """The day, UTC."""
+    """Day, UTC."""
     today_usd: float
-    """Spent on it, US dollars."""
+    """Spending on this day, US dollars."""
     daily_limit_usd: Optional[float] = None
-    """What may be spent in a day, US dollars; `null` without a limit."""
+    """Spending limit per day, US dollars. `null` if none is set."""
 
 
 @dataclass
 class StageReport:
-    """One stage of a parse: what it took and what came out."""
+    """Report of one stage of a parse."""
     stage: str
-    """`import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`,
-    `instances`, or with models `appearance`.
+    """Name of the stage: `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`, `hierarchy`,
+    `refinement`, `views`, `instances`, or with models `appearance`.
     """
     seconds: float
-    """Wall-clock."""
+    """Wall-clock duration, seconds."""
     peak_memory_mb: Optional[int] = None
-    """Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the system does not tell."""
+    """Peak resident memory of the process during the stage, 10^6 bytes. `null` if the system does not report it."""
     produced: Optional[int] = None
-    """How many came out: points, superpoints, masks over all frames, regions, proposals of parts and wholes, instances, sightings of
-    instances.
+    """Number of results: points, superpoints, masks over all frames, regions, proposed parts and wholes, instances, or views of instances.
     """
     reused: Optional[bool] = None
-    """Whether they were kept from an earlier parse of the scan that got so far under the same settings."""
+    """Whether the results come from a checkpoint of an earlier parse with the same settings."""
 
 
 @dataclass
 class Stamp:
-    """A moment, as `builtin_interfaces/Time` has it."""
+    """A time in the format of `builtin_interfaces/Time`."""
     sec: int
     """Seconds since 1970, UTC."""
     nanosec: int
-    """Nanoseconds on top."""
+    """Nanoseconds within the second."""
 
 
 @dataclass(repr=False)
 class StandingPose(ShortRepr):
-    """A place to stand, facing the thing. World frame (Z up), metres."""
+    """A standing pose that faces the object; meters, world frame (Z up)."""
     position: Vector
-    """Middle of the robot's footprint, on the floor."""
+    """Center of the robot's footprint, on the floor."""
     yaw_rad: float
-    """Direction it faces about +Z, radians; 0 looks along +X."""
+    """Heading about +Z, radians. 0 looks along +X."""
     look_at: Vector
-    """What to look at: the middle of what is in sight of the thing."""
+    """Center of the visible part of the object."""
     distance_m: float
-    """Horizontal distance to the thing's nearest point."""
+    """Horizontal distance from the robot's center to the object's nearest point, meters."""
     reach_m: float
-    """From the robot's cylinder to the thing's nearest point: what the arm has to reach."""
+    """Distance from the robot's cylinder to the object's nearest point, meters. The arm must reach this far."""
     visible_share: float
-    """Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of itself counts as seen."""
+    """Share of the object's points that no other object occludes from the camera, `0..=1`. Self-occlusion does not count."""
     path: list[Vector]
-    """From the start to here, corner by corner, straight in between; free of obstacles by the robot's radius, to within half a cell of the
-    grid. Empty without `from`.
+    """Corners of the path from the start to this pose, connected by straight lines. Keeps the robot's radius from obstacles, within half a
+    grid cell. Empty without `from`.
     """
     why: str
-    """Why here, in words."""
+    """Explanation of the pose for people."""
     clearance_m: Optional[float] = None
-    """From the middle of the robot to the nearest obstacle; never less than the robot's radius. `null` where there is none at all."""
+    """Distance from the robot's center to the nearest obstacle, meters. At least the robot's radius. `null` if there are no obstacles."""
     path_m: Optional[float] = None
-    """Length of `path`; `null` without `from`."""
+    """Length of `path`, meters. `null` without `from`."""
 
 
 @dataclass
 class Start:
-    """Where the robot sets out."""
+    """Start of the paths."""
     x: float
-    """Where paths begin, metres, world frame: the nearest free cell to what was asked for."""
+    """X of the free cell nearest to `from`; meters, world frame."""
     y: float
-    """Metres along Y."""
+    """Y of this cell; meters, world frame."""
     moved_m: float
-    """How far that is from what was asked for, metres; more than a cell where `from` was not free."""
+    """Distance of this cell from `from`, meters. Larger than a cell if `from` was not free."""
     was_free: bool
-    """Whether the robot can stand where it says it is."""
+    """Whether the robot can stand at `from`."""
 
 
 @dataclass(repr=False)
 class Stats(ShortRepr):
-    """A server in numbers."""
+    """Statistics of a server."""
     version: str
     """Version of the server, like `1.2.3`."""
     started_at: str
-    """When it was started, RFC 3339 UTC."""
+    """Start time, RFC 3339 UTC."""
     uptime_s: int
-    """Whole seconds since then."""
+    """Uptime, whole seconds."""
     stored: StoredCounts
-    """What is stored."""
+    """Numbers of stored records."""
     jobs: list[JobStats]
-    """By kind, in alphabetical order."""
+    """Job statistics per kind, in alphabetical order."""
     spending: Spending
-    """What models have cost."""
+    """Spending on models."""
     disk: DiskUse
-    """How much room everything takes."""
+    """Disk usage."""
     retention: Retention
-    """How long things are kept."""
+    """Retention settings."""
 
 
 @dataclass
 class StoredCounts:
-    """How many there are of what is stored."""
+    """Numbers of stored records."""
     scenes: int
-    """Scenes, parsed or not."""
+    """Number of scenes, parsed or not."""
     parses: int
-    """Finished parses; scenes with the same content and settings share one."""
+    """Number of finished parses. Scenes with the same content and settings share one."""
     instances: int
-    """Instances of all parses, of every level."""
+    """Number of instances of all parses and levels."""
     answers: int
-    """Answers that can be asked for again."""
+    """Number of stored answers."""
     batches: dict[str, int]
-    """Batches by state: `running`, `paused`, `succeeded`, `cancelled`; one whose job ended early counts as running here."""
+    """Number of batches by state: `running`, `paused`, `succeeded`, `cancelled`. A batch whose job ended early counts as running."""
 
 
 class SuperpointSettings(TypedDict, total=False):
-    """How finely the cloud is cut, and which patches grow together."""
+    """Segmentation into superpoints by region growing."""
     colour_tolerance: float
-    """Region growing joins patches whose mean CIELAB colours differ by less than this."""
+    """Maximum mean CIELAB difference of patches that region growing joins. Default: 4."""
     colour_weight: float
-    """Weight of the CIELAB distance, in units of 50."""
+    """Weight of the CIELAB distance, in units of 50. Default: 0.2."""
     curvature: float
-    """Region growing does not cross patches rougher than this (surface variation, 0 flat to 1/3 isotropic)."""
+    """Maximum roughness of patches that region growing crosses (surface variation, 0 for flat to 1/3 for isotropic). Default: 1."""
     normal_weight: float
-    """Weight of the angle between normals (`1 - |cos|`)."""
+    """Weight of the angle between normals (`1 - |cos|`). Default: 1."""
     seed_m: float
-    """Distance between seeds, metres."""
+    """Distance between seeds, meters, at most 100 voxels. Default: 0.15."""
     smoothness_deg: float
-    """Region growing joins patches whose normals differ by less than this, degrees."""
+    """Maximum angle between the normals of patches that region growing joins, degrees, 0 to 90. Default: 5."""
     spatial_weight: float
-    """Weight of the distance in space, in units of the seed distance."""
+    """Weight of the spatial distance, in units of the seed distance. Default: 0.4."""
     voxel_m: float
-    """Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better; sparse clouds are cut coarser."""
+    """Voxel size, meters, 0.001 to 10. Smaller voxels follow object borders better. Sparse clouds use larger ones. Default: 0.025. Paper:
+    0.05.
+    """
 
 
 @dataclass
 class Support:
-    """What an instance rests on."""
+    """Support of an instance."""
     on: Literal["floor", "instance", "wall", "nothing"]
     id: Optional[InstanceId] = None
-    """The wall, itself an instance."""
+    """Id of the wall instance."""
 
 
 @dataclass(repr=False)
 class Target(ShortRepr):
-    """A thing the question means."""
+    """An object that the question refers to."""
     id: InstanceId
-    """Numbered from 1 within the parse the answer comes from."""
+    """Id within the parse of the answer, from 1."""
     name: str
-    """What it is called, without regard to the question."""
+    """Name of the object, independent of the question."""
     confidence: float
-    """Belief that it is meant, `0..=1`."""
+    """Confidence that the question refers to it, `0..=1`."""
     box: Aabb
-    """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
+    """Axis-aligned box without outlier points; meters, world frame (Z up)."""
     oriented_box: OrientedBox
-    """Box turned about the vertical to fit it; metres, world frame (Z up)."""
+    """Box rotated about the vertical axis; meters, world frame (Z up)."""
     parent: Optional[InstanceId] = None
     support: Optional[Support] = None
 
 
 @dataclass
 class Timings:
-    """Wall-clock milliseconds per step."""
+    """Duration per step, wall-clock milliseconds."""
     parse_query: float
-    """Reading the question, the call included where a model reads."""
+    """Parsing the question, including the model call if a model parses it."""
     shortlist: float
-    """Getting the instances ready to be compared with the question."""
+    """Loading the instances for comparison with the question."""
     evidence: float
-    """Pictures for a vision-language model; the built-in reasoner needs none."""
+    """Preparing pictures for a vision-language model. 0 for the built-in reasoner."""
     reason: float
-    """Deciding: geometry, and the calls of a vision-language model where one reviews."""
+    """Deciding: geometric reasoning, and the calls of a vision-language model if one is used."""
     total: float
-    """From reading the question to the decision."""
+    """Total from parsing the question to the decision."""
 
 
 @dataclass
 class Trace:
-    """What happened on the way; empty when nothing was asked of a model and nothing went wrong."""
+    """Model calls and corrections. Empty if no model was called and no error occurred."""
     calls: list[Call]
-    """In the order they were made, reading the question included; at most three."""
+    """Calls in order, including the one that parses the question. At most three."""
     corrections: list[str]
-    """What was wrong and what was done about it, a sentence each, in order."""
+    """Problems and how they were handled, one sentence each, in order."""
 
 
 @dataclass
@@ -2111,63 +2124,64 @@ class TurnedBox:
 
 @dataclass(repr=False)
 class Upload(ShortRepr):
-    """An upload that comes in parts."""
+    """A resumable upload."""
     id: str
-    """UUIDv7; in order of time."""
+    """UUIDv7, so ids sort by time."""
     state: UploadState
-    """How far it has come."""
+    """State of the upload."""
     offset: int
-    """Bytes that are on the server's disk: where to go on."""
+    """Number of received bytes. Resume from this offset."""
     length: int
-    """Bytes it will have."""
+    """Total number of bytes."""
     created_at: str
-    """When it was begun, RFC 3339 UTC."""
+    """Creation time, RFC 3339 UTC."""
     expires_at: Optional[str] = None
-    """When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is forgotten. `null`: never."""
+    """Time when the upload expires without further bytes, RFC 3339 UTC. For a finished upload, when its record is removed. `null`: never.
+    """
     job_id: Optional[str] = None
-    """The job that parses the scene; `null` where it was only to be stored."""
+    """Id of the parse job. `null` if the scan is only stored."""
     problem: Optional[Problem] = None
     scene_id: Optional[str] = None
-    """The scene it has become."""
+    """Id of the created scene."""
 
 
 @dataclass
 class Usage:
-    """What an answer took of a vision-language model; all zero when none was asked."""
+    """Usage of vision-language models. All values are 0 if none was called."""
     vlm_calls: int
-    """Calls that got a reply."""
+    """Number of calls that got a reply."""
     prompt_tokens: int
     """Tokens of all prompts that got a reply."""
     completion_tokens: int
     """Tokens of all replies."""
     cost_usd: float
-    """US dollars, at the prices the server was given; 0 where it was given none."""
+    """Cost in US dollars at the configured prices. 0 if no prices are configured."""
 
 
 @dataclass
 class View:
-    """A picture that shows an instance well."""
+    """A frame with a good view of an instance."""
     frame: FrameIndex
-    """Position of the frame in the scan's own list, from 0."""
+    """Index of the frame in the scan's own list, from 0."""
     visible_points: int
-    """Points of the instance visible in this frame."""
+    """Number of the instance's points that are visible in this frame."""
     box_px: list[int]
-    """Tight box of the visible points in the colour picture: left, top, right, bottom, pixels."""
+    """Tight box of the visible points in the color picture: left, top, right, bottom, pixels."""
     mask: Optional[ViewMask] = None
 
 
 @dataclass
 class ViewMask:
-    """A mask over a box, in cells of equal size, as COCO writes run lengths: its tools read it."""
+    """A mask over a box with cells of equal size, in COCO's run-length encoding."""
     size: list[int]
     """Rows and columns of cells, at most 64 each."""
     counts: str
-    """Lengths of runs down the columns, outside and inside by turns, in COCO's compressed letters."""
+    """Run lengths down the columns, alternating outside and inside, in COCO's compressed format."""
 
 
 class ViewSettings(TypedDict, total=False):
-    """Which views of an instance are kept as pictures."""
+    """Selection of the views stored as pictures."""
     count: int
-    """Views kept per instance. Paper: 3."""
+    """Number of views stored per instance, 1 to 16. Default and paper: 3."""
     min_share_of_best: float
-    """A view must show at least this share of what the best one shows."""
+    """Minimum visibility of a view, as a share of the best view's. Default: 0.4."""

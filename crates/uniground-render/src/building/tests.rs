@@ -166,7 +166,11 @@ fn one_looks_in(scene: &Scene) {
                     eye.coords.dot(&side) - Vector3::new(3.0, 2.0, 0.0).dot(&side.abs());
                 match outside_m {
                     outside if outside > 0.2 => {
-                        assert!(pixels(color) < SLIVER_PX, "{from}: {} of {color:?}", pixels(color))
+                        assert!(
+                            pixels(color) < SLIVER_PX,
+                            "{from}: {} of {color:?}",
+                            pixels(color)
+                        );
                     }
                     outside if outside < -2.0 => {
                         assert!(pixels(color) > 500, "{from}: {} of {color:?}", pixels(color));

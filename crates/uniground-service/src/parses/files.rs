@@ -200,7 +200,7 @@ pub fn write(
         match frame.optics.color_lens {
             None => drop(fs::copy(&frame.color, file)?),
             Some(_) => {
-                fs::write(file, encode_jpeg(&frame.decode_color().map_err(ParseError::from)?))?
+                fs::write(file, encode_jpeg(&frame.decode_color().map_err(ParseError::from)?))?;
             }
         }
     }
