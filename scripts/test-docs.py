@@ -53,6 +53,9 @@ def run(page: str, script: str, program: pathlib.Path) -> bool:
             "HOME": home,
             "XDG_CACHE_HOME": f"{home}/cache",
             "UNIGROUND_DATA_DIR": f"{home}/data",
+            # In seconds, with or without a folder of models.
+            "UNIGROUND_MASKS": "builtin",
+            "UNIGROUND_ENCODER": "builtin",
             "PATH": f"{program.parent}:{ROOT / '.venv-python/bin'}:{os.environ['PATH']}",
         }
         for name in ("UNIGROUND_REQUIRE_SHARED", "PROGRAM"):
