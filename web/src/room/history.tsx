@@ -12,11 +12,14 @@ const ANSWERS_PER_PAGE = 50;
 const MAX_PAGES = 4;
 /** Own questions that are enough to stop fetching. */
 const ENOUGH = 10;
+/** Questions that are listed at first. */
+const ROWS = 8;
 
 interface Asked { questions: Answer[]; batches: Batch[] }
 
 export function History({ room }: { room: Room }) {
   const [{ questions, batches }, setAsked] = useState<Asked>({ questions: [], batches: [] });
+  const [rows, setRows] = useState(ROWS);
   const shown = room.answer.value?.id;
   useEffect(() => {
     let current = true;
@@ -34,7 +37,7 @@ export function History({ room }: { room: Room }) {
         <h3>{t.ask.history}</h3>
         {questions.length === 0 && <p class="small">{t.ask.noHistory}</p>}
         <ul class="lines">
-          {questions.map((answer) => (
+          {questions.slice(0, rows).map((answer) => (
             <li key={answer.id}>
               <button type="button" class="line" aria-current={answer.id === shown ? "true" : undefined} onClick={() => void room.open(answer.id)}>
                 <span>{answer.query}</span>
@@ -43,6 +46,11 @@ export function History({ room }: { room: Room }) {
             </li>
           ))}
         </ul>
+        {questions.length > rows && (
+          <button type="button" class="quiet" onClick={() => setRows(questions.length)}>
+            {t.more}
+          </button>
+        )}
       </section>
       {batches.length > 0 && (
         <section class="history">
