@@ -2,7 +2,7 @@
 
 import type { FunctionComponent } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { currentKey, keyWanted } from "./api/key";
+import { currentKey, keyWanted, serverHasKeys } from "./api/key";
 import { BatchPlace } from "./batches/batch";
 import { BatchesPlace } from "./batches/list";
 import { KeyDialog } from "./key-dialog";
@@ -67,11 +67,14 @@ function Head() {
         <a href={address(["batches"])} aria-current={current("batches")}>
           {t.nav.batches}
         </a>
-        <a href="/docs/">{t.nav.api}</a>
+        <a href="/docs/" target="_blank" rel="noopener" title={t.nav.newTab}>
+          {t.nav.api}
+          <span class="offscreen"> ({t.nav.newTab})</span>
+        </a>
       </nav>
       <span class="gap" />
       <label class="theme">
-        <span class="offscreen">{t.theme.label}</span>
+        <span>{t.theme.label}</span>
         <select value={theme.value} onChange={(event) => (theme.value = event.currentTarget.value as Theme)}>
           {(["auto", "light", "dark"] as const).map((name) => (
             <option key={name} value={name}>
@@ -80,9 +83,11 @@ function Head() {
           ))}
         </select>
       </label>
-      <button type="button" class="quiet" onClick={() => setAsking(true)} data-on={currentKey() !== null}>
-        {t.key.button}
-      </button>
+      {(currentKey() !== null || serverHasKeys.value) && (
+        <button type="button" class="quiet" onClick={() => setAsking(true)}>
+          {t.key.button}
+        </button>
+      )}
       {(asking || keyWanted.value !== null) && (
         <KeyDialog
           onClose={() => {

@@ -21,7 +21,7 @@ test("questions are pasted, results arrive in order, and are downloaded as JSONL
   const { page, complaints, close } = await openPage(browser, `${service.page}/#/batches`);
   await page.getByLabel("Questions").fill('the red sofa\nhow many mugs are there?\n{"query": "the bathtub", "top_k": 3}\n{"top_k": 3}');
   await page.getByText("4 questions").waitFor();
-  await page.getByRole("button", { name: "Ask them all" }).click();
+  await page.getByRole("button", { name: "Ask all" }).click();
   const rows = page.locator(".results tbody tr");
   await rows.nth(3).waitFor();
   assert.match(await rows.nth(0).textContent(), /the red sofa.*found/);
@@ -43,10 +43,29 @@ test("questions are pasted, results arrive in order, and are downloaded as JSONL
   await close();
 });
 
+test("questions of a batch are not among those that were asked by hand", async () => {
+  const { scenes } = await (await fetch(`${service.api}/v1/scenes`)).json();
+  const list = { items: [{ query: "the green stool" }, { query: "the plant" }], defaults: { scene_id: scenes[0].id }, label: "two questions" };
+  const post = { method: "POST", headers: { "content-type": "application/json" } };
+  const { job_id } = await (await fetch(`${service.api}/v1/batches`, { ...post, body: JSON.stringify(list) })).json();
+  await (await fetch(`${service.api}/v1/jobs/${job_id}/events`)).text();
+  const { page, complaints, close } = await openPage(browser, `${service.page}/#/scenes/${scenes[0].id}`);
+  await page.getByLabel("Question").fill("the window");
+  await page.keyboard.press("Enter");
+  await page.getByRole("article", { name: "Answer" }).waitFor();
+  const before = page.locator(".history", { hasText: "Asked before" });
+  await before.getByRole("button", { name: /the window/ }).waitFor();
+  assert.equal(await before.getByText(/green stool|the plant/).count(), 0);
+  await page.locator(".history", { hasText: "Batches about this room" }).getByRole("link", { name: /two questions/ }).click();
+  await page.getByRole("heading", { name: "two questions" }).waitFor();
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
 test("a line that can not be read is named before anything is sent", async () => {
   const { page, close } = await openPage(browser, `${service.page}/#/batches`);
   await page.getByLabel("Questions").fill('the red sofa\n{"query": "the');
-  await page.getByText("Line 2 begins like JSON and can not be read.").waitFor();
-  assert.equal(await page.getByRole("button", { name: "Ask them all" }).isDisabled(), true);
+  await page.getByText("Line 2 starts like JSON but is not valid JSON.").waitFor();
+  assert.equal(await page.getByRole("button", { name: "Ask all" }).isDisabled(), true);
   await close();
 });

@@ -31,7 +31,7 @@ async function ask(page, question) {
 
 /** Opens the list of things, and the thing of that number in it. */
 async function openThing(page, id) {
-  await page.getByRole("tab", { name: "Things" }).click();
+  await page.getByRole("tab", { name: "Objects" }).click();
   if (await page.locator(`[data-instance="${id}"]`).isVisible()) return;
   await row(page, id).click();
   await page.locator(`[data-instance="${id}"]`).waitFor();
@@ -40,7 +40,7 @@ async function openThing(page, id) {
 const row = (page, id) => page.locator(".panel .line", { has: page.getByText(String(id), { exact: true }) });
 
 async function undoAll(page) {
-  await page.getByRole("tab", { name: "Things" }).click();
+  await page.getByRole("tab", { name: "Objects" }).click();
   const corrections = page.locator("details.corrections");
   if ((await corrections.getAttribute("open")) === null) await corrections.locator("summary").click();
   const undo = corrections.getByRole("button", { name: /^Undo/ });
@@ -78,20 +78,20 @@ test("junk is never an answer, until it is taken back", async () => {
   const { answer } = await ask(page, "the red sofa");
   await openThing(page, answer.predicted_id);
   await page.getByRole("button", { name: "This is junk" }).click();
-  await page.getByRole("status").getByText("Kept: later answers go by it.").waitFor();
+  await page.getByRole("status").getByText("Saved. Later answers use it.").waitFor();
   await page.reload();
   await drawn(page);
   const without = await ask(page, "the red sofa");
   assert.notEqual(without.answer.predicted_id, answer.predicted_id);
-  await page.getByRole("tab", { name: "Things" }).click();
+  await page.getByRole("tab", { name: "Objects" }).click();
   assert.equal(await row(page, answer.predicted_id).count(), 0);
   await page.getByLabel("Show").selectOption("junk");
   await row(page, answer.predicted_id).waitFor();
-  await page.getByLabel("Show").selectOption("things");
+  await page.getByLabel("Show").selectOption("objects");
 
   await undoAll(page);
   await row(page, answer.predicted_id).waitFor();
-  assert.match(await page.locator(".correction").first().textContent(), /taken back/);
+  assert.match(await page.locator(".correction").first().textContent(), /undone/);
   assert.equal((await ask(page, "the red sofa")).answer.predicted_id, answer.predicted_id);
   assert.deepEqual(complaints, []);
   await close();
@@ -106,7 +106,7 @@ test("two things are one: chosen by hand, highlighted together, clicked as one",
   await row(page, b.id).click({ modifiers: ["Shift"] });
   const selected = () => page.evaluate(() => window.unigroundPage.boxes().filter(({ role }) => role === "selected").map(({ instance }) => instance));
   assert.deepEqual((await selected()).sort(), [a.id, b.id].sort());
-  const [reply] = await Promise.all([page.waitForResponse(/\/corrections$/), page.getByRole("button", { name: "These are one thing" }).click()]);
+  const [reply] = await Promise.all([page.waitForResponse(/\/corrections$/), page.getByRole("button", { name: "These are one object" }).click()]);
   const { made } = await reply.json();
   await page.locator(`[data-instance="${made}"]`).waitFor();
   assert.deepEqual(await selected(), [made]);
@@ -151,7 +151,7 @@ test("what is not one thing leaves its parts, and a click on it means one of the
   const whole = instances.find((one) => one.level === "thing" && !one.structure && !one.dismissed && partsOf(one).length > 1);
   const parts = partsOf(whole).map(({ id }) => id);
   await openThing(page, whole.id);
-  await page.getByRole("button", { name: "This is not one thing" }).click();
+  await page.getByRole("button", { name: "This is not one object" }).click();
   await row(page, parts[0]).waitFor();
   assert.equal(await row(page, whole.id).count(), 0);
   await page.getByRole("button", { name: "Whole room" }).click();
@@ -177,7 +177,7 @@ test("what has no known parts can not be taken apart, and what to do then is tol
   const parts = instances.filter(({ level }) => level === "part").flatMap(({ things }) => things);
   const whole = instances.find(({ level, structure, id }) => level === "thing" && !structure && !parts.includes(id));
   await openThing(page, whole.id);
-  await page.getByRole("button", { name: "This is not one thing" }).click();
+  await page.getByRole("button", { name: "This is not one object" }).click();
   const problem = page.getByRole("alert");
   await problem.waitFor();
   assert.match(await problem.textContent(), /What to do:.*no_parts/s);
@@ -199,8 +199,8 @@ test("by keyboard alone: one thing and another are gathered, and said to be junk
     await page.getByRole("button", { name: "← Back to the list" }).focus();
     await page.keyboard.press("Enter");
   }
-  await page.getByText("2 things selected.").waitFor();
-  await page.getByRole("button", { name: "Junk, all of it" }).focus();
+  await page.getByText("2 objects selected.").waitFor();
+  await page.getByRole("button", { name: "Mark all as junk" }).focus();
   await page.keyboard.press("Enter");
   await row(page, some[0].id).waitFor({ state: "detached" });
   await undoAll(page);

@@ -35,7 +35,7 @@ test("a key is asked for once, kept for the tab, and opens pictures and events t
   page.on("request", (request) => {
     if (request.headers().authorization) origins.add(new URL(request.url()).origin);
   });
-  await page.getByRole("dialog").getByLabel("Key").fill(KEY);
+  await page.getByRole("dialog").getByLabel("API key").fill(KEY);
   await page.keyboard.press("Enter");
   const thumbnail = page.locator(".card img");
   await thumbnail.waitFor();
@@ -120,14 +120,14 @@ for (const colorScheme of ["light", "dark"]) {
     await page.getByLabel("Question").fill("the zorgly red chair near the table");
     await page.keyboard.press("Enter");
     await page.getByRole("article", { name: "Answer" }).waitFor();
-    await page.getByText("How to answer").click();
-    await page.getByText(/^Candidates \(/).click();
+    await page.getByText("Answer options").click();
+    await page.getByText(/^All candidates \(/).click();
     await keep(page, `answer-${colorScheme}`);
     await check("an answer");
     await page.getByRole("tab", { name: "Why" }).click();
     await page.locator(".why img").waitFor();
     await check("why");
-    await page.getByRole("tab", { name: "Things" }).click();
+    await page.getByRole("tab", { name: "Objects" }).click();
     await check("things");
     await page.locator(".panel .line").nth(3).click({ modifiers: ["Control"] });
     await page.locator(".panel .line").nth(4).click({ modifiers: ["Control"] });
@@ -144,11 +144,11 @@ for (const colorScheme of ["light", "dark"]) {
     await keep(page, `corrections-${colorScheme}`);
     await check("corrections");
     await page.getByRole("button", { name: /^Undo/ }).first().click();
-    await page.getByText(/taken back/).first().waitFor();
+    await page.getByText(/undone/).first().waitFor();
     await check("a correction that was taken back");
     await page.getByRole("tab", { name: "Photos" }).click();
-    await page.getByLabel("Show where they were taken").check();
-    await page.getByRole("button", { name: /^Frame 3/ }).first().click();
+    await page.getByLabel("Show camera positions in the room").check();
+    await page.getByRole("button", { name: "Photo 3" }).first().click();
     await page.locator(".photograph img").waitFor();
     await keep(page, `photograph-${colorScheme}`);
     await check("a photograph");
@@ -182,12 +182,21 @@ test("a screen of 360 pixels has everything and never scrolls sideways", async (
   await page.getByRole("article", { name: "Answer" }).waitFor();
   await fits("an answer");
   await keep(page, "narrow");
-  for (const tab of ["Why", "Things", "Photos", "Report"]) {
+  // The question is above the room, and the controls of the view are behind one button.
+  const top = async (locator) => (await locator.boundingBox()).y;
+  assert.ok((await top(page.getByLabel("Question"))) < (await top(page.locator("canvas"))));
+  assert.equal(await page.getByRole("button", { name: "Walk", exact: true }).count(), 0);
+  await page.getByRole("button", { name: "View", exact: true }).tap();
+  await fits("the controls of the view");
+  await keep(page, "narrow-view");
+  await page.getByRole("button", { name: "Whole room" }).tap();
+  assert.equal(await page.getByRole("button", { name: "Walk", exact: true }).count(), 0);
+  for (const tab of ["Why", "Objects", "Photos", "Report"]) {
     await page.getByRole("tab", { name: tab }).tap();
     await page.waitForTimeout(300);
     await fits(tab);
   }
-  await page.getByRole("tab", { name: "Things" }).tap();
+  await page.getByRole("tab", { name: "Objects" }).tap();
   for (const number of [4, 5]) {
     await page.locator(".panel .line").nth(number).tap();
     await page.getByRole("button", { name: "Add to selection" }).tap();
@@ -197,7 +206,7 @@ test("a screen of 360 pixels has everything and never scrolls sideways", async (
   await fits("a selection and corrections");
   await keep(page, "narrow-selection");
   await page.getByRole("tab", { name: "Photos" }).tap();
-  await page.getByRole("button", { name: /^Frame 3/ }).first().tap();
+  await page.getByRole("button", { name: "Photo 3" }).first().tap();
   await page.locator(".photograph img").waitFor();
   await fits("a photograph");
   await keep(page, "narrow-photograph");

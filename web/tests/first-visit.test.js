@@ -20,7 +20,9 @@ after(async () => {
 
 test("from the first visit to an answered question in fewer than five actions", async () => {
   const { page, complaints, close } = await openPage(browser, service.page);
-  await page.getByText("No scenes yet.").waitFor();
+  await page.getByRole("button", { name: "Open the sample room" }).waitFor();
+  // A server without keys offers none.
+  assert.equal(await page.getByRole("button", { name: "Key" }).count(), 0);
   const seen = await watchProgress(page);
   let actions = 0;
   const act = async (doing) => {
@@ -38,19 +40,53 @@ test("from the first visit to an answered question in fewer than five actions", 
 
   await keep(page, "first-visit");
   const words = await seen();
-  assert.ok(words.some((text) => /^(Sending|Unpacking)/.test(text)), words.join(" | "));
-  assert.ok(words.some((text) => /Reading frames|Finding|Cutting|Joining|Measuring/.test(text)), words.join(" | "));
+  assert.ok(words.some((text) => /^(Uploading|Unpacking)/.test(text)), words.join(" | "));
+  assert.ok(words.some((text) => /Reading the scan|Building|Finding|Grouping|Joining|Measuring/.test(text)), words.join(" | "));
   assert.ok(words.every((text) => / · \d+ %/.test(text)), words.join(" | "));
   await drawn(page);
   assert.deepEqual(complaints, []);
   await close();
 });
 
-test("the sample scene is one click away, and its picture is in the list when it is parsed", async (test) => {
+test("the sample room is one click away, and is entered while it is parsed", async (test) => {
   const other = await startService({ empty: true });
   test.after(() => other.stop());
   const { page, complaints, close } = await openPage(browser, other.page);
-  await page.getByRole("button", { name: "Open the sample scene" }).click();
+  await page.getByRole("note", { name: "Models in use" }).getByText(/no neural models/).waitFor();
+  await page.getByRole("button", { name: "Get better answers" }).click();
+  await page.getByRole("dialog").getByText("uniground serve --fetch-models").waitFor();
+  await page.keyboard.press("Escape");
+  await keep(page, "welcome");
+  await page.getByRole("button", { name: "Open the sample room" }).click();
+  await page.getByText(/It appears here as soon as it is done/).waitFor();
+  await page.getByText("Find objects in the photos").waitFor();
+  // A question that is asked meanwhile is answered when the room is there.
+  await page.getByRole("button", { name: "the orange stool" }).click();
+  await page.getByText(/“the orange stool” is asked as soon as/).waitFor();
+  await keep(page, "waiting");
+  await page.getByRole("article", { name: "Answer" }).getByText("orange stool").first().waitFor({ timeout: 90_000 });
+  await drawn(page);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("an example on the first page opens the sample with that question", async (test) => {
+  const other = await startService({ empty: true });
+  test.after(() => other.stop());
+  const { page, complaints, close } = await openPage(browser, other.page);
+  await page.getByRole("button", { name: "the mug on the coffee table" }).click();
+  const answer = page.getByRole("article", { name: "Answer" });
+  await answer.getByText("found", { exact: true }).waitFor({ timeout: 90_000 });
+  assert.match(await answer.textContent(), /mug/);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("a scan that was uploaded has its picture in the list when it is parsed", async (test) => {
+  const other = await startService({ empty: true });
+  test.after(() => other.stop());
+  const { page, complaints, close } = await openPage(browser, other.page);
+  await page.setInputFiles("input[type=file]", SAMPLE);
   const card = page.locator(".card");
   await card.waitFor();
   // An empty frame stands where the picture will be.
@@ -102,7 +138,7 @@ test("a scene can be renamed and deleted", async () => {
   await page.getByRole("link", { name: "the room downstairs" }).waitFor();
   page.on("dialog", (dialog) => dialog.accept());
   await page.getByRole("button", { name: "Delete" }).first().click();
-  await page.getByText("No scenes yet.").waitFor();
+  await page.getByRole("button", { name: "Open the sample room" }).waitFor();
   assert.deepEqual(complaints, []);
   await close();
 });

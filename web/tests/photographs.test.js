@@ -40,12 +40,12 @@ test("a camera in the picture opens its photograph, and the next one is a key aw
   await page.waitForTimeout(300);
   await keep(page, "photograph");
   const title = dialog.getByRole("heading");
-  const first = Number(/^Frame (\d+)$/.exec(await title.textContent())[1]);
+  const first = Number(/^Photo (\d+)$/.exec(await title.textContent())[1]);
   await dialog.getByRole("button", { name: "Next" }).focus();
   await page.keyboard.press("ArrowRight");
-  assert.equal(await title.textContent(), `Frame ${first + 1}`);
+  assert.equal(await title.textContent(), `Photo ${first + 1}`);
   await dialog.getByRole("button", { name: "Previous" }).click();
-  assert.equal(await title.textContent(), `Frame ${first}`);
+  assert.equal(await title.textContent(), `Photo ${first}`);
   await page.keyboard.press("Escape");
   await dialog.waitFor({ state: "detached" });
   assert.deepEqual(complaints, []);
@@ -55,7 +55,7 @@ test("a camera in the picture opens its photograph, and the next one is a key aw
 test("the list of photographs does the same by keyboard", async () => {
   const { page, complaints, close } = await open("?tab=photos");
   await page.getByText("30 photographs").waitFor();
-  await page.getByRole("button", { name: /^Frame 0/ }).focus();
+  await page.getByRole("button", { name: "Photo 0" }).focus();
   await page.keyboard.press("Enter");
   const dialog = page.getByRole("dialog");
   await dialog.locator("img").waitFor();

@@ -54,7 +54,7 @@ test("the answer's box is drawn around the right thing", async () => {
   const corners = await page.evaluate((points) => points.map((point) => window.unigroundPage.project(point)), cornersOf(answer.box));
   const green = EDGES.filter(([a, b]) => hasGreen(shot, corners[a], corners[b])).length;
   assert.ok(green >= 9, `${green} of 12 edges are seen`);
-  // The mug is orange, and keeps its colour: nothing is mirrored, nothing painted over.
+  // The mug is orange, and keeps its color: nothing is mirrored, nothing painted over.
   const [left, right] = [Math.min(...corners.map(({ x }) => x)), Math.max(...corners.map(({ x }) => x))];
   const across = Array.from({ length: 20 }, (_, i) => shot.at(left + ((i + 0.5) / 20) * (right - left), middle.y));
   const orange = across.filter(([red, green, blue]) => red > 110 && red > green + 30 && green > blue).length;
@@ -114,11 +114,11 @@ test("several things, candidates and the six fields", async () => {
   await answer.getByText(/^There are \d+\.$/).waitFor();
   const boxes = await page.evaluate(() => window.unigroundPage.boxes().filter(({ role }) => role === "answer").length);
   assert.ok(boxes > 1, `${boxes} boxes`);
-  await answer.getByText("Six fields").click();
+  await answer.getByText("Six fields of the paper").click();
   for (const field of ["Predicted id", "Explanation", "Candidate names", "Target name matches", "Anchor id", "Relation used"]) {
     await answer.getByText(field, { exact: true }).waitFor();
   }
-  await answer.getByText(/^Candidates \(\d+\)/).click();
+  await answer.getByText(/^All candidates \(\d+\)/).click();
   const last = answer.locator("details .line").last();
   await last.click();
   assert.equal(await last.getAttribute("aria-pressed"), "true");
@@ -140,7 +140,7 @@ test("a click on a thing names it and shows its photographs", async () => {
   await details.waitFor();
   await details.locator(".crop img").waitFor();
   await keep(page, "thing");
-  assert.match(await details.textContent(), /Size.*Colours.*Rests on/s);
+  assert.match(await details.textContent(), /Size.*Colors.*Rests on/s);
   assert.deepEqual(complaints, []);
   await close();
 });
@@ -156,15 +156,15 @@ test("two points are measured", async () => {
     await page.mouse.click(at.x, at.y);
   }
   const words = await page.locator(".hint").textContent();
-  const metres = Number(/^([\d.]+) m/.exec(words)[1]);
-  assert.ok(Math.abs(metres - Math.abs(a[0] - b[0])) < 0.12, `${words} for ${a[0] - b[0]}`);
+  const meters = Number(/^([\d.]+) m/.exec(words)[1]);
+  assert.ok(Math.abs(meters - Math.abs(a[0] - b[0])) < 0.12, `${words} for ${a[0] - b[0]}`);
   await close();
 });
 
 test("somebody placed on the floor changes what left means", async () => {
   const { page, close } = await room();
   await drawn(page);
-  await page.getByText("How to answer").click();
+  await page.getByText("Answer options").click();
   await page.getByRole("button", { name: "Place in the room" }).click();
   for (const point of [[0.2, -0.6, 0.02], [0.2, 0.6, 0.02]]) {
     const at = await page.evaluate((point) => window.unigroundPage.project(point), point);
@@ -182,8 +182,8 @@ test("why: without a model, what counted", async () => {
   await ask(page, "the mug on the coffee table");
   await page.getByRole("button", { name: "Why this answer" }).click();
   const why = page.locator(".why");
-  await why.getByText("What counted").waitFor();
-  assert.match(await why.textContent(), /deciding.*coffee table.*builtin-3/s);
+  await why.getByText("Reasons").waitFor();
+  assert.match(await why.textContent(), /choosing the answer.*coffee table.*builtin-3/s);
   await why.locator(".picture img").waitFor();
   await keep(page, "why");
   assert.deepEqual(complaints, []);

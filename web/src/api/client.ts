@@ -1,7 +1,7 @@
 /** One request, one answer or one problem. Everything the page asks goes through here. */
 
 import type { Problem } from "./types";
-import { keyHeaders, keyWanted, ownAddress } from "./key";
+import { keyHeaders, keyWanted, ownAddress, serverHasKeys } from "./key";
 
 /** What the service, or the way to it, says is wrong. */
 export class ProblemError extends Error {
@@ -46,7 +46,10 @@ export function refusal(status: number, title: string, body: string): Problem {
   } catch {
     problem = { type: "about:blank", title: title || `HTTP ${status}`, status, detail: body.slice(0, 300), code: `http_${status}` };
   }
-  if (status === 401) keyWanted.value = problem.detail;
+  if (status === 401) {
+    keyWanted.value = problem.detail;
+    serverHasKeys.value = true;
+  }
   return problem;
 }
 

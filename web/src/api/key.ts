@@ -7,6 +7,9 @@ const PLACE = "uniground.key";
 /** Why a key is asked for: set when the service refused one, or none. */
 export const keyWanted = signal<string | null>(null);
 
+/** Whether this server has refused a request for want of a key. */
+export const serverHasKeys = signal(false);
+
 export function currentKey(): string | null {
   return sessionStorage.getItem(PLACE);
 }

@@ -26,7 +26,13 @@ export const cancelJob = (job: string) => send<Job>("DELETE", `/v1/jobs/${id(job
 export const ground = (scene: string, question: GroundRequest, signal?: AbortSignal) =>
   send<Answer>("POST", `/v1/scenes/${id(scene)}/ground`, question, signal);
 export const getAnswer = (answer: string) => json<Answer>(`/v1/answers/${id(answer)}`);
-export const listAnswers = (scene: string, limit: number) => json<AnswerList>(`/v1/answers?scene_id=${id(scene)}&limit=${limit}`);
+export const listAnswers = (scene: string, limit: number, cursor?: string | null) =>
+  json<AnswerList>(`/v1/answers?scene_id=${id(scene)}&limit=${limit}${cursor ? `&cursor=${id(cursor)}` : ""}`);
+/** The first hundred answers of a batch about a scene, within a time. */
+export const batchAnswers = (scene: string, batch: string, since: Date, until: Date) =>
+  json<AnswerList>(
+    `/v1/answers?scene_id=${id(scene)}&batch_id=${id(batch)}&since=${since.toISOString()}&until=${until.toISOString()}&limit=100`,
+  );
 export const getPrompt = (answer: string, signal?: AbortSignal) => json<AnswerPrompt>(`/v1/answers/${id(answer)}/prompt`, { signal });
 export const getReply = (answer: string, signal?: AbortSignal) => json<AnswerReply>(`/v1/answers/${id(answer)}/reply`, { signal });
 
@@ -60,7 +66,9 @@ export const cloudPath = (scene: string) => `/v1/scenes/${id(scene)}/cloud.ply`;
 export const instancesCloudPath = (scene: string) => `/v1/scenes/${id(scene)}/instances.ply`;
 export const viewPath = (scene: string, instance: number, view: number, picture: "frame" | "crop") =>
   `/v1/scenes/${id(scene)}/instances/${instance}/views/${view}.jpg?picture=${picture}`;
-export const photographPath = (scene: string, frame: number) => `/v1/scenes/${id(scene)}/frames/${frame}/photograph.jpg?instances=true`;
+/** A photograph as it was taken, or with the objects colored. */
+export const photographPath = (scene: string, frame: number, instances: boolean) =>
+  `/v1/scenes/${id(scene)}/frames/${frame}/photograph.jpg?instances=${instances}`;
 export const thumbnailPath = (scene: string) => `/v1/scenes/${id(scene)}/thumbnail.jpg`;
 export const resultsPath = (batch: string, format: "jsonl" | "csv", follow = false) =>
   `/v1/batches/${id(batch)}/results?format=${format}${follow ? "&follow=true" : ""}`;

@@ -24,6 +24,7 @@ export function BatchesPlace() {
   return (
     <div class="place">
       <h1>{t.batches.title}</h1>
+      <p>{t.batches.what}</p>
       <NewBatch />
       <h2>{t.batches.list}</h2>
       {problem && <ProblemNote problem={problem} onAgain={again} />}

@@ -1,5 +1,6 @@
 /** An answer: what was found, how sure, how the question was read, and what else it may mean. */
 
+import { viewPath } from "../api/service";
 import type { Answer } from "../api/types";
 import { amend } from "../route";
 import { t } from "../text";
@@ -9,18 +10,25 @@ import { Picture } from "../ui/picture";
 import { asCurl, asJson, asPython } from "./snippets";
 import type { Room } from "./state";
 
+/** Candidates that are listed where nothing fits. */
+const NEAREST = 3;
+
 export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
   const { status, targets = [] } = answer;
+  const isMatch = status !== "no_match";
   const percent = Math.round(answer.confidence * 100);
+  const sure = t.answer.sure(percent);
+  const candidates = (answer.candidates ?? []).map(({ score, ...one }) => ({ ...one, share: score }));
   return (
     <article class={`answer ${status}`} aria-label={t.answer.title} data-answer={answer.id}>
       <p class="answer-head">
         <span class={`badge ${status}`}>{t.answer.status[status]}</span>
-        <Meter share={answer.confidence} label={t.answer.sure(percent)} />
-        <span>{t.answer.sure(percent)}</span>
+        <Meter share={answer.confidence} label={sure} />
+        <span>{sure}</span>
       </p>
       <Headline room={room} answer={answer} />
-      <p>{answer.answer.explanation}</p>
+      <Marked room={room} answer={answer} />
+      <p>{(answer.no_match_reason && t.answer.reasons[answer.no_match_reason]) || answer.answer.explanation}</p>
       {answer.degraded && <p class="warn">{t.answer.degraded}</p>}
       {!answer.stored && <p class="warn">{t.answer.notStored}</p>}
       {!room.sameParse.value && <p class="warn">{t.room.otherParse}</p>}
@@ -28,7 +36,7 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
       {targets.length > 1 && (
         <>
           <h4>{t.answer.several(targets.length)}</h4>
-          <Instances room={room} entries={targets.map(({ confidence, ...target }) => ({ ...target, share: confidence }))} />
+          <Instances room={room} entries={targets.map(({ confidence, id, name }) => ({ id, name, share: confidence, view: cropOf(room, id) }))} />
         </>
       )}
       {answer.alternatives.length > 0 && (
@@ -37,14 +45,20 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
           <Instances room={room} entries={answer.alternatives.map(({ confidence, ...one }) => ({ ...one, share: confidence }))} />
         </>
       )}
+      {!isMatch && candidates.length > 0 && (
+        <>
+          <h4>{t.answer.nearest}</h4>
+          <Instances room={room} entries={candidates.slice(0, NEAREST)} />
+        </>
+      )}
       <Reading answer={answer} />
       <SixFields answer={answer} />
-      {answer.candidates && answer.candidates.length > 0 && (
+      {isMatch && candidates.length > 0 && (
         <details open={room.showCandidates.value} onToggle={(event) => (room.showCandidates.value = event.currentTarget.open)}>
           <summary>
-            {t.answer.candidates} ({answer.candidates.length})
+            {t.answer.candidates} ({candidates.length})
           </summary>
-          <Instances room={room} entries={answer.candidates.map(({ score, ...one }) => ({ ...one, share: score }))} />
+          <Instances room={room} entries={candidates} />
         </details>
       )}
       <div class="buttons copies">
@@ -86,16 +100,35 @@ function Headline({ room, answer }: { room: Room; answer: Answer }) {
       )}
       {box && (
         <p class="figures small">
-          {t.answer.size(numbers(box.size))} · {t.answer.centre(place(box.center))}
+          {t.answer.size(numbers(box.size))} · {t.answer.center(place(box.center))}
         </p>
       )}
       {meaning && <p>{meaning}</p>}
-      {answer.no_match_reason && <p>{t.answer.reasons[answer.no_match_reason]}</p>}
     </>
   );
 }
 
-/** Where a model sees what is no instance: the picture, and the place in it. */
+/** The photograph that shows the answer best, with its box drawn in. */
+function Marked({ room, answer }: { room: Room; answer: Answer }) {
+  const id = answer.answer.predicted_id;
+  const view = id != null && room.sameParse.value ? room.instances.value.get(id)?.views[0] : undefined;
+  if (id == null || !view) return null;
+  const name = t.answer.photo(room.name(id), view.frame);
+  return (
+    <figure class="marked">
+      <Picture path={viewPath(room.id, id, 0, "frame")} alt={name} enlarge />
+      <figcaption class="small">{name}</figcaption>
+    </figure>
+  );
+}
+
+/** The path of the picture that shows an object best, cut out. */
+function cropOf(room: Room, id: number): string | null {
+  const isShown = room.sameParse.value && room.instances.value.get(id)?.views.length;
+  return isShown ? viewPath(room.id, id, 0, "crop") : null;
+}
+
+/** Where a vision-language model sees what the parse has not found: the picture, and the place in it. */
 function Seen({ answer }: { answer: Answer }) {
   const seen = answer.seen!;
   const path = answer.evidence?.find((path) => path.endsWith(`/${seen.picture}.jpg`));

@@ -45,7 +45,7 @@ export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole:
     void loadCloud(room, made, stop.signal, setArrived).catch((thrown) => {
       if (!stop.signal.aborted && !wasAborted(thrown)) setProblem(asProblem(thrown));
     });
-    const effects = keepInStep(room, made);
+    const effects = keepInStep(room, made, canvas.current!);
     return () => {
       stop.abort();
       effects.forEach((end) => end());
@@ -94,7 +94,7 @@ async function loadCloud(room: Room, viewer: Viewer, signal: AbortSignal, onShar
     (empty) => {
       viewer.load(empty, room.scene.peek()!.extent!, room.instances.peek());
       know(room, viewer);
-      viewer.colour(room.colouring.peek());
+      viewer.color(room.coloring.peek());
       startView(room, viewer);
     },
     ({ arrived, count }) => {
@@ -121,7 +121,7 @@ function startView(room: Room, viewer: Viewer): void {
   if (boxes.length) viewer.frame(around(boxes));
 }
 
-function keepInStep(room: Room, viewer: Viewer): (() => void)[] {
+function keepInStep(room: Room, viewer: Viewer, canvas: HTMLCanvasElement): (() => void)[] {
   room.frame = (box) => {
     room.walking.value = false;
     viewer.frame(box);
@@ -144,7 +144,7 @@ function keepInStep(room: Room, viewer: Viewer): (() => void)[] {
       isDark();
       viewer.background(getComputedStyle(document.documentElement).getPropertyValue("--canvas").trim());
     }),
-    effect(() => viewer.colour(room.colouring.value)),
+    effect(() => viewer.color(room.coloring.value)),
     effect(() => viewer.showBoxes(room.boxes.value)),
     effect(() => know(room, viewer)),
     effect(() => viewer.light(room.lit.value, room.tinted.value)),
@@ -157,6 +157,11 @@ function keepInStep(room: Room, viewer: Viewer): (() => void)[] {
       const onFloor = observer && [observer.position[0]!, observer.position[1]!, room.floor()];
       viewer.stand(onFloor && { ...observer, position: onFloor });
     }),
-    effect(() => viewer.controls.walk(room.walking.value, room.floor() + EYE_HEIGHT_M)),
+    effect(() => {
+      const walking = room.walking.value;
+      viewer.controls.walk(walking, room.floor() + EYE_HEIGHT_M, walking ? room.focus() : null);
+      // Keys work at once.
+      if (walking) canvas.focus({ preventScroll: true });
+    }),
   ];
 }

@@ -60,5 +60,5 @@ function measured(ends: Point[]): Label[] {
   const [a, b] = ends as [Point, Point];
   const middle: Point = [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2];
   const length = Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
-  return [{ key: "measure", role: "measure", text: t.metres(length), at: middle }];
+  return [{ key: "measure", role: "measure", text: t.meters(length), at: middle }];
 }

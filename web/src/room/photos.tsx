@@ -1,4 +1,4 @@
-/** The photographs of the scan as a list, and one of them in full, with what was found painted in. */
+/** The photographs of the scan as thumbnails, and one of them in full, with the objects in color. */
 
 import { useEffect } from "preact/hooks";
 import { photographPath } from "../api/service";
@@ -10,7 +10,7 @@ import { Picture } from "../ui/picture";
 import { ProblemNote } from "../ui/problem";
 import type { Room } from "./state";
 
-export function PhotosPanel({ room: { photographs } }: { room: Room }) {
+export function PhotosPanel({ room: { id, photographs } }: { room: Room }) {
   const { frames, problem, shown, hovered, open, chosen } = photographs;
   useEffect(() => void photographs.load(), []);
   if (problem.value) return <ProblemNote problem={problem.value} onAgain={() => void photographs.load()} />;
@@ -23,20 +23,21 @@ export function PhotosPanel({ room: { photographs } }: { room: Room }) {
         {t.photos.show}
       </label>
       <p class="small">{t.photos.count(chosen.value.length, frames.value.length)}</p>
-      <ul class="lines">
+      <ul class="thumbs">
         {chosen.value.map((frame) => (
           <li key={frame.index}>
             <button
               type="button"
-              class="line"
+              class="thumbnail"
+              title={t.photos.from(place(positionOf(frame)), heading(frame))}
               onClick={() => (open.value = frame.index)}
               onMouseEnter={() => (hovered.value = frame.index)}
               onMouseLeave={() => (hovered.value = null)}
               onFocus={() => (hovered.value = frame.index)}
               onBlur={() => (hovered.value = null)}
             >
-              <span>{t.photos.name(frame.index)}</span>
-              <span class="figures small">{t.photos.from(place(positionOf(frame)), heading(frame))}</span>
+              <Picture path={photographPath(id, frame.index, false)} alt="" />
+              <span class="small">{t.photos.name(frame.index)}</span>
             </button>
           </li>
         ))}
@@ -63,7 +64,7 @@ export function Photograph({ room }: { room: Room }) {
   return (
     <Dialog title={name} wide onClose={() => (photographs.open.value = null)}>
       <div class="photograph" onKeyDown={keys}>
-        <Picture path={photographPath(room.id, index)} alt={t.photos.alt(name)} />
+        <Picture path={photographPath(room.id, index, true)} alt={t.photos.alt(name)} />
         <div class="buttons">
           <button type="button" disabled={!before} onClick={() => go(before)}>
             {t.photos.before}

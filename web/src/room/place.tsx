@@ -1,18 +1,19 @@
-/** An open room: its picture, and beside or below it the panels. */
+/** An open room: the 3D view, and the panels beside or below it. In narrow windows the question comes first. */
 
 import { useEffect, useMemo, useRef } from "preact/hooks";
 import { amend, route } from "../route";
-import { JobProgress } from "../scenes/job";
 import { t } from "../text";
-import { ofJob, ProblemNote } from "../ui/problem";
+import { narrow } from "../ui/narrow";
+import { ProblemNote } from "../ui/problem";
 import { panelId, tabId, Tabs } from "../ui/tabs";
-import { AskPanel } from "./ask";
+import { AskForm, AskPanel } from "./ask";
 import { RoomCanvas } from "./canvas";
 import { Photograph, PhotosPanel } from "./photos";
 import { ReportPanel } from "./report";
 import { Room, TABS } from "./state";
 import { ThingsPanel } from "./things";
-import { Toolbar, ToolHint } from "./toolbar";
+import { ToolHint, Toolbar, ViewMenu } from "./toolbar";
+import { WaitingRoom } from "./waiting";
 import { WhyPanel } from "./why";
 
 export function RoomPlace({ scene: id }: { scene: string }) {
@@ -47,17 +48,22 @@ export function RoomPlace({ scene: id }: { scene: string }) {
 
   if (room.problem.value) return <ProblemNote problem={room.problem.value} onAgain={() => location.reload()} />;
   if (!scene) return <p class="wait">{t.loading}</p>;
-  if (scene.status !== "ready") return <NotReady room={room} />;
-  if (room.instances.value.size === 0) return <p class="wait">{t.loading}</p>;
+  if (scene.status !== "ready") return <WaitingRoom room={room} onReady={() => void room.load(new AbortController().signal)} />;
+  if (!room.loaded.value) return <p class="wait">{t.loading}</p>;
 
   const tab = room.tab.value;
   return (
     <div class="room">
+      {narrow.value && <AskForm room={room} />}
       <section class="stage" aria-label={scene.name}>
         <h1 class="room-name">{scene.name}</h1>
         <RoomCanvas room={room} onReady={(whole) => (showWhole.current = whole)} />
         <ToolHint room={room} />
-        <Toolbar room={room} onWhole={() => showWhole.current()} />
+        {narrow.value ? (
+          <ViewMenu room={room} onWhole={() => showWhole.current()} />
+        ) : (
+          <Toolbar room={room} onWhole={() => showWhole.current()} />
+        )}
       </section>
       <section class="side">
         <Tabs label={t.room.tabs.label} names={TABS} texts={t.room.tabs} chosen={tab} onChoose={(name) => amend({ tab: name })} />
@@ -70,17 +76,6 @@ export function RoomPlace({ scene: id }: { scene: string }) {
         </div>
       </section>
       <Photograph room={room} />
-    </div>
-  );
-}
-
-function NotReady({ room }: { room: Room }) {
-  const scene = room.scene.value!;
-  return (
-    <div class="place">
-      <h1>{scene.name}</h1>
-      {scene.error ? <ProblemNote problem={ofJob(scene.error, t.scenes.status.failed)} /> : <p>{t.scenes.notReady}</p>}
-      {scene.status === "parsing" && scene.job_id && <JobProgress job={scene.job_id} onDone={() => location.reload()} />}
     </div>
   );
 }

@@ -29,20 +29,26 @@ export function usePointing(viewer: Viewer | null, canvas: RefObject<HTMLCanvasE
       }, REST_MS);
     };
     const escape = (event: KeyboardEvent) => {
-      if (event.key !== "Escape") return;
+      // In walk mode Escape leaves it, wherever the focus is.
+      if (event.key !== "Escape" || room.walking.value) return;
       if (room.tool.value !== "look") room.tool.value = "look";
       else if (room.group.value.length) room.group.value = [];
       else room.select(null);
+    };
+    const leaveWalk = (event: KeyboardEvent) => {
+      if (event.key === "Escape" && !document.querySelector("dialog[open]")) room.walking.value = false;
     };
     viewer.controls.onClick = (event) => click(viewer, room, event);
     element.addEventListener("pointermove", hover);
     element.addEventListener("pointerleave", leave);
     element.addEventListener("keydown", escape);
+    document.addEventListener("keydown", leaveWalk);
     return () => {
       leave();
       element.removeEventListener("pointermove", hover);
       element.removeEventListener("pointerleave", leave);
       element.removeEventListener("keydown", escape);
+      document.removeEventListener("keydown", leaveWalk);
     };
   }, [viewer]);
 }

@@ -1,4 +1,4 @@
-/** What is known about an open room, and what its panels and its picture share. */
+/** The state of an open room, shared by its panels and its 3D view. */
 
 import { computed, signal } from "@preact/signals";
 import { asProblem } from "../api/client";
@@ -7,7 +7,7 @@ import type { Aabb, Answer, Change, GroundRequest, InstanceView, ModelList, Obse
 import { amend, route } from "../route";
 import type { DrawnBox } from "../view3d/boxes";
 import type { Point } from "../view3d/marks";
-import type { Colouring } from "../view3d/points";
+import type { Coloring } from "../view3d/points";
 import { Corrections } from "./corrections";
 import { nameOf } from "./names";
 import { Photographs } from "./photographs";
@@ -32,7 +32,11 @@ export class Room {
   readonly instances = signal<Map<number, InstanceView>>(new Map());
   readonly models = signal<ModelList | null>(null);
   readonly problem = signal<Problem | null>(null);
+  /** Whether the objects of the scene have been fetched. */
+  readonly loaded = signal(false);
 
+  /** A question that is asked as soon as the scan is parsed. */
+  readonly queued = signal<string | null>(null);
   readonly question = signal("");
   readonly options = signal<Options>({
     reasoner: "auto", top_k: 5, direction_convention: "paper", evidence: "full", parser: "auto", min_confidence: 0.5, max_cost_usd: null,
@@ -49,7 +53,7 @@ export class Room {
   /** Things chosen together, to say something of all of them. */
   readonly group = signal<number[]>([]);
   readonly hovered = signal<number | null>(null);
-  readonly colouring = signal<Colouring>("photograph");
+  readonly coloring = signal<Coloring>("photograph");
   readonly boxKind = signal<BoxKind>("turned");
   readonly cutWalls = signal(true);
   readonly cutHeight = signal(Infinity);
@@ -82,6 +86,8 @@ export class Room {
 
   async load(signal: AbortSignal): Promise<void> {
     try {
+      void getModels().then((models) => (this.models.value = models)).catch(() => undefined);
+      this.queueLinked();
       const scene = await getScene(this.id, signal);
       this.scene.value = scene;
       if (scene.status !== "ready") return;
@@ -89,7 +95,8 @@ export class Room {
       this.cutHeight.value = ceilingOf([...this.instances.value.values()]);
       await this.corrections.load();
       await this.reopen();
-      this.models.value = await getModels().catch(() => null);
+      this.loaded.value = true;
+      await this.askQueued();
     } catch (thrown) {
       if (!signal.aborted) this.problem.value = asProblem(thrown);
     }
@@ -104,11 +111,27 @@ export class Room {
     this.group.value = this.group.value.filter(there);
   }
 
-  /** What a link asks for. */
+  /** Takes a question from the address: `ask=` is asked, `q=` is only shown. */
+  private queueLinked(): void {
+    const query = route.peek().parameters.get("ask");
+    if (!query) return;
+    this.question.value = this.queued.value = query;
+    amend({ ask: null });
+  }
+
+  private async askQueued(): Promise<void> {
+    const query = this.queued.peek();
+    if (query === null) return;
+    this.queued.value = null;
+    this.question.value = query;
+    await this.ask();
+  }
+
+  /** Restores what a link names: question, answer and selected object. */
   private async reopen(): Promise<void> {
     const { parameters } = route.peek();
     const [answer, selected] = [parameters.get("answer"), Number(parameters.get("thing"))];
-    this.question.value = parameters.get("q") ?? "";
+    this.question.value = parameters.get("q") ?? this.question.peek();
     if (this.instances.value.has(selected)) this.selected.value = selected;
     if (answer) await this.open(answer, parameters.has("cam"));
   }
@@ -116,10 +139,16 @@ export class Room {
   async ask(): Promise<void> {
     const query = this.question.value.trim();
     if (!query || this.asking.value) return;
+    if (!this.loaded.value) {
+      this.queued.value = query;
+      return;
+    }
     this.asking.value = true;
     this.askProblem.value = null;
     try {
-      this.show(await ground(this.id, this.request()));
+      const answer = await ground(this.id, this.request());
+      if (!["ask", "why"].includes(this.tab.peek())) amend({ tab: "ask" });
+      this.show(answer);
     } catch (thrown) {
       this.askProblem.value = asProblem(thrown);
     } finally {
@@ -159,8 +188,9 @@ export class Room {
     this.selected.value = null;
     this.showCandidates.value = answer.status === "ambiguous";
     const boxes = this.answerBoxes().map(({ box }) => box);
-    if (boxes.length && !stay) this.frame(around(boxes));
-    amend({ answer: answer.id, q: answer.query, thing: null, ...(stay ? {} : { cam: null }) }, !stay);
+    const moves = boxes.length > 0 && !stay;
+    if (moves) this.frame(around(boxes));
+    amend({ answer: answer.id, q: answer.query, thing: null, ...(moves ? { cam: null } : {}) }, !stay);
   }
 
   select(id: number | null, look = true): void {
@@ -198,7 +228,15 @@ export class Room {
     return whole === null ? cut : this.standing(whole);
   }
 
-  /** Height of the floor, metres. */
+  /** The box to look at: that of the selected object, else that of the answer. */
+  focus(): OrientedBox | null {
+    const boxes = this.boxes.peek();
+    const ofRole = (role: DrawnBox["role"]) => boxes.filter((box) => box.role === role).map(({ box }) => box);
+    const focused = [ofRole("selected"), ofRole("answer")].find((some) => some.length > 0);
+    return focused ? around(focused) : null;
+  }
+
+  /** Height of the floor, meters. */
   floor(): number {
     const floors = [...this.instances.peek().values()].filter(({ structure }) => structure === "floor");
     const largest = floors.sort((a, b) => b.point_count - a.point_count)[0];

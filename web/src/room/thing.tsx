@@ -1,4 +1,4 @@
-/** One thing: name, size, colours, what carries it, photographs; and how far it is from another. */
+/** One thing: name, size, colors, what carries it, photographs; and how far it is from another. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { viewPath } from "../api/service";
@@ -8,6 +8,7 @@ import { t } from "../text";
 import { numbers, place, Row } from "../ui/fields";
 import { Picture } from "../ui/picture";
 import { RenameForm } from "../ui/rename";
+import { Colors } from "./colors";
 import { NAME_LENGTH, Wrong } from "./correcting";
 import { nameOf } from "./names";
 import type { Room } from "./state";
@@ -46,18 +47,18 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
           </button>
         </div>
       )}
-      {thing.views[0] && <Picture path={viewPath(room.id, thing.id, 0, "crop")} alt={t.things.view(name, thing.views[0].frame)} class="crop" />}
+      {thing.views[0] && <Picture path={viewPath(room.id, thing.id, 0, "crop")} alt={t.things.view(name, thing.views[0].frame)} class="crop" enlarge />}
       <dl class="fields">
         <Row term={t.things.size}>{numbers(box.size)} m</Row>
-        <Row term={t.things.centre}>{place(box.center)} m</Row>
+        <Row term={t.things.center}>{place(box.center)} m</Row>
         {degrees !== 0 && <Row term={t.things.yaw}>{degrees}°</Row>}
-        <Row term={t.things.colours}>
-          <Colours thing={thing} />
+        <Row term={t.things.colors}>
+          <Colors thing={thing} inFull />
         </Row>
         <Row term={t.things.support}>
           <Carrier room={room} support={thing.support} />
         </Row>
-        <Row term={t.things.height}>{t.metres(thing.height_above_floor_m)}</Row>
+        <Row term={t.things.height}>{t.meters(thing.height_above_floor_m)}</Row>
         {carried.length > 0 && (
           <Row term={t.things.carries}>
             <Links room={room} things={carried} />
@@ -84,25 +85,18 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
       <Wrong room={room} thing={thing} />
       <h4>{t.things.views}</h4>
       {thing.views.length === 0 && <p class="small">{t.things.noViews}</p>}
-      {thing.views.map((view, k) => (
-        <figure key={view.frame}>
-          <Picture path={viewPath(room.id, thing.id, k, "frame")} alt={t.things.view(name, view.frame)} class="wide" enlarge />
-          <figcaption class="small">{t.things.view(name, view.frame)}</figcaption>
-        </figure>
-      ))}
+      <div class="thumbs">
+        {thing.views.map((view, k) => (
+          <figure key={view.frame} class="thumbnail">
+            <Picture path={viewPath(room.id, thing.id, k, "frame")} alt={t.things.view(name, view.frame)} enlarge />
+            <figcaption class="small">{t.things.photo(view.frame)}</figcaption>
+          </figure>
+        ))}
+      </div>
     </article>
   );
 }
 
-function Colours({ thing: { colours, mean_rgb } }: { thing: InstanceView }) {
-  const shares = Object.entries(colours).sort(([, a], [, b]) => b - a);
-  return (
-    <>
-      <span class="swatch" style={{ background: `rgb(${mean_rgb.join(" ")})` }} aria-hidden="true" />{" "}
-      {shares.map(([name, share]) => `${name} ${Math.round(share * 100)} %`).join(", ") || t.none}
-    </>
-  );
-}
 
 function Carrier({ room, support }: { room: Room; support: Support }) {
   if (support.on === "floor" || support.on === "nothing") return <>{t.things.supports[support.on]}</>;
@@ -157,7 +151,7 @@ function Measuring({ room, thing }: { room: Room; thing: InstanceView }) {
       </div>
       {other && (
         <p class="small" role="status">
-          {t.things.between(nameOf(other), nameOf(thing), t.metres(apart(other.oriented_box, thing.oriented_box)), t.metres(gap(other, thing)))}
+          {t.things.between(nameOf(other), nameOf(thing), t.meters(apart(other.oriented_box, thing.oriented_box)), t.meters(gap(other, thing)))}
         </p>
       )}
     </>

@@ -1,4 +1,4 @@
-/** How the room is shown, and the tools to use on it. */
+/** Controls of the 3D view, and its tools. */
 
 import { useId, useState } from "preact/hooks";
 import { t } from "../text";
@@ -6,10 +6,30 @@ import { copy } from "../ui/copy";
 import { Dialog } from "../ui/dialog";
 import { say } from "../ui/say";
 import type { Point } from "../view3d/marks";
-import type { Colouring } from "../view3d/points";
+import type { Coloring } from "../view3d/points";
 import type { BoxKind, Room } from "./state";
 
-export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) {
+interface Properties {
+  room: Room;
+  onWhole: () => void;
+  /** Called after a button that wants the view free. */
+  onDone?: () => void;
+}
+
+/** The controls behind one button, for narrow windows. */
+export function ViewMenu(properties: Properties) {
+  const [open, setOpen] = useState(false);
+  return (
+    <div class="view-menu" onKeyDown={(event) => event.key === "Escape" && setOpen(false)}>
+      <button type="button" aria-expanded={open} onClick={() => setOpen(!open)}>
+        {t.room.view}
+      </button>
+      {open && <Toolbar {...properties} onDone={() => setOpen(false)} />}
+    </div>
+  );
+}
+
+export function Toolbar({ room, onWhole, onDone }: Properties) {
   const extent = room.scene.value!.extent!;
   const bottom = extent.center[2]! - extent.size[2]! / 2;
   const top = bottom + extent.size[2]!;
@@ -19,10 +39,20 @@ export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) 
   const measure = () => {
     room.tool.value = measuring ? "look" : "measure";
     if (measuring) room.ends.value = [];
+    onDone?.();
+  };
+  const walk = () => {
+    room.walking.value = !room.walking.value;
+    onDone?.();
+  };
+  const whole = () => {
+    onWhole();
+    onDone?.();
   };
   const { shown } = room.photographs;
   const cameras = () => {
     shown.value = !shown.value;
+    onDone?.();
     void room.photographs.load().then(() => {
       if (shown.value && room.photographs.frames.value?.length === 0) say(t.photos.none);
     });
@@ -30,10 +60,10 @@ export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) 
   return (
     <div class="toolbar" role="toolbar" aria-label={t.room.view}>
       <Select
-        label={t.room.colour}
-        texts={t.room.colours}
-        value={room.colouring.value}
-        onChange={(value: Colouring) => (room.colouring.value = value)}
+        label={t.room.color}
+        texts={t.room.colors}
+        value={room.coloring.value}
+        onChange={(value: Coloring) => (room.coloring.value = value)}
       />
       <Select label={t.room.boxes} texts={t.room.boxKinds} value={room.boxKind.value} onChange={(value: BoxKind) => (room.boxKind.value = value)} />
       <label class="slide">
@@ -44,23 +74,23 @@ export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) 
           max={top + 0.01}
           step={0.05}
           value={height}
-          aria-valuetext={t.metres(height)}
+          aria-valuetext={t.meters(height)}
           onInput={(event) => {
             const chosen = event.currentTarget.valueAsNumber;
             room.cutHeight.value = chosen >= top - 0.02 ? Infinity : chosen;
           }}
         />
-        <output>{t.metres(height)}</output>
+        <output>{t.meters(height)}</output>
       </label>
       <label class="check">
         <input type="checkbox" checked={room.cutWalls.value} onChange={(event) => (room.cutWalls.value = event.currentTarget.checked)} />
         {t.room.cutWalls}
       </label>
       <span class="buttons">
-        <button type="button" class="quiet" onClick={onWhole}>
+        <button type="button" class="quiet" onClick={whole}>
           {t.room.whole}
         </button>
-        <button type="button" class="quiet" aria-pressed={room.walking.value} onClick={() => (room.walking.value = !room.walking.value)}>
+        <button type="button" class="quiet" aria-pressed={room.walking.value} onClick={walk}>
           {t.room.walk}
         </button>
         <button type="button" class="quiet" aria-pressed={measuring} onClick={measure}>
@@ -102,15 +132,23 @@ function Select<Name extends string>(properties: { label: string; texts: Record<
   );
 }
 
-/** What to do next with the tool in hand, and what came of it. */
+/** Says what to do next with the tool in use, or its result; or how to walk. */
 export function ToolHint({ room }: { room: Room }) {
   const words = hint(room);
-  return words ? (
-    <p class="hint" role="status">
-      {words}
-    </p>
-  ) : null;
+  if (!words) return null;
+  return (
+    <div class="hint">
+      <p role="status">{words}</p>
+      {room.walking.value && (
+        <button type="button" class="quiet" onClick={() => (room.walking.value = false)}>
+          {t.room.stopWalking}
+        </button>
+      )}
+    </div>
+  );
 }
+
+const hasTouch = matchMedia("(pointer: coarse)");
 
 function hint(room: Room): string | null {
   if (room.tool.value === "observer") return t.ask.placing[room.observerPlaced.value ? 0 : 1]!;
@@ -118,7 +156,9 @@ function hint(room: Room): string | null {
   if (ends.length === 2) {
     const [a, b] = ends as [Point, Point];
     const [dx, dy, dz] = [0, 1, 2].map((i) => Math.abs(a[i]! - b[i]!)) as [number, number, number];
-    return t.room.measured(t.metres(Math.hypot(dx, dy, dz)), t.metres(dx), t.metres(dy), t.metres(dz));
+    return t.room.measured(t.meters(Math.hypot(dx, dy, dz)), t.meters(dx), t.meters(dy), t.meters(dz));
   }
-  return room.tool.value === "measure" ? t.room.measuring[ends.length]! : null;
+  if (room.tool.value === "measure") return t.room.measuring[ends.length]!;
+  if (room.walking.value) return hasTouch.matches ? t.room.walkingTouch : t.room.walking;
+  return null;
 }

@@ -1,4 +1,4 @@
-/** A job as it goes on: stage, share, time left. */
+/** Shows the progress of a job: step, share and time left. */
 
 import { useEffect, useState } from "preact/hooks";
 import { wasAborted } from "../api/client";
@@ -7,13 +7,22 @@ import { followJob } from "../api/stream";
 import type { Job } from "../api/types";
 import { t } from "../text";
 
-interface Properties { job: string; onDone?: (job: Job) => void; onLost?: (thrown: unknown) => void }
+interface Properties {
+  job: string;
+  onProgress?: (job: Job) => void;
+  onDone?: (job: Job) => void;
+  onLost?: (thrown: unknown) => void;
+}
 
-export function JobProgress({ job, onDone, onLost }: Properties) {
+export function JobProgress({ job, onProgress, onDone, onLost }: Properties) {
   const [state, setState] = useState<Job | null>(null);
   useEffect(() => {
     const stop = new AbortController();
-    followJob(job, setState, stop.signal).then(
+    const show = (state: Job) => {
+      setState(state);
+      onProgress?.(state);
+    };
+    followJob(job, show, stop.signal).then(
       (done) => onDone?.(done),
       (thrown) => !wasAborted(thrown) && onLost?.(thrown),
     );
@@ -22,7 +31,7 @@ export function JobProgress({ job, onDone, onLost }: Properties) {
   const stage = state?.stage ?? "queued";
   return (
     <div class="job">
-      <Progress share={state?.progress ?? 0} words={t.stages[stage] ?? stage} eta_s={state?.eta_s ?? null} />
+      <Progress share={state?.progress ?? 0} words={t.stages[stage] ?? t.otherStage} eta_s={state?.eta_s ?? null} />
       <button type="button" class="quiet" onClick={() => void cancelJob(job).catch(() => undefined)}>
         {t.upload.stop}
       </button>

@@ -2,12 +2,14 @@
 
 import { useCallback, useEffect, useState } from "preact/hooks";
 import { asProblem } from "../api/client";
-import { listScenes } from "../api/service";
+import { getModels, listScenes } from "../api/service";
 import type { Problem, Scene } from "../api/types";
 import { t } from "../text";
+import { useLoaded } from "../ui/load";
+import { ModelsNote } from "../ui/models";
 import { ProblemNote } from "../ui/problem";
 import { SceneCard } from "./card";
-import { UploadPanel, useUpload } from "./upload";
+import { type Upload, UploadPanel, useUpload } from "./upload";
 
 /** How often the list is looked at while something is being parsed, milliseconds. */
 const LOOK_EVERY = 2500;
@@ -58,29 +60,51 @@ export function ScenesPlace({ onReady }: { onReady: () => void }) {
 
   return (
     <div class="place">
-      <h1>{t.scenes.title}</h1>
-      <UploadPanel upload={upload} />
+      {scenes?.length === 0 ? <Welcome upload={upload} /> : <h1>{t.scenes.title}</h1>}
+      <UploadPanel upload={upload} withSample={scenes?.length !== 0} />
       {problem && <ProblemNote problem={problem} onAgain={() => void load()} />}
       {!scenes && !problem && <p class="wait">{t.loading}</p>}
-      {scenes?.length === 0 && (
-        <div class="empty">
-          <p>
-            <b>{t.scenes.empty}</b> {t.scenes.emptyHint}
-          </p>
-          <button type="button" class="main" disabled={upload.step.at !== "idle"} onClick={() => void upload.takeSample()}>
-            {t.scenes.sample}
-          </button>
-        </div>
+      {scenes && scenes.length > 0 && (
+        <ul class="cards">
+          {scenes.map((scene) => (
+            <SceneCard key={scene.id} scene={scene} onGone={gone} onChanged={changed} />
+          ))}
+        </ul>
       )}
-      <ul class="cards">
-        {scenes?.map((scene) => <SceneCard key={scene.id} scene={scene} onGone={gone} onChanged={changed} />)}
-      </ul>
       {next && (
         <button type="button" onClick={() => void loadMore()}>
           {t.more}
         </button>
       )}
     </div>
+  );
+}
+
+/** What a first visit shows: what this is, and a room to try it in. */
+function Welcome({ upload }: { upload: Upload }) {
+  const busy = upload.step.at !== "idle";
+  const { value: models } = useLoaded(() => getModels(), []);
+  return (
+    <section class="welcome">
+      <h1>{t.title}</h1>
+      <p class="lead">{t.welcome.what}</p>
+      <p>
+        <button type="button" class="main large" disabled={busy} onClick={() => void upload.takeSample()}>
+          {t.welcome.sample}
+        </button>{" "}
+        <span class="small">{t.welcome.time}</span>
+      </p>
+      <div class="examples">
+        <span>{t.welcome.ask}</span>
+        {t.welcome.questions.map((question) => (
+          <button type="button" key={question} class="chip" disabled={busy} onClick={() => void upload.takeSample(question)}>
+            {question}
+          </button>
+        ))}
+      </div>
+      {models && <ModelsNote models={models} />}
+      <h2>{t.welcome.own}</h2>
+    </section>
   );
 }
 

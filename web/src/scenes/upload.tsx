@@ -1,11 +1,11 @@
-/** A scan on its way: dropped or chosen, or the sample; sent, parsed, opened. */
+/** Uploads a scan that is dropped or chosen, or opens the sample, and follows it until it is ready. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { asProblem, wasAborted } from "../api/client";
 import { sendSample } from "../api/service";
 import { type Sent, uploadScan } from "../api/upload";
 import type { Created, Job, Problem } from "../api/types";
-import { address } from "../route";
+import { address, go } from "../route";
 import { t } from "../text";
 import { ofJob, ProblemNote } from "../ui/problem";
 import { say } from "../ui/say";
@@ -35,9 +35,15 @@ export function useUpload(onCreated: () => void) {
     await arrive(uploadScan(file, (sent) => setStep({ ...sending, sent }), stop.signal));
   };
 
-  const takeSample = async () => {
+  /** Opens the room of the sample at once, parsed or not, with a question to ask there. */
+  const takeSample = async (question?: string) => {
     setStep({ at: "asking" });
-    await arrive(sendSample());
+    try {
+      const { scene } = await sendSample();
+      go(["scenes", scene.id], question ? { ask: question } : {});
+    } catch (thrown) {
+      setStep({ at: "failed", problem: asProblem(thrown) });
+    }
   };
 
   const arrive = async (work: Promise<Created>) => {
@@ -66,7 +72,7 @@ export function useUpload(onCreated: () => void) {
   return { step, take, takeSample, refuse, parsed, rest: () => setStep({ at: "idle" }), fail: (problem: Problem) => setStep({ at: "failed", problem }) };
 }
 
-export function UploadPanel({ upload }: { upload: Upload }) {
+export function UploadPanel({ upload, withSample }: { upload: Upload; withSample: boolean }) {
   const { step, take, takeSample, refuse, parsed, rest, fail } = upload;
   const [over, setOver] = useState(false);
   const input = useRef<HTMLInputElement>(null);
@@ -102,11 +108,16 @@ export function UploadPanel({ upload }: { upload: Upload }) {
           {t.upload.drop}{" "}
           <button type="button" class="main" onClick={() => input.current!.click()}>
             {t.upload.choose}
-          </button>{" "}
-          {t.upload.or}{" "}
-          <button type="button" onClick={() => void takeSample()}>
-            {t.upload.sample}
           </button>
+          {withSample && (
+            <>
+              {" "}
+              {t.upload.or}{" "}
+              <button type="button" onClick={() => void takeSample()}>
+                {t.upload.sample}
+              </button>
+            </>
+          )}
           <span class="small">{t.upload.what}</span>
         </p>
       )}
@@ -114,7 +125,12 @@ export function UploadPanel({ upload }: { upload: Upload }) {
       {step.at === "sending" && <Sending {...step} />}
       {step.at === "parsing" && step.created.job && (
         <>
-          <b>{step.created.scene.name}</b>
+          <p>
+            <b>{step.created.scene.name}</b>{" "}
+            <a class="button quiet" href={address(["scenes", step.created.scene.id])}>
+              {t.upload.enter}
+            </a>
+          </p>
           <JobProgress
             job={step.created.job.id}
             onDone={(job) => parsed(step.created, job)}

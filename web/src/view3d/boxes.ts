@@ -6,7 +6,7 @@ import { LineSegments2 } from "three/addons/lines/LineSegments2.js";
 import { LineSegmentsGeometry } from "three/addons/lines/LineSegmentsGeometry.js";
 import type { OrientedBox } from "../api/types";
 
-/** What a box is there for; the same colours as in the service's own pictures. */
+/** What a box is there for; the same colors as in the service's own pictures. */
 export type Role = "answer" | "anchor" | "candidate" | "selected" | "hovered";
 
 export interface DrawnBox {
@@ -15,7 +15,7 @@ export interface DrawnBox {
   box: OrientedBox;
 }
 
-export const COLOURS: Record<Role, string> = {
+export const COLORS: Record<Role, string> = {
   answer: "#16a34a",
   anchor: "#dc2626",
   candidate: "#2f6fde",
@@ -76,7 +76,7 @@ function objectOf({ instance, role, box: { center, size, yaw_rad } }: DrawnBox):
 function edges(role: Role, behind: boolean): LineSegments2 {
   const geometry = new LineSegmentsGeometry();
   geometry.setPositions(EDGES);
-  const material = new LineMaterial({ color: new Color(COLOURS[role]), linewidth: WIDTHS[role], depthTest: !behind });
+  const material = new LineMaterial({ color: new Color(COLORS[role]), linewidth: WIDTHS[role], depthTest: !behind });
   material.transparent = behind;
   material.opacity = behind ? 0.35 : 1;
   const lines = new LineSegments2(geometry, material);
@@ -85,6 +85,6 @@ function edges(role: Role, behind: boolean): LineSegments2 {
 }
 
 function faces(role: Role): Mesh {
-  const material = new MeshBasicMaterial({ color: COLOURS[role], transparent: true, opacity: 0.06, side: DoubleSide, depthWrite: false });
+  const material = new MeshBasicMaterial({ color: COLORS[role], transparent: true, opacity: 0.06, side: DoubleSide, depthWrite: false });
   return new Mesh(new BoxGeometry(1, 1, 1), material);
 }

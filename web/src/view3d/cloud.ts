@@ -23,7 +23,7 @@ export class Cloud {
   constructor(
     readonly count: number,
     readonly origin: Point,
-    /** Metres. */
+    /** Meters. */
     readonly step: number,
   ) {
     this.words = new Uint32Array(count * POINT_WORDS);
@@ -40,7 +40,7 @@ export class Cloud {
     this.filled += bytes.length;
   }
 
-  /** Where point `i` is: metres, world frame (Z up). */
+  /** Where point `i` is: meters, world frame (Z up). */
   position(i: number): Point {
     const [xy, z] = [this.words[i * POINT_WORDS]!, this.words[i * POINT_WORDS + 1]!];
     return [xy & 0xffff, xy >>> 16, z & 0xffff].map((steps, axis) => this.origin[axis]! + steps * this.step) as Point;

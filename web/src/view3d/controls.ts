@@ -5,9 +5,10 @@
  */
 
 import { type PerspectiveCamera, Vector3 } from "three";
+import type { OrientedBox } from "../api/types";
 
 export interface Pose {
-  /** What is looked at, metres, world frame. */
+  /** What is looked at, meters, world frame. */
   target: [number, number, number];
   distance: number;
   /** Where the camera stands, seen from the target: about +Z from +X. */
@@ -85,16 +86,29 @@ export class Controls {
     this.onMove();
   }
 
-  /** Stands up where one looks, or looks back at where one stood. */
-  walk(walking: boolean, eyeHeight_m: number): void {
+  /** Starts or ends walk mode. Walking starts in front of `box`, facing it; without one at the point that was looked at. */
+  walk(walking: boolean, eyeHeight_m: number, box: OrientedBox | null = null): void {
     if (walking === this.walking) return;
     this.flight = null;
     this.walking = walking;
     const { target, distance, azimuth } = this.pose;
     this.pose = walking
-      ? { target: [target[0], target[1], eyeHeight_m], distance, azimuth, elevation: 0 }
+      ? box
+        ? this.inFrontOf(box, eyeHeight_m)
+        : { target: [target[0], target[1], eyeHeight_m], distance, azimuth, elevation: 0 }
       : { target: [target[0], target[1], this.home.target[2]], distance: this.home.distance, azimuth, elevation: this.home.elevation };
     this.onMove();
+  }
+
+  /** The pose of a person who stands on the room's side of a box and looks at it. */
+  private inFrontOf({ center, size }: OrientedBox, eyeHeight_m: number): Pose {
+    const [x, y, z] = center as [number, number, number];
+    const middle = this.home.target;
+    const isCentral = Math.hypot(middle[0] - x, middle[1] - y) < 0.5;
+    const azimuth = isCentral ? this.pose.azimuth : Math.atan2(middle[1] - y, middle[0] - x);
+    const away_m = Math.min(3.5, Math.max(1.6, 0.8 + Math.max(size[0]!, size[1]!)));
+    const target: Pose["target"] = [x + away_m * Math.cos(azimuth), y + away_m * Math.sin(azimuth), eyeHeight_m];
+    return { target, distance: this.pose.distance, azimuth, elevation: Math.atan2(eyeHeight_m - z, away_m) };
   }
 
   private change(change: Partial<Pose>): void {
@@ -112,7 +126,7 @@ export class Controls {
     this.change({ azimuth: this.pose.azimuth - sign * right, elevation: this.pose.elevation + sign * down });
   }
 
-  /** Moves the target along the picture's axes, metres. */
+  /** Moves the target along the picture's axes, meters. */
   private pan(right: number, up: number): void {
     const x = new Vector3().setFromMatrixColumn(this.camera.matrixWorld, 0);
     const y = new Vector3().setFromMatrixColumn(this.camera.matrixWorld, 1);
@@ -120,7 +134,7 @@ export class Controls {
     this.change({ target: [to.x, to.y, to.z] });
   }
 
-  /** Level with the floor, metres. */
+  /** Level with the floor, meters. */
   private stride(forward: number, right: number, up = 0): void {
     const { target, azimuth } = this.pose;
     const [fx, fy] = [-Math.cos(azimuth), -Math.sin(azimuth)];

@@ -7,9 +7,9 @@ import { LineSegmentsGeometry } from "three/addons/lines/LineSegmentsGeometry.js
 import type { FrameView } from "../api/types";
 import type { Point } from "./marks";
 
-const COLOUR = "#7c3aed";
+const COLOR = "#7c3aed";
 
-/** From the tip to the base, metres. */
+/** From the tip to the base, meters. */
 const DEPTH_M = 0.18;
 
 /** How near a tip a pointer must be that is over no base, pixels. */
@@ -30,7 +30,7 @@ export class Frusta {
     geometry.setAttribute("position", new BufferAttribute(new Float32Array(this.drawn.flatMap(edgesOf)), 3));
     // Behind things they are there as well, but faint.
     for (const [depthTest, opacity] of [[true, 1], [false, 0.3]] as const) {
-      const lines = new LineSegments(geometry, new LineBasicMaterial({ color: COLOUR, transparent: true, opacity, depthTest }));
+      const lines = new LineSegments(geometry, new LineBasicMaterial({ color: COLOR, transparent: true, opacity, depthTest }));
       lines.frustumCulled = false;
       this.group.add(lines);
     }
@@ -46,7 +46,7 @@ export class Frusta {
     if (!frame) return;
     const geometry = new LineSegmentsGeometry();
     geometry.setPositions(edgesOf(frustumOf(frame)));
-    this.highlighted = new LineSegments2(geometry, new LineMaterial({ color: COLOUR, linewidth: 4, depthTest: false, transparent: true }));
+    this.highlighted = new LineSegments2(geometry, new LineMaterial({ color: COLOR, linewidth: 4, depthTest: false, transparent: true }));
     this.highlighted.renderOrder = 3;
     this.group.add(this.highlighted);
   }

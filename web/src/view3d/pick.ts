@@ -1,4 +1,4 @@
-/** Which point is under the cursor: a few pixels drawn again with the number of each point as its colour. */
+/** Which point is under the cursor: a few pixels drawn again with the number of each point as its color. */
 
 import { type Camera, Color, NearestFilter, type PerspectiveCamera, Scene, WebGLRenderTarget, type WebGLRenderer } from "three";
 import type { CloudPoints } from "./points";

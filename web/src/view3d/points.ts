@@ -1,7 +1,7 @@
 /**
  * How points are drawn: one draw call, everything decided in the shader.
  *
- * A small texture has a texel for each instance: its colour, and in alpha whether it is plain, tinted or lit. So hovering
+ * A small texture has a texel for each instance: its color, and in alpha whether it is plain, tinted or lit. So hovering
  * over a thing changes four bytes and not a million points.
  */
 
@@ -10,16 +10,16 @@ import {
 } from "three";
 import { type Cloud, POINT_WORDS } from "./cloud";
 
-export type Colouring = "photograph" | "instance" | "height";
+export type Coloring = "photograph" | "instance" | "height";
 
 /** What alpha of the texture says. */
 export const PLAIN = 128;
 /** Under the pointer: tinted. */
 export const TINTED = 192;
-/** What it is all about: in its own colours, while the rest steps back. */
+/** What it is all about: in its own colors, while the rest steps back. */
 export const LIT = 255;
 
-const MODES: Record<Colouring, number> = { photograph: 0, instance: 1, height: 2 };
+const MODES: Record<Coloring, number> = { photograph: 0, instance: 1, height: 2 };
 
 const TABLE_WIDTH = 256;
 
@@ -29,7 +29,7 @@ export const MAX_CUTS = 8;
 const VERTEX = /* glsl */ `
   in uvec3 words;
   uniform vec3 origin;
-  uniform float stride, pixelsPerMetre, smallest, cutHeight, fade;
+  uniform float stride, pixelsPerMeter, smallest, cutHeight, fade;
   uniform int mode, cuts;
   uniform vec2 heights;
   uniform vec3 tint, ground;
@@ -63,7 +63,7 @@ const VERTEX = /* glsl */ `
 
   void main() {
     vec3 place = origin + stride * vec3(words.x & 0xffffu, words.x >> 16, words.y & 0xffffu);
-    vec3 colour = vec3((words.y >> 16) & 0xffu, words.y >> 24, words.z & 0xffu) / 255.0;
+    vec3 color = vec3((words.y >> 16) & 0xffu, words.y >> 24, words.z & 0xffu) / 255.0;
     int id = int(words.z >> 8);
     vec4 entry = texelFetch(table, ivec2(id % ${TABLE_WIDTH}, id / ${TABLE_WIDTH}), 0);
     if (isCut(place)) {
@@ -73,14 +73,14 @@ const VERTEX = /* glsl */ `
     }
     vec4 seen = modelViewMatrix * vec4(place, 1.0);
     gl_Position = projectionMatrix * seen;
-    gl_PointSize = clamp(pixelsPerMetre / -seen.z, smallest, 24.0);
+    gl_PointSize = clamp(pixelsPerMeter / -seen.z, smallest, 24.0);
     #ifdef PICKING
       number = uint(gl_VertexID) + 1u;
     #else
-      tone = mode == 0 ? colour : mode == 1 ? entry.rgb : byHeight((place.z - heights.x) / (heights.y - heights.x));
+      tone = mode == 0 ? color : mode == 1 ? entry.rgb : byHeight((place.z - heights.x) / (heights.y - heights.x));
       if (entry.a < 0.9) {
-        float grey = dot(tone, vec3(0.3, 0.59, 0.11));
-        tone = mix(tone, mix(mix(tone, vec3(grey), 0.5), ground, 0.3), fade);
+        float gray = dot(tone, vec3(0.3, 0.59, 0.11));
+        tone = mix(tone, mix(mix(tone, vec3(gray), 0.5), ground, 0.3), fade);
       }
       if (entry.a > 0.6 && entry.a < 0.9) tone = mix(tone, tint, 0.4);
       width = gl_PointSize;
@@ -127,7 +127,7 @@ export class CloudPoints {
     const uniforms = {
       origin: { value: cloud.origin },
       stride: { value: cloud.step },
-      pixelsPerMetre: { value: 1 },
+      pixelsPerMeter: { value: 1 },
       smallest: { value: 1 },
       cutHeight: { value: Infinity },
       mode: { value: 0 },
@@ -162,12 +162,12 @@ export class CloudPoints {
     this.geometry.setDrawRange(0, Math.min(count, this.sent));
   }
 
-  set(what: { mode?: Colouring; cutHeight?: number; heights?: [number, number]; pixelsPerMetre?: number; smallest?: number; fade?: number; ground?: number[] }): void {
+  set(what: { mode?: Coloring; cutHeight?: number; heights?: [number, number]; pixelsPerMeter?: number; smallest?: number; fade?: number; ground?: number[] }): void {
     const { uniforms } = this.drawn;
     if (what.mode !== undefined) uniforms.mode!.value = MODES[what.mode];
     if (what.cutHeight !== undefined) uniforms.cutHeight!.value = what.cutHeight;
     if (what.heights) (uniforms.heights!.value as Vector2).set(...what.heights);
-    if (what.pixelsPerMetre !== undefined) uniforms.pixelsPerMetre!.value = what.pixelsPerMetre;
+    if (what.pixelsPerMeter !== undefined) uniforms.pixelsPerMeter!.value = what.pixelsPerMeter;
     if (what.fade !== undefined) uniforms.fade!.value = what.fade;
     if (what.ground) uniforms.ground!.value = what.ground;
     if (what.smallest !== undefined) uniforms.smallest!.value = what.smallest;
@@ -184,7 +184,7 @@ export class CloudPoints {
     });
   }
 
-  /** Colour and state of one instance; 0 stands for points that belong to none. */
+  /** Color and state of one instance; 0 stands for points that belong to none. */
   paint(instance: number, rgb: [number, number, number], state: number): void {
     const data = this.table.image.data as Uint8Array;
     if ((instance + 1) * 4 > data.length) return;

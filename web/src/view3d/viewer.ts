@@ -1,5 +1,5 @@
 /**
- * The room on a canvas. World frame as everywhere in uniground: metres, right-handed, Z up; nothing is mirrored or swapped.
+ * The room on a canvas. World frame as everywhere in uniground: meters, right-handed, Z up; nothing is mirrored or swapped.
  *
  * Knows nothing of the page around it. Draws when something changed, and then once; while the camera moves it draws as many
  * points as keep the picture fluent, and all of them when it rests.
@@ -14,7 +14,7 @@ import { cornersOf, wholeRoom } from "./framing";
 import { Frusta } from "./frusta";
 import { Marks, type Point } from "./marks";
 import { Picker } from "./pick";
-import { type Colouring, CloudPoints, LIT, PLAIN, TINTED } from "./points";
+import { type Coloring, CloudPoints, LIT, PLAIN, TINTED } from "./points";
 import { lookedThrough, wallsOf, type Wall } from "./walls";
 
 Object3D.DEFAULT_UP.set(0, 0, 1);
@@ -87,10 +87,10 @@ export class Viewer {
     this.resize();
   }
 
-  background(colour: string): void {
-    this.renderer.setClearColor(colour, 1);
+  background(color: string): void {
+    this.renderer.setClearColor(color, 1);
     // As the shader writes it: sRGB.
-    this.ground = new Color(colour).convertLinearToSRGB().toArray();
+    this.ground = new Color(color).convertLinearToSRGB().toArray();
     this.points?.set({ ground: this.ground });
     this.draw();
   }
@@ -133,7 +133,7 @@ export class Viewer {
     return { points: this.cloud?.arrived ?? 0, all: this.cloud?.count ?? 0 };
   }
 
-  colour(mode: Colouring): void {
+  color(mode: Coloring): void {
     this.points?.set({ mode });
     this.draw();
   }
@@ -242,9 +242,9 @@ export class Viewer {
       if (arrived && !this.shown) performance.mark(FIRST_PICTURE);
       this.shown = Math.min(arrived, Math.ceil(most));
       this.points.drawAtMost(this.shown);
-      const perMetre = (this.canvas.clientHeight * this.renderer.getPixelRatio()) / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
-      const pixelsPerMetre = this.spacing_m * perMetre * Math.min(WIDEST, Math.sqrt(count / Math.max(1, this.shown)));
-      this.points.set({ cutHeight: inside ? Infinity : this.cutHeight, pixelsPerMetre, smallest: this.renderer.getPixelRatio() });
+      const perMeter = (this.canvas.clientHeight * this.renderer.getPixelRatio()) / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
+      const pixelsPerMeter = this.spacing_m * perMeter * Math.min(WIDEST, Math.sqrt(count / Math.max(1, this.shown)));
+      this.points.set({ cutHeight: inside ? Infinity : this.cutHeight, pixelsPerMeter, smallest: this.renderer.getPixelRatio() });
     }
     this.renderer.render(this.scene, this.camera);
     this.onDrawn();
@@ -307,11 +307,11 @@ function tonesOf(instances: Map<number, InstanceView>, standing: (cut: number) =
   return tones;
 }
 
-/** Far from that of its neighbours in number; parts of the building are grey. */
+/** Far from that of its neighbors in number; parts of the building are gray. */
 function toneOf({ id, structure }: InstanceView): [number, number, number] {
   if (!structure) return tone((id * 0.6180339887) % 1, 0.5 + 0.2 * ((id * 0.37) % 1), 0.5 + 0.15 * ((id * 0.73) % 1));
-  const grey = structure === "floor" ? 120 : 165;
-  return [grey, grey, grey];
+  const gray = structure === "floor" ? 120 : 165;
+  return [gray, gray, gray];
 }
 
 function tone(hue: number, saturation: number, lightness: number): [number, number, number] {

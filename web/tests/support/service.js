@@ -15,14 +15,17 @@ export const SAMPLE = join(root, "examples/living_room.zip");
 /** A data folder that has the sample scan parsed: made once by `prepare.js`, copied by whoever asks for it. */
 const prepared = process.env.UNIGROUND_SAMPLE_DATA;
 
-/** Starts `uniground serve`; `page` is where the page is, the service's own or one before it. */
+/** With `UNIGROUND_PAGE=dist` tests use web/dist in front of the service, whatever page the program has. */
+const useDist = process.env.UNIGROUND_PAGE === "dist";
+
+/** Starts `uniground serve`. `page` is the address of the page: the service's own, or web/dist in front of it. */
 export async function startService({ further = [], environment = {}, empty = false } = {}) {
   const data = mkdtempSync(join(tmpdir(), "uniground-page-"));
   if (prepared && !empty) cpSync(prepared, data, { recursive: true });
   const parameters = ["serve", "--listen", "127.0.0.1:0", "--data-dir", data, "--masks", "builtin", "--encoder", "builtin", ...further];
   const child = spawn(program, parameters, { stdio: ["ignore", "pipe", "inherit"], env: { ...process.env, RUST_LOG: "warn", ...environment } });
   const api = await listening(child);
-  const own = await fetch(`${api}/viewer`).then((reply) => reply.ok);
+  const own = !useDist && await fetch(`${api}/viewer`).then((reply) => reply.ok);
   const before = own ? null : await front(api);
   return {
     api,
