@@ -11,7 +11,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Whether the process is alive. */
+        /** Returns whether the process is alive. */
         get: operations["healthz"];
         put?: never;
         post?: never;
@@ -31,11 +31,11 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`,
-         *     `list_objects`, `get_object`, `relations`, `approach` and `render_view`, and scenes and reports
-         *     as resources.
-         * @description Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call
-         *     a POST; nothing is sent unasked.
+         * The Model Context Protocol for agents. Tools: `list_scenes`, `ground`, `find_in_scenes`,
+         *     `list_objects`, `get_object`, `relations`, `approach` and `render_view`. Resources: scenes and
+         *     reports.
+         * @description Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions. Each call is one POST
+         *     with a JSON response; the server sends no other messages.
          */
         post: operations["mcp"];
         delete?: never;
@@ -51,7 +51,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The same and more for Prometheus, in the `OpenMetrics` text format. */
+        /** Returns metrics for Prometheus in the `OpenMetrics` text format. */
         get: operations["metrics"];
         put?: never;
         post?: never;
@@ -69,9 +69,9 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Whether the service can do its work.
-         * @description A vision-language model that does not answer is told in `vlm` and does not count: built-in parts
-         *     answer meanwhile.
+         * Returns whether the service is ready.
+         * @description An unreachable vision-language model is reported in `vlm` but does not affect readiness, because
+         *     built-in components take over.
          */
         get: operations["readyz"];
         put?: never;
@@ -89,7 +89,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Lists answers that were kept, newest first: a page, or with `format` all of them, streamed. */
+        /** Lists stored answers, newest first: one page, or with `format` all of them as a stream. */
         get: operations["list_answers"];
         put?: never;
         post?: never;
@@ -106,7 +106,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** An answer as it was given, whole. */
+        /** Returns an answer. */
         get: operations["get_answer"];
         put?: never;
         post?: never;
@@ -124,10 +124,10 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg`
-         *     or `names-1.jpg`, exactly as it was shown.
-         * @description The room itself is always there: where no model was shown one, it is drawn from above with the
-         *     answer's box (green), its anchor (red) and the other candidates (blue).
+         * Returns a picture of an answer's evidence: `global.jpg`, and for answers of a model
+         *     `candidate-7.jpg` or `names-1.jpg`, exactly as the model received it.
+         * @description `global.jpg` always exists. If no model received one, it is drawn from above with the answer's
+         *     box (green), its anchor (red) and the other candidates (blue).
          */
         get: operations["get_answer_picture"];
         put?: never;
@@ -146,8 +146,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What the model was asked for an answer: every message, in order. Kept for as long as the
-         *     server's operator wants.
+         * Returns the prompt of an answer: every message to the model, in order. Subject to the retention
+         *     of evidence.
          */
         get: operations["get_answer_prompt"];
         put?: never;
@@ -165,7 +165,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** What the model said, word by word. */
+        /** Returns the model's replies for an answer, unchanged. Subject to the retention of evidence. */
         get: operations["get_answer_reply"];
         put?: never;
         post?: never;
@@ -183,8 +183,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Lists what was done, newest first: every request that was let through to change something,
-         *     whatever came of it.
+         * Lists the audit log, newest first: all authorized requests that could change data, including
+         *     failed ones.
          */
         get: operations["list_audit"];
         put?: never;
@@ -206,11 +206,12 @@ export interface paths {
         get: operations["list_batches"];
         put?: never;
         /**
-         * Submits a list of questions, to be asked in the background.
-         * @description As JSON, or streamed as JSONL (`application/jsonl`), a question a line: 100,000 lines are no
-         *     trouble. A first line `{"defaults": {…}}` holds for all. What is wrong with one question is that
-         *     item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
-         *     twice: not after a restart, not when the same list is sent again under its `Idempotency-Key`.
+         * Submits a batch of questions that run in the background.
+         * @description The body is JSON, or JSONL (`application/jsonl`) with one question per line, which is streamed
+         *     and may have 100,000 lines. A first line `{"defaults": {…}}` applies to all items. An invalid
+         *     question only fails its item; a line that is not a JSON object rejects the batch. No question
+         *     runs twice, even after a restart, or when the same list is sent again with its
+         *     `Idempotency-Key`.
          */
         post: operations["create_batch"];
         delete?: never;
@@ -226,7 +227,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** A batch as it stands: how far it is, what it cost, how long it will take. */
+        /** Returns a batch with its progress, cost and estimated remaining time. */
         get: operations["get_batch"];
         put?: never;
         post?: never;
@@ -245,7 +246,7 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /** Stops asking for good. What is answered stays. */
+        /** Cancels a batch. Existing answers are kept. */
         post: operations["cancel_batch"];
         delete?: never;
         options?: never;
@@ -262,7 +263,7 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /** Stops asking until somebody resumes it. Questions under way are answered. */
+        /** Pauses a batch. Running questions are finished. */
         post: operations["pause_batch"];
         delete?: never;
         options?: never;
@@ -277,7 +278,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Results in the order of the items, a line each, as far as they are there. */
+        /** Returns the results in the order of the items, one per line. */
         get: operations["get_batch_results"];
         put?: never;
         post?: never;
@@ -296,7 +297,7 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /** Goes on with a batch that is paused. */
+        /** Resumes a paused batch. */
         post: operations["resume_batch"];
         delete?: never;
         options?: never;
@@ -314,9 +315,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Finds out in which of many scenes something is.
-         * @description Every scene is looked into without a model; those that most likely have it are asked in full,
-         *     and their answers kept. A key's rate counts each of these; there is no `Idempotency-Key`.
+         * Finds the scenes that contain an object.
+         * @description Searches every scene without a model, then answers the question for the most likely scenes and
+         *     stores these answers. Each of them counts towards the rate limit of the key. `Idempotency-Key`
+         *     is not supported.
          */
         post: operations["ground_many"];
         delete?: never;
@@ -349,11 +351,11 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** A job as it stands. */
+        /** Returns a job. */
         get: operations["get_job"];
         put?: never;
         post?: never;
-        /** Asks a job to stop. A finished job stays as it is. */
+        /** Requests the cancellation of a job. A finished job is not changed. */
         delete: operations["cancel_job"];
         options?: never;
         head?: never;
@@ -368,8 +370,9 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Follows a job: `progress` events while it goes on, then one `done`; data is the job.
-         * @description `Last-Event-ID` resumes: progress the caller has seen is not sent again; the end is always told.
+         * Streams the progress of a job: `progress` events, then one `done` event. Their data is the job.
+         * @description With `Last-Event-ID`, progress that the client has received is not sent again. The `done` event
+         *     is always sent.
          */
         get: operations["follow_job"];
         put?: never;
@@ -391,8 +394,8 @@ export interface paths {
         get: operations["list_keys"];
         put?: never;
         /**
-         * Makes a key. Its secret is in this answer and nowhere else.
-         * @description From the first key on, everybody needs one.
+         * Creates an API key. Its secret is returned only in this response.
+         * @description Once a key exists, all requests require one.
          */
         post: operations["create_key"];
         delete?: never;
@@ -411,10 +414,7 @@ export interface paths {
         get?: never;
         put?: never;
         post?: never;
-        /**
-         * Revokes a key: it is refused from now on, and its batches pause. What was done with it stays
-         *     readable.
-         */
+        /** Revokes a key. It is rejected from then on, and its batches pause. Its audit entries are kept. */
         delete: operations["revoke_key"];
         options?: never;
         head?: never;
@@ -431,10 +431,10 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Makes links that work without a key for a while: for pictures, clouds and event streams in a
-         *     page, where no header can be sent.
-         * @description A link reads what its path names, no more, and stops with the key it was made with. It is the
-         *     path with the query parameter `link`.
+         * Creates signed links that work without a key for a limited time, for pictures, clouds and event
+         *     streams in a web page, where no header can be sent.
+         * @description A link only allows reading its path and becomes invalid with its key. It is the path with the
+         *     query parameter `link`.
          */
         post: operations["create_links"];
         delete?: never;
@@ -450,7 +450,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The models this server was started with; none when all parts are built in. */
+        /** Lists the models of this server. Empty if only built-in components are used. */
         get: operations["list_models"];
         put?: never;
         post?: never;
@@ -472,10 +472,10 @@ export interface paths {
         put?: never;
         /**
          * Uploads a scan.
-         * @description The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a cloud or a mesh; or a
-         *     form with one as its file. What it is, its bytes say, whatever the content type. It is checked
-         *     before anything is stored; parsing then runs as a job. The same bytes under the same settings
-         *     are parsed only once.
+         * @description The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a point cloud or a mesh;
+         *     or a form with one of these as its file. The format is detected from the bytes, regardless of
+         *     the content type. The scan is checked before it is stored, then parsed in a job. The same bytes
+         *     with the same settings are parsed only once.
          */
         post: operations["create_scene"];
         delete?: never;
@@ -491,15 +491,15 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** One scene. */
+        /** Returns a scene. */
         get: operations["get_scene"];
         put?: never;
         post?: never;
-        /** Deletes a scene with its answers. */
+        /** Deletes a scene and its answers. */
         delete: operations["delete_scene"];
         options?: never;
         head?: never;
-        /** Renames a scene, files it under labels, and says where it lies in a map. */
+        /** Changes a scene's name, labels, or map transform. */
         patch: operations["change_scene"];
         trace?: never;
     };
@@ -511,8 +511,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The things of the current parse as people have corrected them: the annotations that `uniground
-         *     eval` reads beside a scan, as `<scene>.scene.json`.
+         * Returns the corrected objects of the current parse as annotations for `uniground eval`, as
+         *     `<scene>.scene.json`.
          */
         get: operations["get_annotations"];
         put?: never;
@@ -533,11 +533,11 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Where a robot can stand to see a thing, or to reach it: free floor, a view of the thing, and a
-         *     way there.
-         * @description `none_possible` and `not_grounded` are answers, not errors: `failed` says which condition left
-         *     no place, `cells` what each one left. A `query` is answered by the built-in reasoner and its
-         *     answer is kept.
+         * Computes poses from which a robot can see or reach an object: on free floor, with a view of the
+         *     object and a path to it.
+         * @description `none_possible` and `not_grounded` are results, not errors: `failed` names the condition that
+         *     excluded all positions, and `cells` counts what each condition left. The built-in reasoner
+         *     answers a `query`, and that answer is stored.
          */
         post: operations["approach"];
         delete?: never;
@@ -554,7 +554,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What changed in a scene since an earlier version of it, or from this scan to another one of the
+         * Returns the changes of a scene since an earlier version, or compared with another scan of the
          *     same room.
          */
         get: operations["get_changes"];
@@ -573,7 +573,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The cloud in its own colours, PLY. */
+        /** Returns the cloud with its original colors as PLY. */
         get: operations["get_cloud"];
         put?: never;
         post?: never;
@@ -591,16 +591,15 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Lists the corrections of the current parse, newest first, with who made them and which were
-         *     taken back.
+         * Lists the corrections of the current parse, newest first, with their authors, including undone
+         *     ones.
          */
         get: operations["list_corrections"];
         put?: never;
         /**
-         * Corrects what the current parse has found: a name, junk, things that are one, a thing that is
-         *     several.
-         * @description Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and
-         *     settings share it, a new parse starts without.
+         * Corrects the current parse: renames, dismisses, merges or splits instances.
+         * @description Later answers use the correction. It belongs to the parse: scenes with the same bytes and
+         *     settings share it, and a new parse starts without corrections.
          */
         post: operations["correct_scene"];
         delete?: never;
@@ -619,7 +618,7 @@ export interface paths {
         get?: never;
         put?: never;
         post?: never;
-        /** Takes a correction back. It stays in the list; what it had changed is as it was before. */
+        /** Undoes a correction. It stays in the list as undone. */
         delete: operations["undo_correction"];
         options?: never;
         head?: never;
@@ -634,8 +633,9 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What the instances look like: a numpy array of half floats, one unit vector per instance in
-         *     order of id, zero for those no frame shows. The scene's `models` name the encoder.
+         * Returns the embeddings of the instances: a numpy array of half floats, one unit vector per
+         *     instance ordered by id, zero for instances that no frame shows. The scene's `models` name the
+         *     encoder.
          */
         get: operations["get_embeddings"];
         put?: never;
@@ -654,10 +654,9 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The scene with what was found in it, for other programs: GLB, PLY, USDZ or JSON, as people have
-         *     corrected it.
-         * @description Coordinates are metres in the frame of the scene (Z up); in GLB the node at the root turns them
-         *     into glTF's Y up. Sent as an attachment named after the scene.
+         * Exports the scene with its corrected instances as GLB, PLY, USDZ or JSON.
+         * @description Coordinates are in meters in the scene's frame (Z up). In GLB, the root node rotates them to
+         *     glTF's Y up. The response is an attachment named after the scene.
          */
         get: operations["export_scene"];
         put?: never;
@@ -676,8 +675,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The map of a scene's floor as `map_server` of ROS reads it: this is the file beside the picture
-         *     `floor.png`.
+         * Returns the metadata of a scene's floor map in the format of the ROS `map_server`. The image is
+         *     `floor.png` next to it.
          */
         get: operations["get_floor"];
         put?: never;
@@ -696,8 +695,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The floor from above: white is free, black occupied, grey never seen; left is the least x, the
-         *     first row the greatest y.
+         * Returns the floor map: white is free, black is occupied, gray is unknown. The left edge has the
+         *     smallest x, the first row the largest y.
          */
         get: operations["get_floor_picture"];
         put?: never;
@@ -715,16 +714,16 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The photographs of a scan: where each was taken from, and with what camera. */
+        /** Lists the photographs of a scan with their poses and cameras. */
         get: operations["list_frames"];
         put?: never;
         /**
-         * Adds frames to a scene: colour and depth pictures with poses, in any layout that a scan may
-         *     have.
-         * @description They are checked against the scene before anything is kept, and parsed in the background: what
-         *     was seen of frames before is used again. What the new frames look through is gone, surfaces they
-         *     find are new. What stays keeps its id, names and corrections; `GET /v1/scenes/{scene_id}/
-         *     changes` tells what came, went and moved. Questions are answered as before until then.
+         * Adds frames to a scene: color and depth pictures with poses, in any supported layout.
+         * @description The frames are checked against the scene before they are stored, then parsed in the background;
+         *     results of earlier frames are reused. Points that the new frames see through are removed, and
+         *     new surfaces are added. Unchanged objects keep their ids, names and corrections. `GET
+         *     /v1/scenes/{scene_id}/changes` returns the changes. Until the parse is finished, questions use
+         *     the previous version.
          */
         post: operations["add_frames"];
         delete?: never;
@@ -741,8 +740,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * A photograph of the scan, by its index in the list of frames: as it was taken, or with the
-         *     instances of the current parse over it.
+         * Returns a photograph of the scan by its index in the list of frames, optionally with the
+         *     instances of the current parse.
          */
         get: operations["get_photograph"];
         put?: never;
@@ -761,10 +760,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What is in a scene and how it stands to each other: things, the building and zones, and what
-         *     carries, holds or stands beside what.
-         * @description The relations are those that questions are answered by, as far as they do not depend on who
-         *     looks.
+         * Returns the scene graph: objects, building elements and zones, and the relations between them.
+         * @description The relations are those used for answering questions, except viewpoint-dependent ones.
          */
         get: operations["get_graph"];
         put?: never;
@@ -785,8 +782,8 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Grounds one expression in a parsed scene.
-         * @description `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`,
+         * Answers a question about a parsed scene.
+         * @description `no_match` and `ambiguous` are results, not errors: `box` is `null` and, for `ambiguous`,
          *     `alternatives` lists the tied objects.
          */
         post: operations["ground"];
@@ -804,8 +801,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The instances of a scene's current parse, in order of id: the largest first, then parts and
-         *     wholes where these are asked for.
+         * Lists the instances of a scene's current parse, ordered by id: the largest objects first, then
+         *     parts and wholes.
          */
         get: operations["list_instances"];
         put?: never;
@@ -823,7 +820,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The cloud coloured by instance, PLY; each point carries its instance id. */
+        /** Returns the cloud colored by instance as PLY, with the instance id of each point. */
         get: operations["get_instances_cloud"];
         put?: never;
         post?: never;
@@ -840,7 +837,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** One instance. */
+        /** Returns an instance. */
         get: operations["get_instance"];
         put?: never;
         post?: never;
@@ -857,7 +854,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** A picture that shows the instance: the best view is `0.jpg`. */
+        /** Returns a picture of an instance. `0.jpg` is the best view. */
         get: operations["get_instance_view"];
         put?: never;
         post?: never;
@@ -877,9 +874,9 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Has the vision-language model name every object of the current parse, in the background.
-         * @description Names do not depend on questions and are kept; what has one is not paid for again. Questions
-         *     with `evidence: "cached_names"` use them.
+         * Starts a job in which the vision-language model names every object of the current parse.
+         * @description Names do not depend on questions and are stored. Objects that have a name are not sent to the
+         *     model again. Questions with `evidence: "cached_names"` use the names.
          */
         post: operations["name_instances"];
         delete?: never;
@@ -897,7 +894,10 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /** Parses a scene again, into a new version. Questions use the old one until the new one is ready. */
+        /**
+         * Parses a scene again as a new version. Questions use the previous version until the new one is
+         *     ready.
+         */
         post: operations["parse_scene"];
         delete?: never;
         options?: never;
@@ -913,12 +913,13 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The cloud of the current parse for whoever looks at it over a network: twelve bytes a point, and
-         *     every beginning is an even sample of the whole, so that a part (`Range: bytes=0-2400031` for
-         *     200,000 points) is a picture already.
-         * @description Little endian: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin (three
-         *     f32, metres), step (f32, metres); then for each point its position (three u16: origin + step x
-         *     number), red, green, blue (u8), and the id of its thing (three bytes, 0 for none).
+         * Returns the cloud of the current parse in a compact format for viewers. Points are ordered so
+         *     that every prefix is an even sample: a part (`Range: bytes=0-2400031` for 200,000 points) can be
+         *     shown.
+         * @description Little endian header: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin
+         *     (three f32, meters), step (f32, meters). Then for each point: position (three u16, coordinate =
+         *     origin + step x number), red, green, blue (u8), and the id of its object (three bytes, 0 for
+         *     none).
          */
         get: operations["get_points"];
         put?: never;
@@ -937,8 +938,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * What the current parse did: counts, seconds and memory per stage, warnings, settings, and
-         *     pictures of every step.
+         * Returns the report of the current parse: counts, seconds and memory per stage, warnings,
+         *     settings, and pictures of every step.
          */
         get: operations["get_report"];
         put?: never;
@@ -956,7 +957,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** A picture of the current parse. */
+        /** Returns a picture of the current parse. */
         get: operations["get_report_picture"];
         put?: never;
         post?: never;
@@ -976,8 +977,9 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * The candidates for a query, without reasoning over relations.
-         * @description By appearance where an encoder has seen the scene, by names and attributes otherwise.
+         * Returns the candidates for a query without spatial reasoning.
+         * @description Candidates are ranked by appearance if an encoder has processed the scene, else by names and
+         *     attributes.
          */
         post: operations["shortlist"];
         delete?: never;
@@ -993,7 +995,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** The room of the current parse from above, 320 x 240 pixels. */
+        /** Returns a picture of the current parse from above, 320 x 240 pixels. */
         get: operations["get_thumbnail"];
         put?: never;
         post?: never;
@@ -1013,10 +1015,9 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Makes a scene of a scan that lies on the server's own disk, below the folder its operator named
-         *     (`--import-root`).
-         * @description As an upload of the same file; a folder is packed first, and nothing that a link brings in from
-         *     elsewhere goes with it.
+         * Imports a scan from the server's disk, from the folder configured with `--import-root`.
+         * @description Works like an upload of the same file. A folder is packed first; links that lead out of it are
+         *     not followed.
          */
         post: operations["import_scene"];
         delete?: never;
@@ -1034,10 +1035,7 @@ export interface paths {
         };
         get?: never;
         put?: never;
-        /**
-         * Makes a scene of the living room this program carries, and parses it: something to ask about at
-         *     once.
-         */
+        /** Creates a scene from the sample scan that is embedded in the server, and parses it. */
         post: operations["create_sample_scene"];
         delete?: never;
         options?: never;
@@ -1052,7 +1050,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** What this server holds, does and may spend, in numbers. */
+        /** Returns statistics of the server: stored data, jobs, spending, disk usage and retention. */
         get: operations["get_stats"];
         put?: never;
         post?: never;
@@ -1072,15 +1070,15 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * Begins an upload that comes in parts.
-         * @description In the words of [tus 1.0](https://tus.io/protocols/resumable-upload), for its clients. `Location` is the upload; its bytes go there with
-         *     `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as
-         *     `application/offset+octet-stream`. When all are there it becomes a scene, exactly as `POST
-         *     /v1/scenes` makes one.
+         * Begins a resumable upload.
+         * @description Implements [tus 1.0](https://tus.io/protocols/resumable-upload). `Location` is the URL of the
+         *     upload. Send the bytes there with `PATCH`, from the offset that `HEAD` returns. The first bytes
+         *     may be sent with this request as `application/offset+octet-stream`. When the upload is complete,
+         *     a scene is created as with `POST /v1/scenes`.
          */
         post: operations["create_upload"];
         delete?: never;
-        /** Tells what of tus this server can do. */
+        /** Returns the tus capabilities of this server. */
         options: operations["upload_capabilities"];
         head?: never;
         patch?: never;
@@ -1093,24 +1091,24 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** An upload as it stands: how much of it is there, the scene it has become, or why there is none. */
+        /** Returns an upload with its offset, its scene, or the reason why it was rejected. */
         get: operations["get_upload"];
         put?: never;
         /**
-         * The same as `PATCH` or `DELETE`, for those whose network lets neither through:
-         *     `X-HTTP-Method-Override` says which.
+         * Does the same as `PATCH` or `DELETE`, for networks that block these methods.
+         *     `X-HTTP-Method-Override` selects the method.
          */
         post: operations["append_to_upload_by_post"];
-        /** Gives an upload up, or forgets one that is over; its scene stays. */
+        /** Cancels an upload, or removes the record of a finished one. Its scene is kept. */
         delete: operations["delete_upload"];
         options?: never;
-        /** How much of an upload is there, in headers. */
+        /** Returns the offset of an upload in headers. */
         head: operations["get_upload_offset"];
         /**
-         * Goes on with an upload, from the offset it is at.
-         * @description With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no
-         *     scan is refused with what is wrong with it. What came of a part that breaks off is kept; of one
-         *     with a checksum, which can not be checked then, nothing.
+         * Appends bytes to an upload, at its current offset.
+         * @description The last bytes complete the upload: a scene is created, and `uniground-scene-id` names it. An
+         *     invalid scan is rejected with a description of the problem. The received bytes of an interrupted
+         *     part are kept, unless the part has a checksum.
          */
         patch: operations["append_to_upload"];
         trace?: never;
@@ -1119,207 +1117,206 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
-        /** @description Axis-aligned box in the world frame (metres, Z up): the benchmark's `(cx, cy, cz, dx, dy, dz)`. */
+        /** @description Axis-aligned box in the world frame (meters, Z up): the benchmark's `(cx, cy, cz, dx, dy, dz)`. */
         Aabb: {
-            /** @description Centre, metres, world frame (Z up). */
+            /** @description Center; meters, world frame (Z up). */
             center: number[];
-            /** @description Full extent along X, Y and Z, metres. */
+            /** @description Full extent along X, Y and Z, meters. */
             size: number[];
         };
         /**
-         * @description Parts of the paper's prompt left out; only a vision-language model has a prompt.
+         * @description Parts of the paper's prompt to omit. Applies only to a vision-language model.
          * @enum {string}
          */
         Ablation: "full" | "no_global" | "no_candidate" | "simple_prompt" | "raw_render" | "no_loop";
-        /** @description Another instance the question may mean. */
+        /** @description Another instance that the question may refer to. */
         Alternative: {
-            /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
+            /** @description Axis-aligned box without outlier points; meters, world frame (Z up). */
             box: components["schemas"]["Aabb"];
             /**
              * Format: float
-             * @description Share of the belief, `0..=1`.
+             * @description Share of the total confidence, `0..=1`.
              */
             confidence: number;
-            /** @description Numbered from 1 within the parse the answer comes from. */
+            /** @description Id within the parse of the answer, from 1. */
             id: components["schemas"]["InstanceId"];
-            /**
-             * @description What it is called, without regard to the question; empty in answers given before this was
-             *     told.
-             */
+            /** @description Name of the object, independent of the question. Empty in answers from older versions. */
             name?: string;
             oriented_box?: components["schemas"]["OrientedBox"] | null;
             /**
-             * @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
-             *     there is no service.
+             * @description Path of a cropped picture with the best view of the object. `null` if no frame shows it, or
+             *     without a server.
              */
             view?: string | null;
         };
-        /** @description The answer to a question. `box` is set when the status is `grounded`, or `uncertain`. */
+        /** @description The answer to a question. `box` is set if the status is `grounded` or `uncertain`. */
         Answer: {
             /**
-             * @description Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead.
-             *     Empty for `no_match`.
+             * @description Other instances that the question may refer to, most likely first. If `ambiguous`, the tied
+             *     instances come first. Empty for `no_match`.
              */
             alternatives: components["schemas"]["Alternative"][];
-            /** @description The six fields. */
+            /** @description The six output fields of the paper. */
             answer: components["schemas"]["SixFields"];
             box?: components["schemas"]["Aabb"] | null;
             /**
-             * @description Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent
-             *     where `include` leaves it out.
+             * @description Candidates, best first, at most `top_k`. Objects shown to a model only for orientation have
+             *     score 0. Absent if `include` omits them.
              */
             candidates?: components["schemas"]["Candidate"][] | null;
             /**
              * Format: float
-             * @description Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known
-             *     what is asked for.
+             * @description Confidence in the answer, `0..=1`. For `no_match`, confidence that no object fits; 0.5 if
+             *     the question was not understood.
              */
             confidence: number;
             /**
              * Format: int32
-             * @description How many there are; absent where the question asks for one thing.
+             * @description Number of matching objects. Absent if the question asks for a single object.
              */
             count?: number | null;
             /**
-             * @description A built-in part took the place of a model that could not be used, or that never chose a
-             *     candidate; `trace.corrections` says why.
+             * @description Whether a built-in component replaced a model that failed or returned no valid candidate.
+             *     `trace.corrections` gives the reason.
              */
             degraded?: boolean;
             /**
-             * @description Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the
-             *     door" in the question comes before it.
+             * @description Convention for left, right, front and back: `paper`, `viewer` or `observer`. An orientation
+             *     in the question, like "facing the door", takes precedence.
              */
             direction_convention: string;
-            /** @description Paths of the pictures that go with the answer. */
+            /** @description Paths of the pictures used as evidence. */
             evidence?: string[] | null;
-            /** @description The frame of all boxes here, but for those of `in_frame`. */
+            /** @description The coordinate frame of all boxes except those in `in_frame`. */
             frame: components["schemas"]["CoordinateFrame"];
-            /** @description UUIDv7; in order of time. */
+            /** @description UUIDv7, so ids sort by time. */
             id: string;
             in_frame?: components["schemas"]["InFrame"] | null;
-            /** @description Who found, compared, read and decided. */
+            /** @description Components that produced the answer. */
             models: components["schemas"]["Models"];
             no_match_reason?: components["schemas"]["NoMatchReason"] | null;
             oriented_box?: components["schemas"]["OrientedBox"] | null;
             /**
              * Format: int32
-             * @description Number of the scene's parse that was asked, from 1; instance ids belong to it.
+             * @description Version of the scene's parse that was used, from 1. Instance ids belong to it.
              */
             parse_version: number;
-            /** @description How the question was understood. */
+            /** @description The parsed question. */
             parsed_query: components["schemas"]["ParsedQuerySummary"];
-            /** @description The question, word for word. */
+            /** @description The question, unchanged. */
             query: string;
-            /** @description UUIDv7 of the scene that was asked about. */
+            /** @description UUIDv7 of the scene. */
             scene_id: string;
             seen?: components["schemas"]["Seen"] | null;
-            /** @description Whether one object fits, surely or not, several or none. */
+            /** @description Whether an object was found: `grounded`, `uncertain`, `ambiguous` or `no_match`. */
             status: components["schemas"]["Status"];
             /**
-             * @description `false`: the server could not keep this answer (its disk is full, say). It is given here
-             *     and can not be asked for again.
+             * @description Whether the server stored this answer. If `false` (for example on a full disk), the answer
+             *     cannot be fetched again.
              */
             stored?: boolean;
             /**
-             * @description All things the question means, best first: several where it asks for several ("the chairs",
-             *     "how many mugs"), else the answer's own; empty unless `grounded` or `uncertain`, and in
-             *     answers given before this was told.
+             * @description All objects that the question refers to, best first. More than one if the question asks for
+             *     several ("the chairs", "how many mugs"). Empty unless `grounded` or `uncertain`, and in
+             *     answers from older versions.
              */
             targets?: components["schemas"]["Target"][];
-            /** @description What each step took, milliseconds. */
+            /** @description Duration of each step, milliseconds. */
             timings_ms: components["schemas"]["Timings"];
             trace?: components["schemas"]["Trace"] | null;
-            /** @description What the calls took and cost. */
+            /** @description Usage and cost of the model calls. */
             usage: components["schemas"]["Usage"];
         };
         /** @description A page of answers, newest first. */
         AnswerList: {
-            /** @description Newest first, each as it was given. */
+            /** @description Answers, newest first. */
             answers: components["schemas"]["Answer"][];
-            /** @description `cursor` of the next page; `null` on the last. */
+            /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
         };
-        /** @description Every prompt of an answer, in order. */
+        /** @description All prompts of an answer, in order. */
         AnswerPrompt: {
-            /** @description In the order they were made. */
+            /** @description Calls in order. */
             calls: components["schemas"]["PromptCall"][];
-            /** @description The model that was asked, by the name its endpoint knows it by. */
+            /** @description Name of the model at its endpoint. */
             model: string;
         };
-        /** @description Every reply of an answer, in order. */
+        /** @description All replies for an answer, in order. */
         AnswerReply: {
-            /** @description In the order they were made, one for every prompt. */
+            /** @description Replies in order, one for each prompt. */
             calls: components["schemas"]["ReplyCall"][];
-            /** @description The model that was asked, by the name its endpoint knows it by. */
+            /** @description Name of the model at its endpoint. */
             model: string;
         };
-        /** @description Which pictures of an instance an encoder looks at. */
+        /** @description Pictures of an instance for the encoder. */
         AppearanceSettings: {
             /**
              * Format: int32
-             * @description Frames looked at as a whole, spread over the scan: for what is in no instance. Paper: none.
+             * @description Number of full frames to encode, spread over the scan, for content outside of instances. At
+             *     most 1000. Default: 40. Paper: none.
              * @default 40
              */
             frames?: number;
             /**
              * Format: float
-             * @description Level `l` grows the tight box by `l` times this share of its width and height, per side.
-             *     Paper: 0.1.
+             * @description Crop `l` enlarges the tight box by `l` times this share of its width and height per side.
+             *     Default and paper: 0.1.
              * @default 0.10000000149011612
              */
             level_step?: number;
             /**
              * Format: int32
-             * @description Crops per view. Paper: 5.
+             * @description Number of crops per view, 1 to 16. Default: 3. Paper: 5.
              * @default 3
              */
             levels?: number;
             /**
              * Format: float
-             * @description Least share of its points a view must show; the best view always counts. Paper: 0.2.
+             * @description Minimum share of the instance's points that a view must show. The best view is always used.
+             *     Default and paper: 0.2.
              * @default 0.20000000298023224
              */
             min_visible?: number;
             /**
              * Format: int32
-             * @description Views looked at per instance, those that show most. Paper: 10.
+             * @description Number of views per instance, best visible first, 1 to 100. Default: 5. Paper: 10.
              * @default 5
              */
             views?: number;
         };
-        /** @description Where to stand for a thing, best first, or why nowhere. */
+        /** @description Standing poses for an object, best first, or the reason why none exists. */
         Approach: {
-            /** @description The answer to `query`, at `/v1/answers/{id}`; `null` without one. */
+            /** @description Id of the answer to `query`, available at `/v1/answers/{id}`. `null` without a query. */
             answer_id?: string | null;
             answer_status?: components["schemas"]["Status"] | null;
             cells?: components["schemas"]["CellCounts"] | null;
-            /** @description What came of it, in words. */
+            /** @description The result in words, for people. */
             detail: string;
             failed?: components["schemas"]["FailedCondition"] | null;
             /**
              * Format: float
-             * @description Height of the floor, metres, world frame; `null` where `not_grounded`.
+             * @description Height of the floor; meters, world frame. `null` if `not_grounded`.
              */
             floor_z_m?: number | null;
-            /** @description The frame of all coordinates here, but those of `in_frame`. */
+            /** @description The coordinate frame of all coordinates except those in `in_frame`. */
             frame: components["schemas"]["CoordinateFrame"];
             in_frame?: components["schemas"]["PosesInFrame"] | null;
             /**
              * Format: int32
-             * @description Number of the scene's parse, from 1; instance ids belong to it.
+             * @description Version of the scene's parse, from 1. Instance ids belong to it.
              */
             parse_version: number;
-            /** @description Best first: near the thing, little to drive, much of it in sight, room around. */
+            /** @description Poses, best first: near the object, with a short path, good visibility and much clearance. */
             poses: components["schemas"]["StandingPose"][];
             /** @description UUIDv7 of the scene. */
             scene_id: string;
             start?: components["schemas"]["Start"] | null;
-            /** @description Whether there is a place to stand. */
+            /** @description Whether a standing pose was found. */
             status: components["schemas"]["ApproachStatus"];
             target?: components["schemas"]["ApproachTarget"] | null;
         };
         /**
-         * @description Asks where to stand for a thing: one of `instance_id` and `query`.
+         * @description A request for standing poses. Exactly one of `instance_id` and `query` is required.
          * @example {
          *       "from": {
          *         "x": 0.5,
@@ -1335,8 +1332,7 @@ export interface components {
          */
         ApproachRequest: {
             /**
-             * @description Whose coordinates `from` is in, and in which poses are told beside the scene's own
-             *     (`in_frame`).
+             * @description Frame of `from`, and additional frame of the result (`in_frame`). Default: `scene`.
              * @default scene
              */
             frame?: components["schemas"]["FrameChoice"];
@@ -1344,481 +1340,478 @@ export interface components {
             instance_id?: components["schemas"]["InstanceId"] | null;
             /**
              * Format: float
-             * @description Greatest horizontal distance from the middle of the robot to the thing's nearest point,
-             *     metres.
+             * @description Maximum horizontal distance from the robot's center to the object's nearest point, meters.
+             *     Default: 2.5.
              * @default 2.5
              */
             max_distance_m?: number;
             /**
              * Format: int32
-             * @description Most poses to send back; fewer where there are not so many apart from each other.
+             * @description Maximum number of poses. Fewer are returned if not enough lie apart from each other.
+             *     Default: 3.
              * @default 3
              */
             max_poses?: number;
             /**
              * Format: float
-             * @description Least horizontal distance from the middle of the robot to the thing's nearest point,
-             *     metres.
+             * @description Minimum horizontal distance from the robot's center to the object's nearest point, meters.
+             *     Default: 0.
              * @default 0
              */
             min_distance_m?: number;
             /**
-             * @description What to find, in plain English: answered by the built-in reasoner, and kept like any
-             *     answer.
+             * @description Description of the object in English. The built-in reasoner answers it, and the answer is
+             *     stored.
              */
             query?: string | null;
-            /** @description Who is to stand there. */
+            /** @description The robot. */
             robot: components["schemas"]["Robot"];
         };
         /**
-         * @description Whether there is a place to stand.
+         * @description Whether a standing pose was found.
          * @enum {string}
          */
         ApproachStatus: "found" | "none_possible" | "not_grounded";
-        /** @description What is approached. */
+        /** @description The object to approach. */
         ApproachTarget: {
-            /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
+            /** @description Axis-aligned box without outlier points; meters, world frame (Z up). */
             box: components["schemas"]["Aabb"];
-            /** @description Numbered from 1 within the parse. */
+            /** @description Id within the parse, from 1. */
             id: components["schemas"]["InstanceId"];
-            /** @description What it is called. */
+            /** @description Name of the object. */
             name: string;
-            /** @description Box turned about the vertical to fit it. */
+            /** @description Box rotated about the vertical axis. */
             oriented_box: components["schemas"]["OrientedBox"];
-            /** @description What it stands on or hangs on. */
+            /** @description What the object stands on or hangs on. */
             support: components["schemas"]["Support"];
         };
-        /** @description Something that was done: a request that changes what is stored. */
+        /** @description An entry of the audit log: a request that changed stored data. */
         AuditEntry: {
-            /** @description RFC 3339, UTC. */
+            /** @description Time, RFC 3339 UTC. */
             at: string;
-            /** @description UUIDv7; in order of time. */
+            /** @description UUIDv7, so ids sort by time. */
             id: string;
-            /** @description Whose key; `null`: the server's own key, or nobody's where none is wanted. */
+            /** @description Id of the key. `null` for the server's own key, and without authentication. */
             key_id?: string | null;
             /** @description HTTP method. */
             method: string;
-            /** @description What was asked for, without its query. */
+            /** @description Path of the request, without the query. */
             path: string;
-            /** @description As the header `x-request-id` and the log have it. */
+            /** @description Request id, as in the header `x-request-id` and in the log. */
             request_id?: string | null;
             /**
              * Format: int32
-             * @description HTTP status of the answer.
+             * @description HTTP status of the response.
              */
             status: number;
         };
-        /** @description A page of what was done, newest first. */
+        /** @description A page of the audit log, newest first. */
         AuditList: {
-            /** @description Newest first. */
+            /** @description Entries, newest first. */
             entries: components["schemas"]["AuditEntry"][];
-            /** @description `cursor` of the next page; `null` on the last. */
+            /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
         };
-        /** @description A batch as it stands. */
+        /** @description A batch and its progress. */
         Batch: {
-            /** @description Done ones by the status of their answer, or `failed`. */
+            /** @description Number of finished questions by answer status, or `failed`. */
             by_status: {
                 [key: string]: number;
             };
             /**
              * Format: double
-             * @description What the answers cost, US dollars.
+             * @description Cost of the answers, US dollars.
              */
             cost_usd: number;
-            /** @description RFC 3339, UTC. */
+            /** @description Creation time, RFC 3339 UTC. */
             created_at: string;
             /**
              * Format: int32
-             * @description Of those, answered or failed.
+             * @description Number of questions that are answered or failed.
              */
             done: number;
             /**
              * Format: float
-             * @description Seconds until all are done, as it went so far; absent while nobody can tell.
+             * @description Estimated seconds until the batch is finished. Absent while unknown.
              */
             eta_s?: number | null;
-            /** @description RFC 3339, UTC. */
+            /** @description Completion time, RFC 3339 UTC. `null` until then. */
             finished_at?: string | null;
-            /** @description UUIDv7; in order of time. */
+            /** @description UUIDv7, so ids sort by time. */
             id: string;
             /**
              * Format: int32
-             * @description Questions in it.
+             * @description Number of questions.
              */
             items: number;
-            /** @description The job that asks them: follow it at `/v1/jobs/{job_id}/events`. */
+            /** @description Id of the job that runs the batch. Its progress is at `/v1/jobs/{job_id}/events`. */
             job_id?: string | null;
-            /** @description As it was submitted. */
+            /** @description Display name. */
             label?: string | null;
-            /** @description Why it is paused, where nobody asked for that: a stable code. */
+            /** @description Why the server paused the batch: a stable code. Absent if a user paused it. */
             reason?: string | null;
-            /** @description Where it stands. */
+            /** @description State of the batch. */
             state: components["schemas"]["BatchState"];
         };
-        /** @description One question of a batch: the scene, and all that a question may have. */
+        /** @description One question of a batch: the scene and all fields of a question. */
         BatchItem: components["schemas"]["GroundRequest"] & {
-            /** @description UUIDv7 of the scene that is asked about. */
+            /** @description UUIDv7 of the scene. */
             scene_id: string;
         };
         /** @description A page of batches, newest first. */
         BatchList: {
-            /** @description Newest first. */
+            /** @description Batches, newest first. */
             batches: components["schemas"]["Batch"][];
-            /** @description `cursor` of the next page; `null` on the last. */
+            /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
         };
-        /** @description A list of questions, and what holds for all of them. */
+        /** @description A new batch: a list of questions and common options. */
         BatchRequest: {
             /**
              * Format: int32
-             * @description Questions asked at once; default: 4.
+             * @description Number of questions answered in parallel, 1 to 64. Default: 4.
              */
             concurrency?: number | null;
-            /** @description Fields of every item that does not have them itself, `scene_id` too. */
+            /** @description Default fields of all items, may include `scene_id`. Fields of an item take precedence. */
             defaults?: Record<string, never>;
             /**
-             * @description Questions: `scene_id`, `query`, and whatever else a question may have. Longer lists are
-             *     sent as JSONL, an item a line.
+             * @description Questions with `scene_id`, `query` and any other fields of a question. Send longer lists as
+             *     JSONL, one item per line.
              */
             items: components["schemas"]["BatchItem"][];
-            /** @description For people. */
+            /** @description Display name, at most 200 characters. */
             label?: string | null;
             /**
              * Format: double
-             * @description Most that all questions together may cost, US dollars. Where it is spent, the batch pauses.
-             *     With it, `auto` items are asked as `vlm`.
+             * @description Spending limit for the whole batch, US dollars. The batch pauses when it is reached. If set,
+             *     `auto` items use the vision-language model.
              */
             max_cost_usd?: number | null;
         };
-        /** @description What came of one item: a line of the results. */
+        /** @description Result of one item: one line of the results. */
         BatchResult: {
             answer?: components["schemas"]["Answer"] | null;
-            /** @description Where the answer is kept: `/v1/answers/{answer_id}`. */
+            /** @description Id of the answer, available at `/v1/answers/{answer_id}`. */
             answer_id: string;
             error?: components["schemas"]["JobError"] | null;
             /**
              * Format: int32
-             * @description Its place in the batch, from 0.
+             * @description Index of the item in the batch, from 0.
              */
             item: number;
-            /** @description The question; empty where the item has none. */
+            /** @description The question. Empty if the item has none. */
             query: string;
-            /** @description The scene it asks about. */
+            /** @description UUIDv7 of the scene. */
             scene_id: string;
             /** @description Status of the answer, or `failed`. */
             status: string;
         };
         /**
-         * @description Where a batch stands.
+         * @description State of a batch.
          * @enum {string}
          */
         BatchState: "running" | "paused" | "succeeded" | "cancelled";
         /**
          * Format: binary
-         * @description Bytes: a file as it is.
+         * @description The bytes of a file.
          */
         Binary: string;
         /** @description One call of a vision-language model. */
         Call: {
             /**
              * Format: int32
-             * @description How often the endpoint was tried; 0 when nothing was sent.
+             * @description Number of requests sent to the endpoint. 0 if none was sent.
              */
             attempts: number;
             /**
              * Format: int64
-             * @description Tokens of the reply, counted alike; 0 without a reply.
+             * @description Tokens of the reply, counted the same way. 0 without a reply.
              */
             completion_tokens: number;
-            /** @description Why there was no reply. */
+            /** @description Error if there was no reply. */
             error?: string | null;
             /**
              * Format: double
-             * @description Wall-clock milliseconds over all attempts, waits between them included.
+             * @description Total duration in milliseconds, including all attempts and the delays between them.
              */
             latency_ms: number;
             /**
              * Format: int64
-             * @description Tokens of the prompt as the endpoint counts them, estimated where it does not; 0 without a
-             *     reply.
+             * @description Tokens of the prompt as reported by the endpoint, else estimated. 0 without a reply.
              */
             prompt_tokens: number;
             /**
-             * @description `parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`,
-             *     `inconsistent`.
+             * @description Purpose of the call: `parse`, `naming`, `spatial`, or the defect of the previous reply that
+             *     it corrects: `out_of_set`, `unreadable`, `inconsistent`.
              */
             purpose: string;
         };
-        /** @description An instance that may be meant. */
+        /** @description An instance that the question may refer to. */
         Candidate: {
-            /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
+            /** @description Axis-aligned box without outlier points; meters, world frame (Z up). */
             box: components["schemas"]["Aabb"];
-            /** @description Numbered from 1 within the parse; instances with more points come first. */
+            /** @description Id within the parse, from 1. Instances with more points have lower ids. */
             id: components["schemas"]["InstanceId"];
-            /**
-             * @description What it is called, without regard to the question; empty in answers given before this was
-             *     told.
-             */
+            /** @description Name of the object, independent of the question. Empty in answers from older versions. */
             name?: string;
             oriented_box?: components["schemas"]["OrientedBox"] | null;
             /**
              * Format: int32
-             * @description From 1.
+             * @description Rank, from 1.
              */
             rank: number;
             /**
              * Format: float
-             * @description Fit to the question, `0..=1`.
+             * @description How well it fits the question, `0..=1`.
              */
             score: number;
             /**
-             * @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where
-             *     there is no service.
+             * @description Path of a cropped picture with the best view of the object. `null` if no frame shows it, or
+             *     without a server.
              */
             view?: string | null;
         };
         /**
-         * @description Who chooses the candidates: what a vision-language model is shown and may choose from.
+         * @description Source of the candidates that a vision-language model is shown and can choose from.
          * @enum {string}
          */
         CandidateSource: "fused" | "encoder" | "reasoner";
-        /** @description Cells of the floor that each condition left, of those that the conditions before it had left. */
+        /** @description Number of floor cells that remain after each condition. */
         CellCounts: {
             /**
              * Format: int32
-             * @description No nearer to an obstacle than the robot's radius.
+             * @description Cells at least the robot's radius away from obstacles.
              */
             clear: number;
             /**
              * Format: int32
-             * @description In one free area with `from`; without it, in the largest near the thing that is no pocket.
+             * @description Cells connected to `from`, or without `from` in the largest free area near the object.
              */
             connected: number;
             /**
              * Format: int32
-             * @description With floor, and nothing on or above it that is lower than the robot.
+             * @description Cells with observed floor and no obstacle lower than the robot.
              */
             floor: number;
             /**
              * Format: int32
-             * @description From where the arm reaches; all where no reach was given.
+             * @description Cells from which the arm reaches the object. All cells if no reach is given.
              */
             in_reach: number;
             /**
              * Format: int32
-             * @description Looked from: the clearest of every nine cells.
+             * @description Cells tested for visibility: the one with the most clearance in every nine cells.
              */
             looked_from: number;
             /**
              * Format: int32
-             * @description Within the limits of distance.
+             * @description Cells within the distance limits.
              */
             near: number;
             /**
              * Format: int32
-             * @description From where enough of the thing is in sight.
+             * @description Cells that see enough of the object.
              */
             visible: number;
         };
-        /** @description What is to be different. */
+        /** @description A correction of the parse. */
         Change: {
-            /** @description Which instance. */
+            /** @description Id of the instance. */
             instance_id: components["schemas"]["InstanceId"];
             /** @enum {string} */
             kind: "rename";
-            /** @description One line of 1 to 100 characters: what people would call it, "red mug". */
+            /** @description The new name, one line of 1 to 100 characters: "red mug". */
             name: string;
         } | {
-            /** @description Which instances, at most 100. */
+            /** @description Ids of the instances, 1 to 100. */
             instance_ids: components["schemas"]["InstanceId"][];
             /** @enum {string} */
             kind: "dismiss";
         } | {
-            /** @description Two things or more, at most 100. */
+            /** @description Ids of the instances, 2 to 100. */
             instance_ids: components["schemas"]["InstanceId"][];
             /** @enum {string} */
             kind: "merge";
-            /** @description What people would call it; left out, its measures tell. */
+            /** @description Name of the new instance, 1 to 100 characters. If omitted, it is named automatically. */
             name?: string | null;
         } | {
-            /** @description Which thing. */
+            /** @description Id of the instance. */
             instance_id: components["schemas"]["InstanceId"];
             /** @enum {string} */
             kind: "split";
         };
-        /** @description A thing that changed. */
+        /** @description A changed object. */
         ChangedThing: {
-            /** @description Its box, metres, in the coordinates of that look. */
+            /** @description Box, meters, in the coordinates of that version. */
             box: components["schemas"]["Aabb"];
-            /** @description In the look it is in: the earlier one for what is gone, the later one for what appeared. */
+            /** @description Instance id in its version: the earlier one for `gone`, the later one for `appeared`. */
             id: components["schemas"]["InstanceId"];
-            /** @description What it is called. */
+            /** @description Name of the object. */
             label: string;
         };
-        /** @description Things that are not as they were. Floor, walls and ceilings are left out. */
+        /** @description Changed objects. Excludes floor, walls and ceilings. */
         Changes: {
-            /** @description Things that stand where nothing was before. */
+            /** @description New objects in places that were empty before. */
             appeared: components["schemas"]["ChangedThing"][];
             /**
-             * @description Things nobody had seen before, though they may have been there: no frame had looked at
-             *     their places, or too few for it to be known.
+             * @description Objects observed for the first time that may have been there before, because too few earlier
+             *     frames show their places.
              */
             first_seen: components["schemas"]["ChangedThing"][];
-            /** @description Things whose place is empty now. */
+            /** @description Objects whose place is now empty. */
             gone: components["schemas"]["ChangedThing"][];
-            /** @description Things that are gone in one place and, alike in size, colour and name, appeared in another. */
+            /**
+             * @description Objects that disappeared from one place and appeared in another, with similar size, color
+             *     and name.
+             */
             moved: components["schemas"]["MovedThing"][];
             /**
-             * @description Things in places that the later scan did not look at: nobody knows whether they are still
-             *     there.
+             * @description Objects whose places the later scan did not observe. Whether they are still there is
+             *     unknown.
              */
             not_seen: components["schemas"]["ChangedThing"][];
-            /**
-             * @description Things of before that are no things of their own any more, though their surfaces are still
-             *     there: the same points are grouped otherwise.
-             */
+            /** @description Earlier objects whose points now belong to other instances. Their surfaces are still there. */
             regrouped: components["schemas"]["ChangedThing"][];
             /**
              * Format: int32
-             * @description How many things stayed.
+             * @description Number of unchanged objects.
              */
             unchanged: number;
         };
-        /** @description The frame all coordinates are in. */
+        /** @description The coordinate frame of all coordinates. */
         CoordinateFrame: {
             /**
-             * @description Unit of lengths, always `m` (metres).
+             * @description Unit of lengths. Always `m` (meters).
              * @example m
              */
             units: string;
             /**
-             * @description The axis that points up, always `z`: scans are turned when they are imported.
+             * @description The axis that points up. Always `z`, because scans are rotated during import.
              * @example z
              */
             up: string;
         };
-        /** @description A change somebody has made. */
+        /** @description A stored correction. */
         Correction: {
-            /** @description Name of the key it was made with; `null` for the server's own, and where no key is wanted. */
+            /** @description Name of the key that made it. `null` for the server's own key, and without authentication. */
             author?: string | null;
-            /** @description What is different. */
+            /** @description The correction. */
             change: components["schemas"]["Change"];
-            /** @description When it was made, RFC 3339 UTC. */
+            /** @description Creation time, RFC 3339 UTC. */
             created_at: string;
-            /** @description UUIDv7; in order of time, in which they take effect. */
+            /** @description UUIDv7, so ids sort by time. Corrections apply in this order. */
             id: string;
             made?: components["schemas"]["InstanceId"] | null;
-            /** @description When it was taken back, RFC 3339 UTC; `null` while it holds. */
+            /** @description Time when it was undone, RFC 3339 UTC. `null` while it applies. */
             undone_at?: string | null;
         };
         /** @description All corrections of a scene's current parse. */
         CorrectionList: {
-            /** @description Newest first, those that were taken back included. */
+            /** @description Corrections, newest first, including undone ones. */
             corrections: components["schemas"]["Correction"][];
         };
-        /** @description How a segmentation model corrects the outlines of instances in pictures. */
+        /** @description Correction of instance outlines in pictures by a segmentation model. */
         CorrectionSettings: {
             /**
              * Format: float
-             * @description From this F-score on a mask that was found in the frame anyway is believed, and the
-             *     segmenter not asked again. `null`: always ask.
+             * @description F-score from which an existing mask of the frame is reused instead of a new prompt. `null`
+             *     always prompts. Default: 0.8.
              * @default 0.800000011920929
              */
             known_agreement?: number | null;
             /**
              * Format: float
-             * @description A mask agrees with the projection from this F-score on: it holds its pixels and not much
-             *     else.
+             * @description Minimum F-score between a mask and the projection. Default: 0.6.
              * @default 0.6000000238418579
              */
             min_agreement?: number;
             /**
              * Format: int32
-             * @description Random visible pixels per prompt. Paper: 5.
+             * @description Number of random visible pixels per prompt, 1 to 100. Default and paper: 5.
              * @default 5
              */
             points?: number;
             /**
              * Format: int32
-             * @description Prompts tried per view. Paper: 10. 0 leaves the projection as it is.
+             * @description Maximum number of prompts per view, at most 100. 0 disables the correction. Default: 2.
+             *     Paper: 10.
              * @default 2
              */
             rounds?: number;
         };
-        /** @description A new scene and the job that parses it. */
+        /** @description A new scene and its parse job. */
         Created: {
             job?: components["schemas"]["Job"] | null;
-            /** @description As it stands now; with a known `Idempotency-Key`, the scene that key made before. */
+            /** @description The scene. With a known `Idempotency-Key`, the scene of the first request. */
             scene: components["schemas"]["Scene"];
         };
-        /** @description A key that was just made. */
+        /** @description A newly created key with its secret. */
         CreatedKey: components["schemas"]["Key"] & {
             /**
-             * @description What callers show as a bearer token. It is told this once: only its hash is kept.
+             * @description The secret that callers send as a bearer token. It is returned only once; the server stores
+             *     only its hash.
              * @example ug_5f1c02ab_HbMQtr0mJm1gwYNeLRuXl5AqLvMvmbfXZ3XWfBnXo6g
              */
             secret: string;
         };
         /**
-         * @description Named conventions. World frame, Z up.
+         * @description Convention for left, right, front and back. World frame, Z up.
          * @enum {string}
          */
         DirectionConvention: "paper" | "viewer";
-        /** @description Bytes on the disk. */
+        /** @description Disk usage in bytes. */
         DiskUse: {
             /**
-             * @description Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were
-             *     shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the background, a minute
-             *     apart at least; `null` until that was done once.
+             * @description Size of files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (evidence of
+             *     models), `uploads` (unfinished), `tmp`, `quarantine`. Measured in the background at most
+             *     once a minute. `null` before the first measurement.
              */
             blob_bytes?: {
                 [key: string]: number;
             } | null;
             /**
              * Format: int64
-             * @description The database with its journal.
+             * @description Size of the database with its journal.
              */
             database_bytes: number;
             /**
              * Format: int64
-             * @description What may still be written.
+             * @description Available disk space.
              */
             free_bytes: number;
         };
         /**
-         * @description What a vision-language model is shown of the candidates.
+         * @description Pictures of the candidates that a vision-language model is shown.
          * @enum {string}
          */
         EvidenceMode: "full" | "cached_names" | "sheet" | "two_step";
-        /** @description What was found in a scene, as corrected. */
+        /** @description The instances of a scene, with corrections applied. */
         ExportedScene: {
-            /** @description The frame of all coordinates. */
+            /** @description The coordinate frame of all coordinates. */
             frame: components["schemas"]["CoordinateFrame"];
             /**
-             * @description Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what
-             *     was dismissed is left out.
+             * @description Objects including floor, walls and ceiling, then parts and wholes, ordered by id. Excludes
+             *     dismissed instances.
              */
             instances: components["schemas"]["InstanceView"][];
-            /** @description What the scene is called. */
+            /** @description Name of the scene. */
             name: string;
             /**
              * Format: int32
-             * @description Which parse the instances are of: counted from 1, one more whenever the scene is parsed
-             *     again.
+             * @description Version of the parse of the instances, from 1. Each new parse increments it.
              */
             parse_version: number;
             /** @description UUIDv7. */
             scene_id: string;
         };
         /**
-         * @description The first condition that left no place to stand, in the order they are looked at.
+         * @description The first condition that excluded all positions, in the order of checking.
          * @enum {string}
          */
         FailedCondition: "start_not_free" | "no_floor" | "no_room" | "not_reachable" | "out_of_reach" | "not_visible";
-        /** @description A field of a request that is wrong, and why. */
+        /** @description An invalid field of a request. */
         FieldError: {
-            /** @description What would be right. */
+            /** @description The expected value. */
             detail: string;
             /**
              * @description JSON pointer into the request body, or the name of a query parameter.
@@ -1827,33 +1820,33 @@ export interface components {
             pointer: string;
         };
         /**
-         * @description The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The
-         *     picture's upper left pixel is at the least x and the greatest y.
+         * @description Metadata of a scene's floor map in the format of the ROS `map_server`. The JSON is also valid
+         *     YAML. The upper left pixel has the smallest x and the largest y.
          */
         FloorMap: {
             /**
              * Format: float
-             * @description Height of the floor, metres, world frame.
+             * @description Height of the floor; meters, world frame.
              */
             floor_z_m: number;
             /**
              * Format: float
-             * @description A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is
-             *     unknown: grey, 205.
+             * @description A pixel `p` is free if `(255 - p) / 255` is below this value. Free pixels are white, 254.
+             *     Unknown pixels are gray, 205.
              */
             free_thresh: number;
             /**
              * Format: int32
-             * @description Rows of the picture.
+             * @description Height of the image, pixels.
              */
             height: number;
             /**
              * Format: float
-             * @description What is higher above the floor than this is no obstacle, metres.
+             * @description Maximum height of obstacles above the floor, meters. Anything higher is ignored.
              */
             height_m: number;
             /**
-             * @description Name of the picture beside this file.
+             * @description File name of the image next to this file.
              * @example floor.png
              */
             image: string;
@@ -1864,95 +1857,98 @@ export interface components {
             mode: string;
             /**
              * Format: int32
-             * @description Always 0: white is free, black occupied.
+             * @description Always 0: white is free and black is occupied.
              */
             negate: number;
             /**
              * Format: float
-             * @description A pixel `p` is occupied where `(255 - p) / 255` is above this: black, 0.
+             * @description A pixel `p` is occupied if `(255 - p) / 255` is above this value. Occupied pixels are black,
+             *     0.
              */
             occupied_thresh: number;
             /**
-             * @description x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and
-             *     radians, always 0.
+             * @description x, y and yaw of the lower left corner of the lower left pixel; meters and radians, world
+             *     frame. The yaw is always 0.
              */
             origin: number[];
             /**
              * Format: float
-             * @description Side of a pixel, metres.
+             * @description Size of a pixel, meters.
              */
             resolution: number;
             /**
              * Format: int32
-             * @description Columns of the picture.
+             * @description Width of the image, pixels.
              */
             width: number;
         };
-        /** @description A place on the floor: metres, world frame (Z up), unless a request's `frame` says otherwise. */
+        /** @description A position on the floor, meters. World frame (Z up) unless the request sets another `frame`. */
         FloorPoint: {
             /**
              * Format: double
-             * @description Metres along X.
+             * @description X, meters.
              */
             x: number;
             /**
              * Format: double
-             * @description Metres along Y.
+             * @description Y, meters.
              */
             y: number;
             /**
              * Format: double
-             * @description Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere.
+             * @description Z, meters. Required if the Z axis of `frame` does not point up, otherwise ignored. Default:
+             *     0.
              * @default 0
              */
             z?: number;
         };
         /**
-         * @description Whose coordinates a question and its answer's boxes are in. The scene's own are told in any
-         *     case.
+         * @description Frame of a question's observer, and additional frame of the answer's boxes. Boxes in the scene's
+         *     frame are always returned.
          * @enum {string}
          */
         FrameChoice: "scene" | "source" | "map";
         /**
          * Format: int32
-         * @description Position of a frame in the scan's own list; stable when frames are skipped.
+         * @description Index of a frame in the scan's own list. Skipped frames keep their index.
          */
         FrameIndex: number;
-        /** @description The photographs of a scan, in its own order. */
+        /** @description The photographs of a scan, in their own order. */
         FrameList: {
-            /** @description Empty for a scan without frames, and in parses that were made before frames were kept. */
+            /** @description Photographs. Empty for a scan without frames, and for parses from older versions. */
             frames: components["schemas"]["FrameView"][];
         };
-        /** @description Which frames of a scan are looked at. */
+        /** @description Selection of the frames to process. */
         FrameSamplingSettings: {
             /**
              * Format: int32
-             * @description At most this many frames, spread evenly along the camera path; `null` = no limit.
+             * @description Maximum number of frames, spread evenly along the camera path. `null`: no limit. Default:
+             *     400.
              * @default 400
              */
             max_frames?: number | null;
             /**
              * Format: int32
-             * @description Every `max(1, floor(frames / this))`-th frame is used. Paper: 1000.
+             * @description Uses every `max(1, floor(frames / this))`-th frame. Default and paper: 1000.
              * @default 1000
              */
             stride_frames?: number;
         };
-        /** @description A photograph: pinhole camera and pose. */
+        /** @description A photograph with its pinhole camera and pose. */
         FrameView: {
             /**
-             * @description Takes points of the camera (x right, y down, z forward) to the scene's world (Z up),
-             *     metres; rows of a 4 x 4 matrix.
+             * @description Transform from camera (x right, y down, z forward) to world coordinates (Z up), meters. Rows
+             *     of a 4 x 4 matrix.
              */
             camera_to_world: number[][];
             /**
              * Format: float
-             * @description Column where the optical axis meets the photograph; 0 is the middle of the first pixel.
+             * @description Column of the principal point, pixels. 0 is the center of the first pixel.
              */
             cx: number;
             /**
              * Format: float
-             * @description Row where the optical axis meets the photograph.
+             * @description Row of the principal point, pixels. 0 is the center of the first pixel.
              */
             cy: number;
             /**
@@ -1967,161 +1963,168 @@ export interface components {
             fy: number;
             /**
              * Format: int32
-             * @description Rows of the photograph.
+             * @description Height of the photograph, pixels.
              */
             height: number;
-            /** @description Position in the scan's own list, from 0, as views name it; frames left out leave gaps. */
+            /** @description Index in the scan's own list, from 0, as used by views. Skipped frames leave gaps. */
             index: components["schemas"]["FrameIndex"];
             /**
              * Format: int32
-             * @description Columns of the photograph.
+             * @description Width of the photograph, pixels.
              */
             width: number;
         };
-        /** @description How a cloud is fused from depth pictures: a truncated signed distance volume. */
+        /** @description Fusion of depth pictures into a cloud with a truncated signed distance volume. */
         FusionSettings: {
             /**
              * Format: float
-             * @description Depth beyond this is not fused, metres: consumer sensors are noise out there.
+             * @description Maximum depth, meters. Consumer sensors are unreliable beyond it. Default: 8.
              * @default 8
              */
             max_depth_m?: number;
             /**
              * Format: float
-             * @description A place becomes a point when it was seen by at least this share of the frames that see a
-             *     place on average: what hardly anybody saw is mostly noise.
+             * @description Minimum number of observations of a point, as a share of the mean over all points. Rarely
+             *     observed points are mostly noise. Default: 0.25.
              * @default 0.25
              */
             min_share_of_mean?: number;
             /**
              * Format: float
-             * @description A pixel whose depth differs from a neighbour's by more than this share lies on a
-             *     silhouette, where sensors smear.
+             * @description Relative depth difference to a neighboring pixel above which a pixel counts as a silhouette
+             *     and is ignored. Default: 0.05.
              * @default 0.05000000074505806
              */
             silhouette_tolerance?: number;
             /**
              * Format: float
-             * @description Distances are kept this many voxels to either side of a surface. More survives more noise,
-             *     less keeps thin things apart.
+             * @description Truncation distance in voxels on each side of a surface. Larger values tolerate more noise,
+             *     smaller ones separate thin objects better. Default: 5.
              * @default 5
              */
             truncation_voxels?: number;
             /**
              * Format: float
-             * @description Edge of the voxels, metres; points come out about as far apart.
+             * @description Voxel size and approximate point distance, meters. Default: 0.018.
              * @default 0.017999999225139618
              */
             voxel_m?: number;
         };
-        /** @description What holds between two nodes: `from` stands in the relation to `to`. */
+        /** @description A relation between two nodes: `from` has the relation to `to`. */
         GraphEdge: {
             /**
              * Format: float
-             * @description Shortest distance between the two boxes, metres; 0 where they touch.
+             * @description Shortest distance between the two boxes, meters. 0 if they touch.
              */
             distance_m: number;
             /**
-             * @description A node's `id`.
+             * @description `id` of a node.
              * @example i31
              */
             from: string;
-            /** @description What holds. */
+            /** @description The relation. */
             relation: components["schemas"]["GraphRelation"];
             /**
              * Format: float
-             * @description How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse
-             *     itself says (support, parts).
+             * @description Geometric score of the relation, `0..=1`. 1 for relations from the parse itself (support,
+             *     parts).
              */
             score: number;
             /**
-             * @description Another node's `id`.
+             * @description `id` of another node.
              * @example i12
              */
             to: string;
         };
-        /** @description Something in the scene. */
+        /** @description A node of the graph. */
         GraphNode: {
-            /** @description Axis-aligned box; of a zone, around the things that make it. */
+            /** @description Axis-aligned box, meters. The box of a zone encloses the objects that define it. */
             box: components["schemas"]["Aabb"];
             /**
-             * @description `i12` for instance 12, `z1` for the first zone.
+             * @description Node id: `i12` for instance 12, `z1` for the first zone.
              * @example i12
              */
             id: string;
             instance_id?: components["schemas"]["InstanceId"] | null;
-            /** @description What kind of node it is. */
+            /** @description Kind of node. */
             kind: components["schemas"]["NodeKind"];
-            /** @description What it is called: "red sofa", "wall", "kitchen". */
+            /** @description Name: "red sofa", "wall", "kitchen". */
             name: string;
             oriented_box?: components["schemas"]["OrientedBox"] | null;
         };
         /**
-         * @description A relation of the graph.
+         * @description A relation between two nodes.
          * @enum {string}
          */
         GraphRelation: "part_of" | "on" | "on_wall" | "inside" | "above" | "next_to" | "in_zone";
         /** @description A question about a scene. */
         GroundRequest: {
-            /** @description For experiments: what a vision-language model is not told. */
+            /** @description For experiments: parts to omit from the prompt. Default: `full`, which omits nothing. */
             ablation?: components["schemas"]["Ablation"];
             /**
-             * @description Where the encoder fails, or is not the one the scene was parsed with, answer by names and
-             *     measures; the answer is marked `degraded`.
+             * @description Whether to answer by names and measurements if the encoder fails or is not the one of the
+             *     parse. The answer is then marked as `degraded`. Default: `false`.
              */
             allow_builtin?: boolean;
-            /** @description Who chooses the candidates that a vision-language model is shown. */
+            /** @description Source of the candidates for a vision-language model. Default: `fused`. */
             candidates?: components["schemas"]["CandidateSource"];
-            /** @description What left, right, front and back mean; an `observer` comes before it. */
+            /**
+             * @description Convention for left, right, front and back. An `observer` takes precedence. Default:
+             *     `paper`.
+             */
             direction_convention?: components["schemas"]["DirectionConvention"];
-            /** @description What a vision-language model is shown of the candidates. */
+            /** @description Pictures of the candidates that a vision-language model is shown. Default: `full`. */
             evidence?: components["schemas"]["EvidenceMode"];
             /**
-             * @description Whose coordinates `observer` is in, and boxes are told in beside the scene's own:
-             *     `in_frame` of the answer.
+             * @description Frame of `observer`, and additional frame for the boxes (`in_frame` of the answer). Default:
+             *     `scene`.
              */
             frame?: components["schemas"]["FrameChoice"];
-            /** @description Optional parts to send back; all when left out. */
+            /** @description Optional parts to return. Default: all. */
             include?: components["schemas"]["Include"][] | null;
             /**
              * Format: double
-             * @description Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model
-             *     is asked.
+             * @description Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no
+             *     model is called.
              */
             max_cost_usd?: number | null;
             /**
              * Format: float
-             * @description Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left
-             *     out: 0.5, where four of five are right of what somebody named who looked, two of three
-             *     of what only measures name. 0: nothing is uncertain.
+             * @description Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`.
+             *     Default: 0.5, where about four of five answers are correct for objects named by a model or a
+             *     person, and two of three for other objects. 0 disables `uncertain`.
              */
             min_confidence?: number | null;
             observer?: components["schemas"]["Observer"] | null;
             /**
-             * @description Who reads the question. `auto`, which it is when left out: the grammar, and the configured
-             *     model where the grammar's reading leaves something open; never the model where
+             * @description Parser of the question. Default: `auto`, which uses the grammar, and the configured model
+             *     for questions that the grammar does not fully understand. Never calls the model if
              *     `reasoner` is `builtin`.
              */
             parser?: components["schemas"]["ParserChoice"];
-            /** @description What a vision-language model is told. */
+            /** @description Version of the prompt for a vision-language model. Default: `revised`. */
             prompt?: components["schemas"]["PromptVersion"];
             /**
-             * @description What to find, in plain English.
+             * @description Description of the object in English, 1 to 1000 characters.
              * @example the black chair closest to the door
              */
             query: string;
-            /** @description Which words are compared with the instances' looks, where an encoder has seen them. */
+            /**
+             * @description Text that is compared with the appearance of instances, if an encoder has processed the
+             *     scene. Default: `mean`.
+             */
             query_text?: components["schemas"]["QueryText"];
-            /** @description Who decides. */
+            /** @description The reasoner that decides. Default: `auto`. */
             reasoner?: components["schemas"]["ReasonerChoice"];
             /**
              * Format: float
-             * @description Give up after this many seconds.
+             * @description Timeout, seconds, at most 3600.
              */
             timeout_s?: number | null;
             /**
              * Format: int32
-             * @description Candidates to keep; contact sheets (`evidence`) show 24 at least.
+             * @description Maximum number of candidates, 1 to 100. Contact sheets (`evidence`) use at least 24.
+             *     Default: 5.
              * @default 5
              */
             top_k?: number;
@@ -2133,87 +2136,84 @@ export interface components {
             /** @description UUIDv7 of the scene. */
             scene_id: string;
         };
-        /** @description Whether the process is alive. */
+        /** @description Health of the process. */
         Health: {
-            /** @description Always `ok`: a process that answers is alive. */
+            /** @description Always `ok`. */
             status: string;
             /** @description Version of the server, like `1.2.3`. */
             version: string;
         };
-        /** @description What the importer found; part of the scene's public record. */
+        /** @description Report of the importer. Part of the scene in the API. */
         ImportReport: {
             /** @description Camera axes of the files: `opencv` or `opengl`. */
             camera_axes: string;
             /**
              * Format: int64
-             * @description Points in the archive's own cloud; `null` when the cloud is fused from the frames.
+             * @description Number of points in the archive's own cloud. `null` if the cloud is fused from the frames.
              */
             cloud_points?: number | null;
-            /**
-             * @description Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and
-             *     so on.
-             */
+            /** @description Detected layout of the files: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on. */
             format: string;
             /**
              * Format: int32
-             * @description Frames that can be used: those left out are not counted.
+             * @description Number of usable frames, without skipped ones.
              */
             frames: number;
             /**
              * Format: int32
-             * @description Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or
-             *     missing. The warnings name them.
+             * @description Number of skipped frames: their pose is marked as lost (infinite), or one of their files is
+             *     damaged or missing. The warnings name them.
              */
             frames_skipped: number;
             levelling?: components["schemas"]["Levelling"] | null;
-            /** @description Which way the poses of the files were read. */
+            /** @description Direction of the poses in the files. */
             pose: components["schemas"]["PoseConvention"];
             /**
              * Format: float
-             * @description Share of sampled points that agree with the depth pictures they project into, `0..=1`;
-             *     `null` where it could not be measured.
+             * @description Share of sampled points that agree with the depth pictures they project into, `0..=1`.
+             *     `null` if it could not be measured.
              */
             reprojection_agreement?: number | null;
             source_to_scene?: components["schemas"]["SourceToScene"] | null;
             /**
-             * @description The axis of the files next to what is up; the stored scene has Z up. Of a tilted world
-             *     `levelling` says the rest.
+             * @description Axis of the files that is nearest to up. The stored scene has Z up. `levelling` gives the
+             *     remaining tilt.
              */
             up: components["schemas"]["UpAxis"];
-            /** @description What is odd but was accepted, each with its file or frame. */
+            /** @description Unusual but accepted properties, each with its file or frame. */
             warnings: string[];
         };
-        /** @description A scan on the server's own disk. */
+        /** @description A scan on the server's disk to import. */
         ImportRequest: {
-            /** @description Whether a world that is tilted is turned level. */
+            /** @description Whether to level a tilted world. */
             levelling?: components["schemas"]["LevellingChoice"];
             /**
              * Format: double
-             * @description Length of one unit of the files' clouds and poses, metres, for files that are not in
-             *     metres; default: told by their size.
+             * @description Length of one unit of the files' clouds and poses, meters. Default: estimated from their
+             *     size.
              */
             metres_per_unit?: number | null;
-            /** @description Name of the scene; default: what the archive calls itself. */
+            /** @description Name of the scene. Default: the name in the archive. */
             name?: string | null;
             /**
-             * @description `false` only stores the scan.
+             * @description `false` stores the scan without parsing it. Default: `true`.
              * @default true
              */
             parse?: boolean;
             /**
-             * @description A file or folder below the one that the server's operator named, relative to it: whatever
-             *     can be uploaded, a folder unpacked.
+             * @description Path of a file or an unpacked folder, relative to the configured import folder. Same formats
+             *     as for uploads.
              * @example monday/kitchen
              */
             path: string;
-            /** @description Settings to parse with. */
+            /** @description Preset of the parse settings. */
             preset?: components["schemas"]["ParsePreset"];
             up?: components["schemas"]["UpAxis"] | null;
         };
-        /** @description How a scan becomes a scene; part of the parse settings, because they decide the result. */
+        /** @description Import settings. Part of the parse settings because they affect the result. */
         ImportSettings: {
             /**
-             * @description Used when the archive has no cloud of its own.
+             * @description Fusion settings, used if the archive has no cloud of its own.
              * @default {
              *       "max_depth_m": 8,
              *       "min_share_of_mean": 0.25,
@@ -2224,14 +2224,14 @@ export interface components {
              */
             fusion?: components["schemas"]["FusionSettings"];
             /**
-             * @description Whether a world that is tilted is turned level.
+             * @description Whether to level a tilted world. Default: `auto`.
              * @default auto
              */
             levelling?: components["schemas"]["LevellingChoice"];
             /**
              * Format: double
-             * @description Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud
-             *     without cameras is far too large for that.
+             * @description Length of one unit of the files' clouds and poses, meters. `null` means meters, unless a
+             *     cloud without cameras is far too large for that.
              * @default null
              */
             metres_per_unit?: number | null;
@@ -2239,529 +2239,528 @@ export interface components {
             up?: components["schemas"]["UpAxis"] | null;
         };
         /**
-         * @description Parts of an answer that can be left out of the reply.
+         * @description Optional parts of an answer.
          * @enum {string}
          */
         Include: "candidates" | "evidence" | "trace";
-        /** @description The boxes of an answer in the coordinates that were asked for. */
+        /** @description The boxes of an answer in the requested frame. */
         InFrame: {
-            /** @description One for each of `targets`, in their order. */
+            /** @description One box for each of `targets`, in the same order. */
             boxes: components["schemas"]["PlacedBox"][];
             /** @description `source` or `map`. */
             frame: components["schemas"]["FrameChoice"];
-            /** @description What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said. */
+            /** @description Name of the map frame: the scene's `map_frame_id`. `null` if not set. */
             frame_id?: string | null;
-            /** @description From the scene's coordinates to these: for everything else the answer tells. */
+            /** @description Transform from the scene's frame to this frame, for the other coordinates of the answer. */
             scene_to_frame: components["schemas"]["SceneToFrame"];
             stamp?: components["schemas"]["Stamp"] | null;
         };
         /**
          * Format: int32
-         * @description Number of an instance within its scene, counted from 1: things in falling order of points, then
-         *     parts and wholes, best shown first.
+         * @description Id of an instance within its scene, from 1: objects by descending number of points, then parts
+         *     and wholes, best visible first.
          */
         InstanceId: number;
-        /** @description One page of a scene's instances. */
+        /** @description A page of a scene's instances. */
         InstanceList: {
-            /** @description In order of id. */
+            /** @description Instances, ordered by id. */
             instances: components["schemas"]["InstanceView"][];
             /**
              * Format: int32
-             * @description Pass as `cursor` for the next page; `null` on the last.
+             * @description Cursor of the next page. `null` on the last page.
              */
             next_cursor?: number | null;
         };
-        /**
-         * @description Which regions become instances, and how stray points and the sensor's noise are kept out of
-         *     their boxes.
-         */
+        /** @description Filter for regions, and removal of outlier points and sensor noise from boxes. */
         InstanceSettings: {
             /**
              * Format: float
-             * @description Regions with which no mask agrees better (IoU over their visible points, mean over frames)
-             *     are no instances. Not in the paper.
+             * @description Minimum agreement of a region with its best mask (IoU over visible points, mean over
+             *     frames). Default: 0.2. Not in the paper.
              * @default 0.20000000298023224
              */
             min_agreement?: number;
             /**
              * Format: int32
-             * @description Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no
-             *     instances; 0: none are. Not in the paper.
+             * @description Minimum number of points of a region that no frame shows on 16 x 16 pixels. Smaller ones are
+             *     dropped as specks. 0 keeps all. Default: 50. Not in the paper.
              * @default 50
              */
             min_points?: number;
             /**
              * Format: float
-             * @description Bounds of thin extents move inwards by this many standard deviations,
+             * @description Number of standard deviations by which the bounds of thin extents shrink. Default: 1.5.
              * @default 1.5
              */
             noise_sigmas?: number;
             /**
              * Format: float
-             * @description At most this many parts and wholes for each thing are offered beside the things; 0: none.
-             *     Not in the paper.
+             * @description Maximum number of parts and wholes per object, 0 to 10. 0 disables them. Default: 1.5. Not
+             *     in the paper.
              * @default 1.5
              */
             parts_and_wholes?: number;
             /**
              * Format: int32
-             * @description A point with fewer neighbours than this in its voxel and the 26 around is stray.
+             * @description Minimum number of neighbors in a point's voxel and the 26 around it. Points with fewer are
+             *     outliers. Default: 4.
              * @default 4
              */
             stray_neighbours?: number;
             /**
              * Format: float
-             * @description Share of the points at either end of each axis that bounds never rest on.
+             * @description Share of the points at both ends of each axis that is ignored for the bounds. Default:
+             *     0.001.
              * @default 0.0010000000474974513
              */
             stray_share?: number;
             /**
              * Format: float
-             * @description Edge of the voxels stray points are looked for in, metres.
+             * @description Voxel size of the outlier search, meters, 0.001 to 10. Default: 0.03.
              * @default 0.029999999329447746
              */
             stray_voxel_m?: number;
             /**
              * Format: float
-             * @description An extent up to this many standard deviations of the sensor's noise is thin. The noise is
-             *     measured on the scan itself.
+             * @description Extents up to this many standard deviations of the sensor noise count as thin. The noise is
+             *     estimated from the scan. Default: 12.
              * @default 12
              */
             thin_sigmas?: number;
             /**
              * Format: float
-             * @description but leave at most this share of the points outside at either end of each axis.
+             * @description Maximum share of the points that this excludes at each end of each axis. Default: 0.02.
              * @default 0.019999999552965164
              */
             trim?: number;
         };
-        /** @description One object candidate. Lengths in metres, world frame (Z up). */
+        /** @description One instance. Lengths in meters, world frame (Z up). */
         InstanceView: {
-            /** @description Axis-aligned box of the robust bounds. */
+            /** @description Axis-aligned box without outlier points. */
             box: components["schemas"]["Aabb"];
-            /** @description Share of the points per colour name, those of 10 % and more. */
+            /** @description Share of the points per color name, `0..=1`. Omits colors below 10 %. */
             colours: {
                 [key: string]: number;
             };
             /**
-             * @description Somebody has said that it is no thing, or not one: no answer, and listed only with
-             *     `level=all`.
+             * @description Whether a user dismissed it as no object, or merged or split it. Dismissed instances are no
+             *     answers and are listed only with `level=all`.
              */
             dismissed?: boolean;
             /**
-             * @description The question it was found for: a vision-language model saw it in a photograph, and it was
-             *     no instance yet. `null` for what the parse has found.
+             * @description Question for which a vision-language model found this instance in a photograph. `null` for
+             *     instances of the parse.
              */
             found_for?: string | null;
-            /** @description What somebody has said it is called; `null` where nobody has. */
+            /** @description Name set by a user. `null` if not set. */
             given_name?: string | null;
             /**
-             * @description Of a scene that has grown: it was there in an earlier version. Its id is never another's;
-             *     dismissed as well.
+             * @description Whether the object was in an earlier version and is gone after frames were added. Its id is
+             *     not reused, and it is also dismissed.
              */
             gone?: boolean;
             /**
              * Format: float
-             * @description Metres from the floor to the bottom of `box`; negative where it reaches below.
+             * @description Height of the bottom of `box` above the floor, meters. Negative if below the floor.
              */
             height_above_floor_m: number;
             /**
-             * @description Numbered from 1 within the parse: things in falling order of points, then parts and wholes;
-             *     another parse numbers anew, but for scenes that have grown: what stays keeps its id
-             *     there, and what comes is numbered on.
+             * @description Id within the parse, from 1: objects by descending number of points, then parts and wholes.
+             *     Another parse assigns new ids. Adding frames to a scene keeps the ids of existing objects
+             *     and appends new ones.
              */
             id: components["schemas"]["InstanceId"];
-            /** @description What the encoder would call it, without having heard a question. */
+            /** @description Name of the object, independent of any question. */
             label: string;
-            /** @description A thing, a part of one, or a whole of several. */
+            /** @description Level: an object, a part of one, or a whole of several. */
             level?: components["schemas"]["Level"];
-            /** @description Mean 8-bit sRGB. */
+            /** @description Mean color, 8-bit sRGB. */
             mean_rgb: number[];
-            /**
-             * @description The instances that somebody has said are one thing, this one; empty for what the parse has
-             *     found.
-             */
+            /** @description Ids of the instances that a user merged into this one. Empty for instances of the parse. */
             merged_from?: components["schemas"]["InstanceId"][];
             /**
-             * @description What the configured vision-language model calls it, without having heard a question; `null`
-             *     until it was asked.
+             * @description Name from the configured vision-language model, independent of any question. `null` if the
+             *     model has not named it.
              */
             model_name?: string | null;
-            /** @description Best first, at most five; empty for parts of the building, and where nothing fits. */
+            /** @description Name guesses, best first, at most five. Empty for building elements, and if no name fits. */
             names: components["schemas"]["NameGuess"][];
-            /** @description Box of the robust bounds, turned about the vertical so that its footprint is smallest. */
+            /** @description Box without outlier points, rotated about the vertical axis to the smallest footprint. */
             oriented_box: components["schemas"]["OrientedBox"];
             /**
              * Format: float
-             * @description Share of the points within 3 cm of the best plane.
+             * @description Share of the points within 3 cm of the best-fitting plane, `0..=1`.
              */
             planarity: number;
             /**
              * Format: int32
-             * @description Points of the cloud that belong to it.
+             * @description Number of points.
              */
             point_count: number;
-            /** @description Axis-aligned box of every point, strays included. */
+            /** @description Axis-aligned box of all points, including outliers. */
             raw_box: components["schemas"]["Aabb"];
             structure?: components["schemas"]["Structure"] | null;
-            /** @description What it stands on or hangs on. */
+            /** @description What the object stands on or hangs on. */
             support: components["schemas"]["Support"];
-            /** @description The thing a part lies in; the things a whole is made of; empty for things. */
+            /** @description For a part, the object that contains it. For a whole, its objects. Empty for objects. */
             things?: components["schemas"]["InstanceId"][];
-            /** @description Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0. */
+            /** @description Best views. Their pictures are at `/instances/{id}/views/{k}.jpg` with k from 0. */
             views: components["schemas"]["View"][];
         };
-        /** @description A job as the outside sees it. */
+        /** @description A background job. */
         Job: {
             /**
              * Format: int32
-             * @description While it waits, and where one job is asked for: how many of its kind were asked for before
-             *     it and wait as well. Keys take turns, so one with few jobs waits for fewer.
+             * @description Number of queued jobs of this kind created before this one. Set only for a queued job that
+             *     is requested by id. Keys share the workers fairly, so a key with few jobs may wait for
+             *     fewer.
              */
             ahead?: number | null;
             /**
              * Format: int32
-             * @description How often it was started; 0 while it waits for the first time, or when its result was there
-             *     already.
+             * @description Number of starts. 0 while it waits for the first start, or if the result already existed.
              */
             attempts: number;
-            /** @description When it was asked for, RFC 3339 UTC. */
+            /** @description Creation time, RFC 3339 UTC. */
             created_at: string;
             error?: components["schemas"]["JobError"] | null;
             /**
              * Format: float
-             * @description Estimated seconds left; `null` while too little is done to tell.
+             * @description Estimated remaining seconds. `null` while unknown.
              */
             eta_s?: number | null;
-            /** @description When it ended, however it did, RFC 3339 UTC; `null` until then. */
+            /** @description End time, RFC 3339 UTC. `null` until then. */
             finished_at?: string | null;
-            /** @description UUIDv7; in order of time. */
+            /** @description UUIDv7, so ids sort by time. */
             id: string;
-            /** @description What it does: `parse`, `naming`, `batch`. */
+            /** @description Kind of job: `parse`, `naming`, `batch`. */
             kind: string;
-            /** @description What came out of it, in a sentence. */
+            /** @description Result, one sentence. */
             message?: string | null;
             /**
              * Format: float
-             * @description `0..=1`.
+             * @description Progress, `0..=1`.
              */
             progress: number;
-            /** @description Step it is in. */
+            /** @description Current stage. */
             stage?: string | null;
-            /** @description When the latest attempt began, RFC 3339 UTC; `null` while it waits for its turn. */
+            /** @description Start time of the latest attempt, RFC 3339 UTC. `null` while queued. */
             started_at?: string | null;
-            /** @description Where it stands. */
+            /** @description State of the job. */
             state: components["schemas"]["JobState"];
-            /** @description What it works on: the id of a scene, or of a batch. */
+            /** @description Id of the scene or batch it works on. */
             subject?: string;
         };
-        /** @description Why a job, or an item of a batch, failed; `code` is stable. */
+        /** @description Error of a job or of a batch item. `code` is stable. */
         JobError: {
             /**
-             * @description Stable, like the codes of problems; `interrupted` when the server stopped too often while
-             *     the job ran.
+             * @description Stable code, like the codes of problems. `interrupted` if the server stopped too often
+             *     during the job.
              */
             code: string;
-            /** @description For people: names the file, frame or model at fault. */
+            /** @description Description for people that names the file, frame or model. */
             detail: string;
         };
-        /** @description One event of a job's stream. */
+        /** @description An event of a job's stream. */
         JobEvent: {
-            /** @description The job, as JSON. */
+            /** @description The job as JSON. */
             data: string;
-            /** @description `progress` or `done`. */
+            /** @description Event type: `progress` or `done`. */
             event: string;
-            /** @description Names the moment; send it back as `Last-Event-ID` to go on from there. */
+            /** @description Event id. Send it as `Last-Event-ID` to resume the stream. */
             id: string;
         };
         /** @description A page of jobs, newest first. */
         JobList: {
-            /** @description Newest first. */
+            /** @description Jobs, newest first. */
             jobs: components["schemas"]["Job"][];
-            /** @description `cursor` of the next page; `null` on the last. */
+            /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
         };
         /**
-         * @description Where a job stands. `succeeded`, `failed` and `cancelled` are final.
+         * @description State of a job. `succeeded`, `failed` and `cancelled` are final.
          * @enum {string}
          */
         JobState: "queued" | "running" | "succeeded" | "failed" | "cancelled";
-        /** @description Jobs of one kind. Those that are over are kept on record. */
+        /** @description Statistics of one kind of job. Finished jobs count until retention removes them. */
         JobStats: {
             /**
              * Format: int32
-             * @description Stopped because somebody asked for it.
+             * @description Number of cancelled jobs.
              */
             cancelled: number;
             /**
              * Format: int32
-             * @description Given up.
+             * @description Number of failed jobs.
              */
             failed: number;
-            /** @description What they do: `parse`, `naming`, `batch`. */
+            /** @description Kind of job: `parse`, `naming`, `batch`. */
             kind: string;
             /**
              * Format: double
-             * @description How long ago the oldest that waits was asked for, seconds; `null` where none waits.
+             * @description Age of the oldest queued job, seconds. `null` if none is queued.
              */
             oldest_queued_s?: number | null;
             /**
              * Format: int32
-             * @description Waiting for their turn, or for another try.
+             * @description Number of jobs that wait for a worker or a retry.
              */
             queued: number;
             /**
              * Format: int32
-             * @description In a worker's hands.
+             * @description Number of running jobs.
              */
             running: number;
             /**
              * Format: int32
-             * @description Done.
+             * @description Number of succeeded jobs.
              */
             succeeded: number;
-            /** @description Whether this server works on them. */
+            /** @description Whether this server runs these jobs. */
             working: boolean;
         };
-        /** @description A key, but for its secret. */
+        /** @description An API key without its secret. */
         Key: {
-            /** @description RFC 3339, UTC. */
+            /** @description Creation time, RFC 3339 UTC. */
             created_at: string;
             /**
              * Format: double
-             * @description Most that its questions may cost in a day (UTC), US dollars; `null`: what the server may
-             *     spend.
+             * @description Spending limit for questions per day (UTC), US dollars. `null`: the server's limit.
              */
             daily_usd?: number | null;
-            /** @description From then on it is refused, RFC 3339 UTC; `null`: never. */
+            /** @description Expiry time, RFC 3339 UTC. `null`: never. */
             expires_at?: string | null;
-            /** @description UUIDv7; in order of time. */
+            /** @description UUIDv7, so ids sort by time. */
             id: string;
-            /** @description When it was last shown, to the minute, RFC 3339 UTC. */
+            /** @description Time of the last use, to the minute, RFC 3339 UTC. `null`: never used. */
             last_used_at?: string | null;
             /**
              * Format: int32
-             * @description Scenes it may have uploaded and not deleted; `null`: no limit.
+             * @description Maximum number of scenes the key may own. `null`: no limit.
              */
             max_scenes?: number | null;
-            /** @description Who holds it. */
+            /** @description Name of the holder. */
             name: string;
             /**
-             * @description How the secret begins: enough to know it again.
+             * @description Beginning of the secret, for recognition.
              * @example ug_5f1c02ab
              */
             prefix: string;
             /**
              * Format: int32
-             * @description Requests a minute; `null`: no limit.
+             * @description Maximum number of requests per minute. `null`: no limit.
              */
             requests_per_minute?: number | null;
-            /** @description Since when it is refused, RFC 3339 UTC. */
+            /** @description Time of revocation, RFC 3339 UTC. `null` if not revoked. */
             revoked_at?: string | null;
-            /** @description What it lets its holder do. */
+            /** @description Scope of the key. */
             scope: components["schemas"]["Scope"];
             /**
              * Format: double
-             * @description What its questions cost today (UTC), US dollars.
+             * @description Cost of the key's questions today (UTC), US dollars.
              */
             spent_today_usd: number;
         };
         /** @description All keys, newest first. */
         KeyList: {
-            /** @description Newest first; revoked ones too. */
+            /** @description Keys, newest first, including revoked ones. */
             keys: components["schemas"]["Key"][];
-            /** @description `cursor` of the next page; `null` on the last. */
+            /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
         };
         /**
-         * @description What an instance is among the others. Every point belongs to one thing or none; parts and wholes
-         *     overlap them.
+         * @description Level of an instance. Each point belongs to at most one object. Parts and wholes overlap
+         *     objects.
          * @enum {string}
          */
         Level: "thing" | "part" | "whole";
-        /** @description How level a scan's world is. */
+        /** @description Tilt of a scan's world and its correction. */
         Levelling: {
             /**
              * Format: float
-             * @description Share of the surfaces looked at that are level or upright with it, `0..=1`.
+             * @description Share of the examined surfaces that are horizontal or vertical after correction, `0..=1`.
              */
             confidence: number;
-            /** @description What it was told by, a sentence. */
+            /** @description Evidence for the estimate, one sentence. */
             evidence: string;
             /**
              * Format: float
-             * @description Angle between the axis called up in the files and what was found to be up, degrees.
+             * @description Angle between the up axis of the files and the estimated up direction, degrees.
              */
             tilt_deg: number;
             /**
-             * @description Whether the scene was turned by it. Worlds that are level within a few degrees stay as they
-             *     are.
+             * @description Whether the scene was rotated to correct the tilt. Small tilts of a few degrees are not
+             *     corrected.
              */
             turned: boolean;
         };
         /**
-         * @description Whether a world that is tilted is turned level.
+         * @description Whether to level a tilted world.
          * @enum {string}
          */
         LevellingChoice: "auto" | "off";
-        /** @description A link, and until when it works. */
+        /** @description A signed link. */
         Link: {
-            /** @description RFC 3339 UTC. */
+            /** @description Expiry time, RFC 3339 UTC. */
             expires_at: string;
-            /** @description As it was asked for. */
+            /** @description The requested path. */
             path: string;
-            /** @description What makes it work: the query parameter `link` of any path it stands for. */
+            /** @description Signature, sent as the query parameter `link` with any covered path. */
             token: string;
-            /** @description The path with its token; `null` where the path stands for several. */
+            /** @description The path with its token. `null` if the path covers several paths. */
             url?: string | null;
         };
         /** @description Links in the order of their paths. */
         LinkList: {
-            /** @description One for each path. */
+            /** @description One link for each requested path. */
             links: components["schemas"]["Link"][];
         };
-        /** @description What is to be read without a key. */
+        /** @description Paths to access without a key. */
         LinkRequest: {
             /**
              * Format: int32
-             * @description How long they work, seconds.
+             * @description Validity of the links, seconds, 10 to 86400. Default: 600.
              * @default 600
              */
             expires_in_s?: number;
             /**
-             * @description Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything
-             *     below it, like `/v1/scenes/{scene_id}/*`.
+             * @description 1 to 500 paths of this server below `/v1/`. A path that ends in `/*`, like
+             *     `/v1/scenes/{scene_id}/*`, covers everything below it.
              * @example [
              *       "/v1/scenes/01a1ff70-0000-7000-8000-000000000001/*"
              *     ]
              */
             paths: string[];
         };
-        /** @description A model in use, as told to callers. */
+        /** @description A loaded model. */
         LoadedModel: {
-            /** @description Pictures, or prompts, per call. */
+            /** @description Batch size: pictures or prompts per call. */
             batch: number;
-            /** @description Dimensions of an embedding; none for masks. */
+            /** @description Dimensions of an embedding. `null` for segmentation models. */
             dimensions?: number | null;
             /**
-             * @description SHA-256 over the bundle's files; of the manifest and the server's models where those run
-             *     elsewhere.
+             * @description SHA-256 over the bundle's files. On an inference server: over the manifest and the server's
+             *     models.
              */
             fingerprint: string;
-            /** @description The library that computes; none where networks run elsewhere. */
+            /** @description Name and version of the inference library. `null` on an inference server. */
             library?: string | null;
-            /** @description As the bundle's manifest states it; empty where it does not. */
+            /** @description License from the bundle's manifest. Empty if not stated. */
             licence: string;
             /** @description Name of the bundle. */
             name: string;
-            /** @description Which part of the work it does. */
+            /** @description Role of the model. */
             role: components["schemas"]["Role"];
-            /** @description `cpu`, `cuda`, `tensorrt`, `coreml`, or the inference server's address. */
+            /**
+             * @description Device or server that runs it: `cpu`, `cuda`, `tensorrt`, `coreml`, or the address of the
+             *     inference server.
+             */
             runs_on: string;
         };
-        /** @description What came of a question about many scenes. */
+        /** @description Result of a question about many scenes. */
         ManyAnswers: {
             /**
-             * @description Best first: what is grounded before what is ambiguous, uncertain, or not there; then by
+             * @description Answers, best first: grounded, then ambiguous, uncertain and no match; within these by
              *     confidence.
              */
             answers: components["schemas"]["SceneAnswer"][];
             /**
              * Format: int32
-             * @description How many scenes were looked into.
+             * @description Number of searched scenes.
              */
             looked_into: number;
             /**
-             * @description More than 1,000 scenes were meant: those were looked into that most likely have it, by what
-             *     their things are called.
+             * @description Whether the search was limited to the 1,000 most likely scenes, selected by the names of
+             *     their objects.
              */
             narrowed?: boolean;
-            /** @description Scenes that could not be asked, and why: those that are not parsed yet, for the most part. */
+            /** @description Scenes that could not be searched, with the reason. Most of them are not parsed yet. */
             not_asked: components["schemas"]["NotAsked"][];
-            /** @description As asked. */
+            /** @description The query, unchanged. */
             query: string;
         };
         /** @description A question about many scenes. */
         ManyGroundRequest: {
-            /** @description Of those, only scenes with all of these labels. */
+            /** @description Only search scenes with all of these labels. */
             labels?: {
                 [key: string]: string;
             };
             /**
              * Format: double
-             * @description Most all of it may cost, US dollars. 0: no model is asked.
+             * @description Spending limit for the whole search, US dollars. 0: no model is called.
              */
             max_cost_usd?: number | null;
             /**
              * Format: float
-             * @description Least belief for a `grounded` answer, as in a question about one scene.
+             * @description Minimum confidence of a `grounded` answer, as in a question about one scene.
              */
             min_confidence?: number | null;
             /**
-             * @description What to find, in plain English.
+             * @description Description of the object in English, 1 to 1000 characters.
              * @example the red mug
              */
             query: string;
-            /** @description Who decides in those. */
+            /** @description Reasoner for these answers. */
             reasoner?: components["schemas"]["ReasonerChoice"];
-            /** @description Ids of the scenes to look in; left out: all. */
+            /** @description Ids of the scenes to search. If omitted, all scenes. */
             scenes?: string[] | null;
             /**
              * Format: float
-             * @description Give up after this many seconds.
+             * @description Timeout, seconds, at most 3600.
              */
             timeout_s?: number | null;
             /**
              * Format: int32
-             * @description How many scenes are answered in full: those that most likely have it.
+             * @description Number of scenes answered in full, the most likely ones. 1 to 20. Default: 3.
              * @default 3
              */
             top_k?: number;
         };
         /**
-         * @description How masks that overlap are painted.
+         * @description Order in which overlapping masks are painted.
          * @enum {string}
          */
         MaskOrder: "ascending_quality" | "larger_first";
-        /** @description How superpoints are merged into regions, stage by stage. */
+        /** @description Merging of superpoints into regions in stages. */
         MergeSettings: {
             /**
              * Format: float
-             * @description A neighbour at hop `h` weighs `decay^(h-1)`. Paper: 0.5.
+             * @description A neighbor at hop `h` has the weight `decay^(h-1)`. Default and paper: 0.5.
              * @default 0.5
              */
             hop_decay?: number;
             /**
-             * @description Superpoints on different planes of the building, or on one and before it, are never joined,
-             *     and small patches of a plane return to it. Not in the paper.
+             * @description Never merges superpoints of different building planes, or of a plane and an object in front
+             *     of it, and returns small patches to their plane. Default: `true`. Not in the paper.
              * @default true
              */
             keep_planes_apart?: boolean;
             /**
              * Format: int32
-             * @description Superpoints this many borders apart still count as neighbours. Paper: 2.
+             * @description Maximum number of borders between neighboring superpoints, 1 to 4. Default and paper: 2.
              * @default 2
              */
             max_hop?: number;
             /**
              * Format: int32
-             * @description Regions with fewer points join their most affine neighbour at the end. Paper: 50.
+             * @description Minimum number of points of a region. Smaller ones join their most similar neighbor at the
+             *     end. Default and paper: 50.
              * @default 50
              */
             min_points?: number;
             /**
-             * @description How Eq. (1) averages over frames.
+             * @description Averaging of Eq. (1) over frames. Default: `normalised`.
              * @default normalised
              */
             normalisation?: components["schemas"]["Normalisation"];
             /**
-             * @description Superpoints with a small gap between them are no neighbours where frames see through it.
-             *     Not in the paper.
+             * @description Separates superpoints with a small gap if frames see through the gap. Default: `true`. Not
+             *     in the paper.
              * @default true
              */
             split_at_depth_edges?: boolean;
             /**
-             * @description Affinity a neighbour must reach, one value per stage. Paper: 0.9 0.8 0.7 0.6 0.5.
+             * @description Minimum affinity per stage, 1 to 20 values. Default and paper: 0.9 0.8 0.7 0.6 0.5.
              * @default [
              *       0.8999999761581421,
              *       0.800000011920929,
@@ -2772,274 +2771,266 @@ export interface components {
              */
             thresholds?: number[];
         };
-        /** @description A message of JSON-RPC 2.0. */
+        /** @description A JSON-RPC 2.0 message. */
         Message: Record<string, never>;
-        /** @description Which of the server's models take part. */
+        /** @description Choice of the server's models. */
         ModelChoice: {
             /**
-             * @description Where a model fails the built-in parts do the work instead, and the report says so.
-             *     Otherwise the parse fails.
+             * @description Whether built-in components replace a model that fails. The report then records it. If
+             *     `false`, the parse fails.
              * @default false
              */
             allow_builtin?: boolean;
             /**
-             * @description Who compares pictures and words.
+             * @description Encoder that compares pictures and words.
              * @default configured
              */
             encoder?: components["schemas"]["PartChoice"];
             /**
-             * @description Who cuts pictures into masks, and corrects projections of instances.
+             * @description Component that segments pictures and corrects the outlines of instances.
              * @default configured
              */
             masks?: components["schemas"]["PartChoice"];
         };
-        /** @description The models a server was started with. */
+        /** @description The models of a server. */
         ModelList: {
-            /**
-             * @description The neural models that take part in parses and questions; empty when all parts are built
-             *     in.
-             */
+            /** @description Neural models for parses and questions. Empty if only built-in components are used. */
             models: components["schemas"]["LoadedModel"][];
-            /**
-             * @description The vision-language model that reasons, by the name its endpoint knows it by; `null` when
-             *     none is configured.
-             */
+            /** @description Name of the vision-language model at its endpoint. `null` if none is configured. */
             vlm?: string | null;
         };
-        /** @description Name and version of the parts an answer came from. */
+        /** @description Names and versions of the components that produced an answer. */
         Models: {
             /**
-             * @description Compared words with instances: a model as `name@fingerprint`, or built-in names and
-             *     measures, like `attributes-2`.
+             * @description Component that compared words with instances: a model as `name@fingerprint`, or a built-in
+             *     component like `attributes-2`.
              */
             encoder: string;
             /**
-             * @description Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the
-             *     built-in part, like `rgbd-2`.
+             * @description Component that segmented the pictures of the scene: a model as `name@fingerprint`, or a
+             *     built-in component like `rgbd-2`.
              */
             masks: string;
             /**
-             * @description Named the scene's things without having heard a question, and answers used its names: a
-             *     model with the version of its prompt; `null` where no model has named them all.
+             * @description Model that named all objects of the scene, with the version of its prompt. `null` if no
+             *     model has named them.
              */
             names?: string | null;
-            /** @description Empty in answers given before this was recorded. */
+            /** @description Component that parsed the question. Empty in answers from older versions. */
             parser?: string;
             /**
-             * @description Decided: a vision-language model with the version of its prompt, or the built-in reasoner,
-             *     like `builtin-3`.
+             * @description Component that decided: a vision-language model with the version of its prompt, or the
+             *     built-in reasoner, like `builtin-3`.
              */
             reasoner: string;
         };
-        /** @description A thing that is elsewhere. */
+        /** @description A moved object. */
         MovedThing: {
-            /** @description As it is, in those of the later one. */
+            /** @description The object in the later version, in its coordinates. */
             after: components["schemas"]["ChangedThing"];
-            /** @description As it was, in the coordinates of the earlier look. */
+            /** @description The object in the earlier version, in its coordinates. */
             before: components["schemas"]["ChangedThing"];
             /**
              * Format: float
-             * @description Between the middles of the two boxes, metres.
+             * @description Distance between the centers of the two boxes, meters.
              */
             distance_m: number;
         };
-        /** @description A name the encoder would give without having heard a question. */
+        /** @description A name guess of the encoder, independent of any question. */
         NameGuess: {
-            /** @description An English noun of the built-in lexicon. */
+            /** @description An English noun from the built-in lexicon. */
             name: string;
             /**
              * Format: float
-             * @description How well the name fits and how usual such a thing is, `0..=1`.
+             * @description Fit of the name combined with its frequency, `0..=1`.
              */
             score: number;
         };
-        /** @description A key that is wanted. */
+        /** @description A new API key. */
         NewKey: {
             /**
              * Format: double
-             * @description Most that its questions may cost in a day (UTC), US dollars. Default: what the server may
-             *     spend.
+             * @description Spending limit for questions per day (UTC), US dollars. Default: the server's limit.
              */
             daily_usd?: number | null;
             /**
              * Format: date-time
-             * @description From then on it is refused, RFC 3339; default: never.
+             * @description Expiry time, RFC 3339. Default: never.
              */
             expires_at?: string | null;
             /**
              * Format: int32
-             * @description Scenes it may have uploaded and not deleted. Default: no limit.
+             * @description Maximum number of scenes the key may own. Default: no limit.
              */
             max_scenes?: number | null;
             /**
-             * @description Who holds it, for people: one line of 1 to 200 characters.
+             * @description Name of the holder for display, one line of 1 to 200 characters.
              * @example kitchen robot
              */
             name: string;
             /**
              * Format: int32
-             * @description Requests a minute; as many may come at once after a pause. Default: no limit.
+             * @description Maximum number of requests per minute, with bursts up to the same number. Default: no limit.
              */
             requests_per_minute?: number | null;
-            /** @description What it lets its holder do. */
+            /** @description Scope of the key. */
             scope: components["schemas"]["Scope"];
         };
         /**
-         * @description What kind of node it is.
+         * @description Kind of node.
          * @enum {string}
          */
         NodeKind: "thing" | "part" | "whole" | "structure" | "zone";
         /**
-         * @description Why nothing was chosen.
+         * @description Why no object was chosen.
          * @enum {string}
          */
         NoMatchReason: "absent" | "not_recognised" | "not_english" | "elsewhere" | "none_seen" | "not_listed";
         /**
-         * @description How Eq. (1) averages over frames.
+         * @description Averaging of Eq. (1) over frames.
          * @enum {string}
          */
         Normalisation: "normalised" | "literal";
-        /** @description A scene that could not be asked. */
+        /** @description A scene that could not be searched. */
         NotAsked: {
-            /** @description The code that a question about this scene alone gets. */
+            /** @description Error code of a question about this scene alone. */
             code: string;
-            /** @description What that means. */
+            /** @description Description of the error. */
             detail: string;
             /** @description UUIDv7 of the scene. */
             scene_id: string;
         };
-        /** @description Somebody who stands in the room. */
+        /** @description An observer in the room. */
         Observer: {
-            /** @description Metres, world frame (Z up), unless a question's `frame` says otherwise. */
+            /** @description Position, meters. World frame (Z up) unless the question sets another `frame`. */
             position: number[];
             /**
              * Format: float
-             * @description Direction of view about +Z, radians; 0 looks along +X.
+             * @description View direction about +Z, radians. 0 looks along +X.
              */
             yaw_rad: number;
         };
-        /** @description A box turned about the vertical: the paper's output asks for an oriented box. */
+        /** @description A box rotated about the vertical axis. */
         OrientedBox: {
-            /** @description Centre, metres, world frame (Z up). */
+            /** @description Center; meters, world frame (Z up). */
             center: number[];
-            /** @description Full extent along the box's own X, Y and the world's Z, metres. */
+            /** @description Full extent along the box's own X and Y and the world's Z, meters. */
             size: number[];
             /**
              * Format: float
-             * @description Rotation of the box's X axis from the world's X axis about +Z, radians, in `-pi/4..=pi/4`.
+             * @description Rotation from the world's X axis to the box's X axis about +Z, radians, in `-pi/4..=pi/4`.
              */
             yaw_rad: number;
         };
-        /** @description How the question was understood. */
+        /** @description The parsed question. */
         ParsedQuerySummary: {
-            /** @description Other things the question tells the place by: "round table", "door". */
+            /** @description Other objects that describe the location: "round table", "door". */
             anchors: string[];
             /**
-             * @description What it is to be like: "red", "small", "not blue", "with 2 drawers", "tallest". Empty when
-             *     only a noun was asked for.
+             * @description Required attributes of the target: "red", "small", "not blue", "with 2 drawers", "tallest".
+             *     May be empty.
              */
             attributes: string[];
-            /** @description Words that could not be used. */
+            /** @description Words that were ignored because they were not understood. */
             not_understood: string[];
             /**
-             * @description How the target stands to the anchors, as the question says it; after "not" where it was
-             *     denied.
+             * @description Relations between the target and the anchors, in the question's words. A negated relation
+             *     starts with "not".
              */
             relations: string[];
-            /** @description The noun asked for, as the question says it. */
+            /** @description Noun of the target, in the question's words. */
             target: string;
         };
-        /** @description Models a parse was made with: name and version each. */
+        /** @description Models of a parse, each with name and version. */
         ParseModels: {
             /**
-             * @description Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like
+             * @description Encoder of the instances: a model as `name@fingerprint`, or a built-in component like
              *     `attributes-2`.
              */
             encoder: string;
             /**
-             * @description Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like
-             *     `rgbd-2`.
+             * @description Component that segmented the pictures: a model as `name@fingerprint`, or a built-in
+             *     component like `rgbd-2`.
              */
             masks: string;
         };
         /**
-         * @description Where settings start from; given settings then replace single values.
+         * @description Preset of settings. Given settings override its values.
          * @enum {string}
          */
         ParsePreset: "default" | "paper";
         /**
-         * @description Who reads the question.
+         * @description The parser of the question.
          * @enum {string}
          */
         ParserChoice: "auto" | "builtin" | "vlm";
-        /** @description What stage 1 did, for people who want to know what went wrong. */
+        /** @description Report of stage 1 (parsing) for diagnosis. */
         ParseReport: {
             /**
              * Format: int32
-             * @description Regions that became no instance because the masks of the frames that see them show
-             *     something else; their points belong to nothing.
+             * @description Number of regions rejected because the masks of the frames do not support them. Their points
+             *     belong to no instance.
              */
             dropped?: number;
             /**
              * Format: int32
-             * @description Frames looked at, a sample of those imported.
+             * @description Number of frames used, a sample of the imported ones.
              */
             frames_used: number;
             /**
              * Format: int32
-             * @description Things found, structural ones included.
+             * @description Number of objects, including building elements.
              */
             instances: number;
             /**
              * Format: int32
-             * @description Parts of things, and wholes of several, that masks show beside them.
+             * @description Number of parts of objects, and of wholes that group several.
              */
             parts_and_wholes?: number;
             /**
              * Format: int64
-             * @description Points of the cloud that was parsed.
+             * @description Number of points in the parsed cloud.
              */
             points: number;
             /**
              * Format: int32
-             * @description Regions that became no instance because they have too few points and no frame shows more of
-             *     them than a few pixels.
+             * @description Number of regions rejected because they have too few points and are tiny in all frames.
              */
             specks?: number;
-            /** @description What each stage did and took, in order. */
+            /** @description Result and duration of each stage, in order. */
             stages: components["schemas"]["StageReport"][];
             /**
              * Format: int32
-             * @description Instances flagged as floor, wall or ceiling.
+             * @description Number of instances classified as floor, wall or ceiling.
              */
             structural: number;
             /**
              * Format: int32
-             * @description Small even patches the cloud was cut into before merging.
+             * @description Number of superpoints: small uniform patches of the cloud.
              */
             superpoints: number;
-            /** @description What may have made the result worse, a sentence each. */
+            /** @description Possible causes of a worse result, one sentence each. */
             warnings: string[];
             /**
              * Format: int32
-             * @description Instances that no frame shows.
+             * @description Number of instances that no frame shows.
              */
             without_views: number;
         };
-        /** @description How to parse. An empty object parses with the default settings. */
+        /** @description Parse options. An empty object uses the default settings. */
         ParseRequest: {
             /**
-             * @description What `settings` start from.
+             * @description Preset from which `settings` start.
              * @default default
              */
             preset?: components["schemas"]["ParsePreset"];
             /** @default null */
             settings?: components["schemas"]["ParseSettings"] | null;
         };
-        /** @description Everything a parse depends on, beside the content. */
+        /** @description Parse settings. Together with the scan they determine the result. */
         ParseSettings: {
             /**
-             * @description How the files become a cloud and frames, Z up.
+             * @description Import settings.
              * @default {
              *       "fusion": {
              *         "max_depth_m": 8,
@@ -3053,7 +3044,7 @@ export interface components {
              */
             import?: components["schemas"]["ImportSettings"];
             /**
-             * @description Which models take part.
+             * @description Choice of models.
              * @default {
              *       "allow_builtin": false,
              *       "encoder": "configured",
@@ -3062,7 +3053,7 @@ export interface components {
              */
             models?: components["schemas"]["ModelChoice"];
             /**
-             * @description How the cloud is cut into instances.
+             * @description Settings of stage 1, which segments the cloud into instances.
              * @default {
              *       "appearance": {
              *         "frames": 40,
@@ -3161,10 +3152,10 @@ export interface components {
              */
             parsing?: components["schemas"]["ParsingSettings"];
         };
-        /** @description Settings of stage 1. Fields left out keep their default. */
+        /** @description Settings of stage 1. Omitted fields use their default. */
         ParsingSettings: {
             /**
-             * @description What an encoder looks at, where the server has one.
+             * @description Pictures for the encoder, if the server has one.
              * @default {
              *       "frames": 40,
              *       "level_step": 0.10000000149011612,
@@ -3175,7 +3166,7 @@ export interface components {
              */
             appearance?: components["schemas"]["AppearanceSettings"];
             /**
-             * @description What a segmentation model does about projections that lost or took along something.
+             * @description Correction of instance outlines by a segmentation model.
              * @default {
              *       "known_agreement": 0.800000011920929,
              *       "min_agreement": 0.6000000238418579,
@@ -3186,13 +3177,13 @@ export interface components {
             correction?: components["schemas"]["CorrectionSettings"];
             /**
              * Format: float
-             * @description A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose;
-             *     0.02 measures better.
+             * @description Relative depth tolerance: a point fits the measured depth if `|z - d| <= this * d`. Default:
+             *     0.02. Paper: 0.15.
              * @default 0.019999999552965164
              */
             depth_tolerance?: number;
             /**
-             * @description Which frames are looked at.
+             * @description Selection of the frames to process.
              * @default {
              *       "max_frames": 400,
              *       "stride_frames": 1000
@@ -3200,7 +3191,7 @@ export interface components {
              */
             frame_sampling?: components["schemas"]["FrameSamplingSettings"];
             /**
-             * @description How regions become instances with boxes.
+             * @description Filtering of regions and computation of boxes.
              * @default {
              *       "min_agreement": 0.20000000298023224,
              *       "min_points": 50,
@@ -3215,7 +3206,7 @@ export interface components {
              */
             instances?: components["schemas"]["InstanceSettings"];
             /**
-             * @description How superpoints are merged into regions.
+             * @description Merging of superpoints into regions.
              * @default {
              *       "hop_decay": 0.5,
              *       "keep_planes_apart": true,
@@ -3234,7 +3225,7 @@ export interface components {
              */
             merging?: components["schemas"]["MergeSettings"];
             /**
-             * @description How parts join the furniture they belong to.
+             * @description Merging of parts with their furniture.
              * @default {
              *       "back_width": 0.6000000238418579,
              *       "enabled": true,
@@ -3245,12 +3236,13 @@ export interface components {
              */
             part_merging?: components["schemas"]["PartMergingSettings"];
             /**
-             * @description Points at the border of a region go where most frames' masks put them. Not in the paper.
+             * @description Whether points at the border of a region are reassigned by the masks of most frames.
+             *     Default: `true`. Not in the paper.
              * @default true
              */
             refine_borders?: boolean;
             /**
-             * @description The built-in masks.
+             * @description Built-in masks.
              * @default {
              *       "colour_edge": 12,
              *       "concave_edge_deg": 25,
@@ -3266,7 +3258,7 @@ export interface components {
              */
             rgbd_masks?: components["schemas"]["RgbdSettings"];
             /**
-             * @description Masks of a segmentation model, where the server has one.
+             * @description Masks of a segmentation model, if the server has one.
              * @default {
              *       "cache_mb": 4096,
              *       "max_area": 0.8999999761581421,
@@ -3285,7 +3277,7 @@ export interface components {
              */
             sam_masks?: components["schemas"]["SamSettings"];
             /**
-             * @description How finely the cloud is cut before anything is merged.
+             * @description Segmentation of the cloud into superpoints.
              * @default {
              *       "colour_tolerance": 4,
              *       "colour_weight": 0.20000000298023224,
@@ -3299,7 +3291,7 @@ export interface components {
              */
             superpoints?: components["schemas"]["SuperpointSettings"];
             /**
-             * @description Which views of an instance are kept as pictures.
+             * @description Selection of the views stored as pictures.
              * @default {
              *       "count": 3,
              *       "min_share_of_best": 0.4000000059604645
@@ -3308,608 +3300,608 @@ export interface components {
             views?: components["schemas"]["ViewSettings"];
         };
         /**
-         * @description Who does a part of the work.
+         * @description Choice of a component.
          * @enum {string}
          */
         PartChoice: "configured" | "builtin";
-        /** @description How legs, backs and feet join the furniture they belong to. Not in the paper. */
+        /** @description Merging of legs, backs and feet with their furniture. Not in the paper. */
         PartMergingSettings: {
             /**
              * Format: float
-             * @description A back is at least this share as wide as what it stands on, and at most the inverse.
+             * @description Minimum width of a back relative to the part below it. The maximum is the inverse.
              * @default 0.6000000238418579
              */
             back_width?: number;
             /**
-             * @description Whether parts are joined at all.
+             * @description Whether parts are merged. Default: `true`.
              * @default true
              */
             enabled?: boolean;
             /**
              * Format: float
-             * @description Legs and poles are no thicker than this, metres.
+             * @description Maximum thickness of legs and poles, meters.
              * @default 0.07999999821186066
              */
             leg_thickness_m?: number;
             /**
              * Format: float
-             * @description Nothing longer than this is a part of furniture or is given parts, metres.
+             * @description Maximum length of furniture and its parts for this step, meters.
              * @default 3
              */
             longest_m?: number;
             /**
              * Format: float
-             * @description A plate is no thicker than this, metres.
+             * @description Maximum thickness of a plate, meters.
              * @default 0.15000000596046448
              */
             plate_thickness_m?: number;
         };
-        /** @description A box anyhow turned. As `vision_msgs/BoundingBox3D` has it. */
+        /** @description A box with any orientation, in the format of `vision_msgs/BoundingBox3D`. */
         PlacedBox: {
-            /** @description Centre, in the frame's units. */
+            /** @description Center, in the units of the frame. */
             center: number[];
-            /** @description The instance it is of. */
+            /** @description Id of the instance. */
             id: components["schemas"]["InstanceId"];
-            /** @description Turns the box's own axes to the frame's: unit quaternion `x, y, z, w`. */
+            /** @description Rotation from the box's axes to the frame's axes: unit quaternion `x, y, z, w`. */
             orientation: number[];
-            /** @description Full extent along the box's own axes, in the frame's units. */
+            /** @description Full extent along the box's own axes, in the units of the frame. */
             size: number[];
         };
-        /** @description A place to stand as `geometry_msgs/Pose` has it. */
+        /** @description A standing pose in the format of `geometry_msgs/Pose`. */
         PlacedPose: {
-            /** @description Turns the robot's axes, X ahead and Z up, to the frame's: unit quaternion `x, y, z, w`. */
+            /**
+             * @description Rotation from the robot's axes (X forward, Z up) to the frame's axes: unit quaternion `x, y,
+             *     z, w`.
+             */
             orientation: number[];
-            /** @description The corners of the way, in the frame's units. */
+            /** @description Corners of the path, in the units of the frame. */
             path: number[][];
-            /** @description Middle of the robot's footprint, on the floor, in the frame's units. */
+            /** @description Center of the robot's footprint, on the floor, in the units of the frame. */
             position: number[];
         };
         /**
-         * @description How poses are to be read.
+         * @description Direction of the poses in the files.
          * @enum {string}
          */
         PoseConvention: "camera_to_world" | "world_to_camera";
-        /** @description Places to stand in other coordinates than the scene's. */
+        /** @description Standing poses in another frame than the scene's. */
         PosesInFrame: {
             /** @description `source` or `map`. */
             frame: components["schemas"]["FrameChoice"];
-            /** @description What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said. */
+            /** @description Name of the map frame: the scene's `map_frame_id`. `null` if not set. */
             frame_id?: string | null;
-            /** @description One for each of `poses`, in their order. */
+            /** @description One pose for each of `poses`, in the same order. */
             poses: components["schemas"]["PlacedPose"][];
-            /** @description From the scene's coordinates to these: for everything else that is told. */
+            /** @description Transform from the scene's frame to this frame, for the other coordinates of the response. */
             scene_to_frame: components["schemas"]["SceneToFrame"];
-            /** @description When this was told; with `frame_id` the header of a ROS message. */
+            /** @description Time of the response. Together with `frame_id`, it forms the header of a ROS message. */
             stamp: components["schemas"]["Stamp"];
         };
-        /** @description An error. `code` is stable; `detail` is for people and names the file, frame or field. */
+        /** @description An error. `code` is stable. `detail` is for people and names the file, frame or field. */
         Problem: {
             /**
-             * @description Stable; what a program should look at.
+             * @description Stable error code for programs.
              * @example scene_not_found
              */
             code: string;
-            /** @description What was wrong with this very request, for people; wording may change. */
+            /** @description Description of the error for people. The wording may change. */
             detail: string;
-            /** @description Fields of the request that are wrong. */
+            /** @description Invalid fields of the request. */
             errors?: components["schemas"]["FieldError"][];
-            /** @description The job to wait for, where there is one. */
+            /** @description Id of the job to wait for, if any. */
             job_id?: string | null;
-            /** @description The same as the header `x-request-id`. */
+            /** @description Request id, as in the header `x-request-id`. */
             request_id?: string | null;
             /**
              * Format: int32
-             * @description HTTP status, as in the status line.
+             * @description HTTP status code.
              */
             status: number;
-            /** @description The status in words. */
+            /** @description HTTP status as text. */
             title: string;
-            /** @description Always `about:blank`: the code says which problem it is. */
+            /** @description Always `about:blank`. `code` identifies the problem. */
             type: string;
         };
-        /** @description What was said to the model in one call. */
+        /** @description The prompt of one call. */
         PromptCall: {
             /**
-             * @description `parse`, `naming`, `spatial`, or what was wrong: `out_of_set`, `unreadable`,
-             *     `inconsistent`.
+             * @description Purpose of the call: `parse`, `naming`, `spatial`, or the defect of the previous reply:
+             *     `out_of_set`, `unreadable`, `inconsistent`.
              */
             purpose: string;
-            /** @description The JSON schema asked for, if one was. */
+            /** @description The requested JSON schema. `null` if none was requested. */
             schema?: Record<string, never> | null;
-            /** @description The system message: what the model is there for. */
+            /** @description The system message. */
             system: string;
-            /** @description In the order the model got them. */
+            /** @description Parts of the user message, in order. */
             user: components["schemas"]["PromptPart"][];
         };
-        /** @description A piece of what the model was shown. */
+        /** @description A part of a prompt. */
         PromptPart: {
-            /** @description As it was sent. */
+            /** @description The text as sent. */
             text: string;
             /** @enum {string} */
             type: "text";
         } | {
-            /** @description JPEG, as it was shown; relative to the server. */
+            /** @description URL of the JPEG as sent, relative to the server. */
             href: string;
             /** @enum {string} */
             type: "picture";
         };
         /**
-         * @description What a vision-language model is told.
+         * @description Version of the prompt for a vision-language model.
          * @enum {string}
          */
         PromptVersion: "paper" | "revised";
         /**
-         * @description Which words are compared with instances for the shortlist.
+         * @description Text that is compared with instances to select candidates.
          * @enum {string}
          */
         QueryText: "full" | "target" | "mean";
-        /** @description What the service needs to do its work, each `ok` or what is wrong. */
+        /** @description Readiness of the service. Each component is `ok` or describes its problem. */
         Readiness: {
-            /** @description `ok`, or why nothing can be read or written where scans and results are kept. */
+            /** @description `ok`, or why the storage of scans and results cannot be read or written. */
             blob_folder: string;
-            /** @description `ok`, or why the database can not be written. */
+            /** @description `ok`, or why the database cannot be written. */
             database: string;
-            /** @description `ok`, or how little room is left. */
+            /** @description `ok`, or the remaining disk space if it is low. */
             disk?: string;
-            /** @description How instances and words are compared. */
+            /** @description Encoder that compares instances and words. */
             encoder: string;
             /**
-             * @description `ok`, or why the inference server does not answer; absent where networks run in the server
+             * @description `ok`, or why the inference server does not respond. Absent if networks run in the server
              *     itself.
              */
             inference_server?: string | null;
-            /** @description Where masks come from. */
+            /** @description Source of 2D masks. */
             masks: string;
-            /** @description The neural models among these, loaded and run once at the start. */
+            /** @description Loaded neural models. Each was run once at startup. */
             models: components["schemas"]["LoadedModel"][];
             /**
-             * @description Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status
-             *     is 503 otherwise.
+             * @description Whether database, folder, disk, workers and inference server are all `ok`. If not, the HTTP
+             *     status is 503.
              */
             ready: boolean;
             /**
-             * @description `ok`, or since when the vision-language model has answered no call; absent where none is
-             *     configured. It does not count for `ready`: built-in parts answer meanwhile.
+             * @description `ok`, or the time since when the vision-language model has not responded. Absent if none is
+             *     configured. Does not affect `ready`, because built-in components take over.
              */
             vlm?: string | null;
-            /** @description `ok`, or `stopped` with the kinds of jobs that are no longer worked on. */
+            /** @description `ok`, or `stopped` with the kinds of jobs that are not processed. */
             worker: string;
         };
         /**
-         * @description Who decides.
+         * @description The reasoner that decides.
          * @enum {string}
          */
         ReasonerChoice: "auto" | "vlm" | "builtin";
-        /** @description What the model said in one call. */
+        /** @description The reply of one call. */
         ReplyCall: {
-            /** @description Why there was no reply; `null` when there was one. */
+            /** @description Error if there was no reply, else `null`. */
             error?: string | null;
-            /** @description Why it was asked, as in the prompt of the same place. */
+            /** @description Purpose of the call, as in the prompt with the same index. */
             purpose: string;
-            /** @description The model's words as they came; `null` when there were none. */
+            /** @description Text of the reply, unchanged. `null` without a reply. */
             text?: string | null;
         };
         /** @description A picture of a parse. */
         ReportPictureLink: {
-            /** @description `superpoints`, `instances`, `frame-1` and so on: the file without `.jpg`. */
+            /** @description File name without `.jpg`: `superpoints`, `instances`, `frame-1` and so on. */
             name: string;
-            /** @description What it shows. */
+            /** @description Title of the picture. */
             title: string;
-            /** @description JPEG, relative to the server. */
+            /** @description URL of the JPEG, relative to the server. */
             url: string;
         };
-        /**
-         * @description How long things are kept, in days, and how much of what only saves time. 0 days: for ever,
-         *     except for evidence.
-         */
+        /** @description Retention periods in days and size limits. 0 keeps data forever, except for evidence. */
         Retention: {
             /**
              * Format: int32
-             * @description Answers.
+             * @description Retention of answers, days.
              */
             answers_days: number;
             /**
              * Format: int32
-             * @description What was done, and with whose key.
+             * @description Retention of the audit log, days.
              */
             audit_days: number;
             /**
              * Format: int32
-             * @description Batches that are over, with their items.
+             * @description Retention of finished batches and their items, days.
              */
             batches_days: number;
             /**
              * Format: int64
-             * @description Of all finished stages together; those go first that were not used for longest.
+             * @description Maximum total size of parse checkpoints, bytes. The least recently used ones are removed
+             *     first.
              */
             checkpoints_bytes: number;
             /**
              * Format: int32
-             * @description Finished stages of parses, from their last use.
+             * @description Retention of parse checkpoints since their last use, days.
              */
             checkpoints_days: number;
             /**
              * Format: int32
-             * @description Prompts, replies and pictures of answers; 0: none are kept.
+             * @description Retention of prompts, replies and pictures of answers, days. 0 stores none.
              */
             evidence_days: number;
             /**
              * Format: int32
-             * @description Idempotency keys of uploads.
+             * @description Retention of idempotency keys, days.
              */
             idempotency_days: number;
             /**
              * Format: int32
-             * @description Jobs that are over and that no scene and no batch refers to.
+             * @description Retention of finished jobs that no scene or batch refers to, days.
              */
             jobs_days: number;
             /**
              * Format: int32
-             * @description Folders no record speaks of; not a setting.
+             * @description Retention of quarantined orphan folders, days. Not configurable.
              */
             quarantine_days: number;
             /**
              * Format: int32
-             * @description Parses, from when no scene and no answer refers to them.
+             * @description Retention of parses that no scene or answer refers to, days.
              */
             superseded_days: number;
             /**
              * Format: int32
-             * @description Uploads that come in parts, from the last part.
+             * @description Retention of resumable uploads since their last part, days.
              */
             uploads_days: number;
         };
-        /** @description The built-in masks: even patches of colour and surface, joined into things. */
+        /** @description Built-in masks: patches of uniform color and surface, merged into objects. */
         RgbdSettings: {
             /**
              * Format: float
-             * @description CIELAB difference between neighbouring pixels that counts as one unit of edge.
+             * @description CIELAB difference between neighboring pixels that counts as one unit of edge. Default: 12.
              * @default 12
              */
             colour_edge?: number;
             /**
              * Format: float
-             * @description Angle between neighbouring normals that counts as one unit of edge where the surface is
-             *     concave, degrees.
+             * @description Angle between neighboring normals on a concave surface that counts as one unit of edge,
+             *     degrees. Default: 25.
              * @default 25
              */
             concave_edge_deg?: number;
             /**
              * Format: float
-             * @description The same where it is convex: objects are allowed to bulge.
+             * @description The same for a convex surface, degrees. Larger because objects are convex. Default: 60.
              * @default 60
              */
             convex_edge_deg?: number;
             /**
              * Format: float
-             * @description Mean CIELAB difference of two patches that costs one unit.
+             * @description Mean CIELAB difference of two patches that costs one unit. Default: 25.
              * @default 25
              */
             join_colour?: number;
             /**
              * Format: float
-             * @description Concave angle between two patches that costs one unit, degrees.
+             * @description Concave angle between two patches that costs one unit, degrees. Default: 60.
              * @default 60
              */
             join_concave_deg?: number;
             /**
              * Format: float
-             * @description Patches join into things while the cost of the cheapest border stays below this.
+             * @description Maximum border cost for merging patches into objects. Default: 0.8.
              * @default 0.800000011920929
              */
             join_cost?: number;
             /**
              * Format: int32
-             * @description Patches under this many grid pixels join their most similar neighbour.
+             * @description Minimum size of a patch in grid pixels. Smaller ones join their most similar neighbor.
+             *     Default: 20.
              * @default 20
              */
             min_patch_pixels?: number;
             /**
              * Format: float
-             * @description How readily even areas grow across edges (Felzenszwalb's k, in units of edge times pixels).
+             * @description Felzenszwalb's k in units of edge times pixels. Larger values give larger patches. Default:
+             *     30.
              * @default 30
              */
             patch_scale?: number;
             /**
              * Format: float
-             * @description A flat patch of at least this area is a plane that things rest on, square metres.
+             * @description Minimum area of a flat patch that counts as a supporting plane, square meters. Default:
+             *     0.35.
              * @default 0.3499999940395355
              */
             plane_area_m2?: number;
             /**
              * Format: int32
-             * @description Every `stride`-th pixel of the depth image is looked at.
+             * @description Uses every `stride`-th pixel of the depth image, 1 to 16. Default: 2.
              * @default 2
              */
             stride?: number;
         };
-        /** @description A robot as an upright cylinder on the floor. */
+        /** @description A robot, modeled as an upright cylinder on the floor. */
         Robot: {
             /**
              * Format: float
-             * @description Where it sees from: above the middle of its footprint, metres above the floor, at most
+             * @description Height of the camera above the floor, meters, over the center of the footprint. At most
              *     `height_m`.
              * @example 1.2
              */
             eye_height_m: number;
             /**
              * Format: float
-             * @description What is higher above the floor than this it passes under, metres.
+             * @description Height of the robot, meters. It passes under anything higher.
              * @example 1.3
              */
             height_m: number;
             /**
              * Format: float
-             * @description Of the circle around its footprint, metres.
+             * @description Radius of the circle around its footprint, meters.
              * @example 0.25
              */
             radius_m: number;
             /**
              * Format: float
-             * @description How far its arm reaches out of the cylinder, metres. Left out, it only has to see the
-             *     thing.
+             * @description Reach of the arm beyond the cylinder, meters. If omitted, the robot only has to see the
+             *     object.
              * @example 0.7
              */
             reach_m?: number | null;
         };
         /**
-         * @description What a model is for.
+         * @description Role of a model.
          * @enum {string}
          */
         Role: "masks" | "encoder";
         /**
-         * @description Where a promptable segmenter is asked.
+         * @description Prompt points of a promptable segmentation model.
          * @enum {string}
          */
         SamPrompts: "grid" | "segments";
-        /** @description Masks of a promptable segmentation model, asked at points of each picture. */
+        /** @description Settings of a promptable segmentation model. */
         SamSettings: {
             /**
              * Format: int32
-             * @description Encoded pictures are kept on disk until the parse is done, for the prompts of defect
-             *     correction; at most so many megabytes.
+             * @description Maximum disk space for encoded pictures during a parse, megabytes. Defect correction reuses
+             *     them. Default: 4096.
              * @default 4096
              */
             cache_mb?: number;
             /**
              * Format: float
-             * @description Masks over this share of the picture are the picture.
+             * @description Maximum area of a mask as a share of the picture. Default: 0.9.
              * @default 0.8999999761581421
              */
             max_area?: number;
             /**
              * Format: int32
-             * @description Masks kept per picture, the best.
+             * @description Maximum number of masks per picture. Keeps the best. Default: 400.
              * @default 400
              */
             max_masks?: number;
             /**
              * Format: float
-             * @description Of two masks that overlap by more (IoU), the better stays.
+             * @description IoU above which the worse of two overlapping masks is removed. Default: 0.7.
              * @default 0.699999988079071
              */
             max_overlap?: number;
             /**
              * Format: float
-             * @description Masks under this share of the picture are specks.
+             * @description Minimum area of a mask as a share of the picture. Default: 0.0003.
              * @default 0.0003000000142492354
              */
             min_area?: number;
             /**
              * Format: float
-             * @description Masks the model is less sure of are left out.
+             * @description Minimum predicted quality (IoU) of a mask. Default: 0.5.
              * @default 0.5
              */
             min_predicted_iou?: number;
             /**
              * Format: float
-             * @description Least overlap of a mask with itself when its threshold moves by `stability_margin` both
-             *     ways.
+             * @description Minimum overlap of a mask with itself when its threshold moves by `stability_margin` in both
+             *     directions. Default: 0.7.
              * @default 0.699999988079071
              */
             min_stability?: number;
             /**
-             * @description Which masks are painted last, over the others.
+             * @description Order in which overlapping masks are painted. Default: `ascending_quality`.
              * @default ascending_quality
              */
             order?: components["schemas"]["MaskOrder"];
             /**
              * Format: int32
-             * @description Points per side of the grid.
+             * @description Points per side of the grid, 1 to 128. Default: 16.
              * @default 16
              */
             points_per_side?: number;
             /**
-             * @description Where it is asked.
+             * @description Prompt points. Default: `segments`.
              * @default segments
              */
             prompts?: components["schemas"]["SamPrompts"];
             /**
-             * @description Also asks four overlapping quarters of each picture, each with half the points per side:
-             *     small things, at five times the encoding.
+             * @description Also segments four overlapping quarters of each picture, each with half the points per side.
+             *     Finds smaller objects at five times the encoding cost. Default: `false`.
              * @default false
              */
             quarters?: boolean;
             /**
              * Format: float
-             * @description In logits.
+             * @description Change of the mask threshold for the stability test, in logits. Default: 1.
              * @default 1
              */
             stability_margin?: number;
             /**
-             * @description Whether a second id image has a vote, in which wholes cover their parts: masks up to a
-             *     quarter of the picture, the largest last.
+             * @description Whether to vote with a second id image in which wholes cover their parts: masks up to a
+             *     quarter of the picture, the largest painted last. Default: `true`.
              * @default true
              */
             wholes?: boolean;
         };
-        /**
-         * @description From the coordinates of the earlier scan to those of the later one: `to = rotation * from +
-         *     translation_m`.
-         */
+        /** @description Transform from the earlier scan to the later one: `to = rotation * from + translation_m`. */
         ScanAlignment: {
             /**
              * Format: float
-             * @description Share of the earlier scan's points that have one of the later scan's within 5 cm.
+             * @description Share of the earlier scan's points with a point of the later scan within 5 cm, `0..=1`.
              */
             overlap: number;
-            /** @description Whether it was refined by laying the two clouds over each other. */
+            /** @description Whether the transform was refined by registering the two clouds. */
             refined: boolean;
             /**
              * Format: float
-             * @description Their root mean square distance to its surfaces, metres.
+             * @description Root mean square distance of these points to the later scan's surfaces, meters.
              */
             rms_m: number;
             /** @description Unit quaternion `x, y, z, w`. */
             rotation: number[];
-            /** @description Metres. */
+            /** @description Translation, meters. */
             translation_m: number[];
         };
-        /** @description A scene: one uploaded scan and its current parse. */
+        /** @description A scene: an uploaded scan and its current parse. */
         Scene: {
-            /** @description SHA-256 of the uploaded bytes, hex; of a scene that has grown, of what it is made of. */
+            /** @description SHA-256 of the uploaded bytes, hex. If frames were added, a hash over all uploads. */
             content_hash: string;
             counts?: components["schemas"]["SceneCounts"] | null;
-            /** @description When it was uploaded, RFC 3339 UTC. */
+            /** @description Upload time, RFC 3339 UTC. */
             created_at: string;
             error?: components["schemas"]["JobError"] | null;
             extent?: components["schemas"]["Aabb"] | null;
-            /** @description UUIDv7; in order of time. */
+            /** @description UUIDv7, so ids sort by time. */
             id: string;
             import?: components["schemas"]["ImportReport"] | null;
-            /** @description The latest parse job on this scene. */
+            /** @description Id of the latest parse job of this scene. */
             job_id?: string | null;
-            /** @description What the scene is filed under: `building`, `floor`, whatever its owner says. */
+            /** @description Labels, like `building` or `floor`. */
             labels?: {
                 [key: string]: string;
             };
-            /** @description What that map's frame is called; `null` where nobody has said. */
+            /** @description Name of the map frame. `null` if not set. */
             map_frame_id?: string | null;
             models?: components["schemas"]["ParseModels"] | null;
             /**
-             * @description One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`.
-             *     Need not be unique.
+             * @description Name, one line of 1 to 200 characters: set at the upload, taken from the archive, or
+             *     `scene`. Names may repeat.
              */
             name: string;
             /**
              * Format: int32
-             * @description Number of the current parse, from 1; 0 before the first. Questions use the current one
-             *     until a newer is ready.
+             * @description Version of the current parse, from 1. 0 before the first. Questions use it until a newer one
+             *     is ready.
              */
             parse_version: number;
             report?: components["schemas"]["ParseReport"] | null;
             scene_to_map?: components["schemas"]["SceneToMap"] | null;
             settings?: components["schemas"]["ParseSettings"] | null;
-            /** @description Whether questions can be asked. */
+            /** @description Status of the scene. */
             status: components["schemas"]["SceneStatus"];
-            /** @description When it was last changed, parsed, or asked to be, RFC 3339 UTC. */
+            /** @description Time of the last change or parse request, RFC 3339 UTC. */
             updated_at: string;
         };
-        /** @description The answer of one of many scenes. */
+        /** @description Answer for one scene. */
         SceneAnswer: {
-            /** @description As a question about that scene alone is answered; kept, as any. */
+            /** @description The answer, as for a question about this scene alone. It is stored like any answer. */
             answer: components["schemas"]["Answer"];
-            /** @description Its labels. */
+            /** @description Labels of the scene. */
             labels: {
                 [key: string]: string;
             };
             /** @description Name of the scene; its id is in the answer. */
             scene_name: string;
         };
-        /** @description What is to be different about a scene; what is left out stays. */
+        /** @description Changes of a scene. Omitted fields stay unchanged. */
         SceneChange: {
             /**
-             * @description What the scene is filed under, all of it: labels that are left out are taken away. At most
-             *     20; names of 1 to 63 letters, digits, `.`, `_`, `-` and `/`, values of 1 to 100
-             *     characters without commas.
+             * @description Labels. They replace all existing labels. At most 20; names of 1 to 63 letters, digits, `.`,
+             *     `_`, `-` and `/`, values of 1 to 100 characters without commas.
              */
             labels?: {
                 [key: string]: string;
             } | null;
             /**
-             * @description What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away.
+             * @description Name of the map frame in tf, 1 to 200 characters. `null` removes it.
              * @example map
              */
             map_frame_id?: string | null;
-            /** @description One line of 1 to 200 characters, not blank, without control characters. */
+            /** @description Name, one line of 1 to 200 characters, not blank, without control characters. */
             name?: string | null;
             scene_to_map?: components["schemas"]["SceneToMap"] | null;
         };
-        /** @description What changed in a scene: since an earlier version of it, or from one scan of a room to another. */
+        /** @description Changes in a scene: since an earlier version, or between two scans of a room. */
         SceneChanges: {
             alignment?: components["schemas"]["ScanAlignment"] | null;
-            /** @description What is different. */
+            /** @description The changes. */
             changes: components["schemas"]["Changes"];
-            /** @description The earlier look. */
+            /** @description The earlier version. */
             from: components["schemas"]["SceneVersion"];
-            /** @description The later one. */
+            /** @description The later version. */
             to: components["schemas"]["SceneVersion"];
         };
         /** @description Sizes of a scene's current parse. */
         SceneCounts: {
             /**
              * Format: int32
-             * @description Frames looked at, a sample of those imported.
+             * @description Number of frames used, a sample of the imported ones.
              */
             frames_used: number;
             /**
              * Format: int32
-             * @description Instances found, floor, walls and ceiling included.
+             * @description Number of instances, including floor, walls and ceiling.
              */
             instances: number;
             /**
              * Format: int64
-             * @description Points of the cloud.
+             * @description Number of points in the cloud.
              */
             points: number;
             /**
              * Format: int32
-             * @description Small even patches the cloud was cut into before merging.
+             * @description Number of superpoints: small uniform patches of the cloud.
              */
             superpoints: number;
         };
         /**
-         * @description A scene graph: things, parts, wholes, the building and zones, and relations between them.
-         *     Metres, world frame (Z up).
+         * @description A scene graph: objects, parts, wholes, building elements and zones, with the relations between
+         *     them. Meters, world frame (Z up).
          */
         SceneGraph: {
             /**
-             * @description In order of their nodes. What goes without saying is left out: a symmetric relation stands
-             *     once, and no relation has its inverse.
+             * @description Edges in the order of their nodes. A symmetric relation is listed once, and inverse
+             *     relations are omitted.
              */
             edges: components["schemas"]["GraphEdge"][];
-            /** @description The frame of all coordinates. */
+            /** @description The coordinate frame of all coordinates. */
             frame: components["schemas"]["CoordinateFrame"];
-            /** @description In order of instance id, then zones. */
+            /** @description Nodes ordered by instance id, then zones. */
             nodes: components["schemas"]["GraphNode"][];
             /**
              * Format: int32
-             * @description Number of the scene's parse, from 1; instance ids belong to it.
+             * @description Version of the scene's parse, from 1. Instance ids belong to it.
              */
             parse_version: number;
             /** @description UUIDv7 of the scene. */
             scene_id: string;
         };
-        /** @description One page of scenes. */
+        /** @description A page of scenes. */
         SceneList: {
-            /** @description Pass as `cursor` for the next page; `null` on the last. */
+            /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
-            /** @description Newest first. */
+            /** @description Scenes, newest first. */
             scenes: components["schemas"]["Scene"][];
         };
-        /** @description Everything known about a scene's current parse. */
+        /** @description Full report of a scene's current parse. */
         SceneReport: {
             import?: components["schemas"]["ImportReport"] | null;
             models?: components["schemas"]["ParseModels"] | null;
             parse?: components["schemas"]["ParseReport"] | null;
             /**
              * Format: int32
-             * @description Number of the current parse, from 1.
+             * @description Version of the current parse, from 1.
              */
             parse_version: number;
             /**
-             * @description The cloud by superpoint and by instance, and instances over up to three frames; empty for
-             *     parses of old versions.
+             * @description Pictures of the cloud by superpoint and by instance, and of instances in up to three frames.
+             *     Empty for parses from older versions.
              */
             pictures: components["schemas"]["ReportPictureLink"][];
             /** @description UUIDv7 of the scene. */
@@ -3917,29 +3909,29 @@ export interface components {
             settings?: components["schemas"]["ParseSettings"] | null;
         };
         /**
-         * @description How far a scene has come.
+         * @description Status of a scene.
          * @enum {string}
          */
         SceneStatus: "uploaded" | "parsing" | "ready" | "failed";
-        /** @description From a scene's coordinates to others: `other = scale * rotation * scene + translation`. */
+        /** @description Transform from the scene to another frame: `other = scale * rotation * scene + translation`. */
         SceneToFrame: {
             /** @description Unit quaternion `x, y, z, w`. */
             rotation: number[];
             /**
              * Format: double
-             * @description Units of the other coordinates to a metre; 1 for maps.
+             * @description Units of the other frame per meter. 1 for maps.
              */
             scale: number;
-            /** @description In units of the other coordinates. */
+            /** @description Translation in the units of the other frame. */
             translation: number[];
         };
         /**
-         * @description Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on
-         *     both sides.
+         * @description Transform from the scene to a map: `map = rotation * scene + translation_m`, with meters in both
+         *     frames.
          */
         SceneToMap: {
             /**
-             * @description Unit quaternion `x, y, z, w`, as ROS has it.
+             * @description Unit quaternion `x, y, z, w`, in the order of ROS.
              * @example [
              *       0,
              *       0,
@@ -3949,7 +3941,7 @@ export interface components {
              */
             rotation: number[];
             /**
-             * @description Metres, in the map's axes.
+             * @description Translation in the map's axes, meters.
              * @example [
              *       1.5,
              *       -2,
@@ -3958,159 +3950,160 @@ export interface components {
              */
             translation_m: number[];
         };
-        /** @description A scene as it was parsed at some time. */
+        /** @description A version of a scene. */
         SceneVersion: {
             /** @description UUIDv7 of the scene. */
             scene_id: string;
             /**
              * Format: int32
-             * @description Number of its parse, from 1.
+             * @description Version of its parse, from 1.
              */
             version: number;
         };
         /**
-         * @description What a key lets its holder do; each includes those before it.
+         * @description Scope of a key. Each scope includes the previous ones.
          * @enum {string}
          */
         Scope: "read" | "write" | "admin";
-        /** @description Where a vision-language model sees what is asked for, though no instance is it. */
+        /** @description Location in a picture where a vision-language model sees an object that is not an instance. */
         Seen: {
-            /** @description From the left and the upper rim, shares of the picture's width and height, `0..=1`. */
+            /** @description Position from the left and the top, as fractions of the picture's width and height, `0..=1`. */
             at: number[];
-            /** @description What the model calls it. */
+            /** @description Name that the model gives the object. */
             name: string;
-            /** @description The picture it is seen in, one of the answer's evidence: `candidate-7`, `global`. */
+            /** @description Name of the picture in the answer's evidence: `candidate-7`, `global`. */
             picture: string;
         };
         /**
-         * @description Candidates without reasoning over relations: by appearance where an encoder has seen the scene,
-         *     by names and attributes otherwise.
+         * @description Candidates without spatial reasoning: ranked by appearance if an encoder has processed the
+         *     scene, else by names and attributes.
          */
         Shortlisted: {
-            /** @description Best first; instances that do not fit at all are left out. */
+            /** @description Candidates, best first. Instances that do not fit are omitted. */
             candidates: components["schemas"]["Candidate"][];
-            /** @description The sentence is longer than the encoder reads: its end does not count. */
+            /** @description Whether the query was truncated because it is longer than the encoder's input. */
             cut: boolean;
             /**
-             * @description Compared words with instances: a model as `name@fingerprint`, or built-in names and
-             *     measures, like `attributes-2`.
+             * @description Component that compared words with instances: a model as `name@fingerprint`, or a built-in
+             *     component like `attributes-2`.
              */
             encoder: string;
-            /** @description The query, word for word. */
+            /** @description The query, unchanged. */
             query: string;
         };
-        /** @description A query for candidates only. */
+        /** @description A query that returns only candidates. */
         ShortlistRequest: {
             /**
-             * @description Where the encoder fails, or is not the one the scene was parsed with, rank by names and
-             *     measures.
+             * @description Whether to rank by names and measurements if the encoder fails or is not the one of the
+             *     parse. Default: `false`.
              */
             allow_builtin?: boolean;
-            /** @description Scores are likelihoods against a vocabulary instead of cosines. */
+            /** @description Whether scores are likelihoods against a vocabulary instead of cosines. Default: `false`. */
             calibrated?: boolean;
             /**
-             * @description Who chooses. By default the encoder, where one has seen the scene.
+             * @description Source of the candidates. Default: `encoder`, if one has processed the scene.
              * @default encoder
              */
             candidates?: components["schemas"]["CandidateSource"];
             /**
-             * @description What to find, in plain English.
+             * @description Description of the object in English, 1 to 1000 characters.
              * @example the black chair
              */
             query: string;
-            /** @description Which words are compared with the instances, where an encoder has seen them. */
+            /**
+             * @description Text that is compared with the instances, if an encoder has processed the scene. Default:
+             *     `mean`.
+             */
             query_text?: components["schemas"]["QueryText"];
             /**
              * Format: int32
-             * @description Most candidates to send back; fewer when fewer fit.
+             * @description Maximum number of candidates, 1 to 100. Default: 5.
              * @default 5
              */
             top_k?: number;
         };
-        /** @description The paper's six fields. */
+        /** @description The six output fields of the paper. */
         SixFields: {
             anchor_id?: components["schemas"]["InstanceId"] | null;
-            /** @description What each candidate is called, by id, without regard to the question. */
+            /** @description Names of the candidates by id, independent of the question. */
             candidate_names: {
                 [key: string]: string;
             };
-            /** @description Why, in words a person can check. */
+            /** @description Explanation of the decision for people. */
             explanation: string;
             predicted_id?: components["schemas"]["InstanceId"] | null;
-            /** @description The relation the decision used, in the question's words. */
+            /** @description The relation that the decision used, in the question's words. */
             relation_used?: string | null;
             /**
-             * @description Whether the chosen candidate's own name means what the question asks for; `null` when
-             *     nothing was chosen.
+             * @description Whether the name of the chosen candidate matches the question. `null` if no candidate was
+             *     chosen.
              */
             target_name_matches?: boolean | null;
         };
         /**
-         * @description From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene =
-         *     rotation * (metres_per_unit * source) + translation_m`. In double precision: what lies at map
-         *     coordinates keeps its place.
+         * @description Transform from the uploaded files to the scene (meters, Z up): `scene = rotation *
+         *     (metres_per_unit * source) + translation_m`. Double precision, so that large map coordinates
+         *     keep their precision.
          */
         SourceToScene: {
             /**
              * Format: double
-             * @description Length of one unit of the files, metres.
+             * @description Length of one unit of the files, meters.
              */
             metres_per_unit: number;
             /** @description Rows of a 3x3 rotation matrix. */
             rotation: number[][];
-            /** @description Metres, in the scene's axes. */
+            /** @description Translation in the scene's axes, meters. */
             translation_m: number[];
         };
-        /** @description What vision-language models have cost, at the prices the server was given. */
+        /** @description Spending on vision-language models at the configured prices. */
         Spending: {
             /**
              * Format: double
-             * @description What may be spent in a day, US dollars; `null` without a limit.
+             * @description Spending limit per day, US dollars. `null` if none is set.
              */
             daily_limit_usd?: number | null;
-            /** @description The day, UTC. */
+            /** @description Day, UTC. */
             day: string;
             /**
              * Format: double
-             * @description Spent on it, US dollars.
+             * @description Spending on this day, US dollars.
              */
             today_usd: number;
         };
-        /** @description One stage of a parse: what it took and what came out. */
+        /** @description Report of one stage of a parse. */
         StageReport: {
             /**
              * Format: int32
-             * @description Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the
-             *     system does not tell.
+             * @description Peak resident memory of the process during the stage, 10^6 bytes. `null` if the system does
+             *     not report it.
              */
             peak_memory_mb?: number | null;
             /**
              * Format: int64
-             * @description How many came out: points, superpoints, masks over all frames, regions, proposals of parts
-             *     and wholes, instances, sightings of instances.
+             * @description Number of results: points, superpoints, masks over all frames, regions, proposed parts and
+             *     wholes, instances, or views of instances.
              */
             produced?: number;
-            /**
-             * @description Whether they were kept from an earlier parse of the scan that got so far under the same
-             *     settings.
-             */
+            /** @description Whether the results come from a checkpoint of an earlier parse with the same settings. */
             reused?: boolean;
             /**
              * Format: float
-             * @description Wall-clock.
+             * @description Wall-clock duration, seconds.
              */
             seconds: number;
             /**
-             * @description `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`,
-             *     `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
+             * @description Name of the stage: `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`,
+             *     `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models
+             *     `appearance`.
              */
             stage: string;
         };
-        /** @description A moment, as `builtin_interfaces/Time` has it. */
+        /** @description A time in the format of `builtin_interfaces/Time`. */
         Stamp: {
             /**
              * Format: int32
-             * @description Nanoseconds on top.
+             * @description Nanoseconds within the second.
              */
             nanosec: number;
             /**
@@ -4119,199 +4112,200 @@ export interface components {
              */
             sec: number;
         };
-        /** @description A place to stand, facing the thing. World frame (Z up), metres. */
+        /** @description A standing pose that faces the object; meters, world frame (Z up). */
         StandingPose: {
             /**
              * Format: float
-             * @description From the middle of the robot to the nearest obstacle; never less than the robot's radius.
-             *     `null` where there is none at all.
+             * @description Distance from the robot's center to the nearest obstacle, meters. At least the robot's
+             *     radius. `null` if there are no obstacles.
              */
             clearance_m?: number | null;
             /**
              * Format: float
-             * @description Horizontal distance to the thing's nearest point.
+             * @description Horizontal distance from the robot's center to the object's nearest point, meters.
              */
             distance_m: number;
-            /** @description What to look at: the middle of what is in sight of the thing. */
+            /** @description Center of the visible part of the object. */
             look_at: number[];
             /**
-             * @description From the start to here, corner by corner, straight in between; free of obstacles by the
-             *     robot's radius, to within half a cell of the grid. Empty without `from`.
+             * @description Corners of the path from the start to this pose, connected by straight lines. Keeps the
+             *     robot's radius from obstacles, within half a grid cell. Empty without `from`.
              */
             path: number[][];
             /**
              * Format: float
-             * @description Length of `path`; `null` without `from`.
+             * @description Length of `path`, meters. `null` without `from`.
              */
             path_m?: number | null;
-            /** @description Middle of the robot's footprint, on the floor. */
+            /** @description Center of the robot's footprint, on the floor. */
             position: number[];
             /**
              * Format: float
-             * @description From the robot's cylinder to the thing's nearest point: what the arm has to reach.
+             * @description Distance from the robot's cylinder to the object's nearest point, meters. The arm must reach
+             *     this far.
              */
             reach_m: number;
             /**
              * Format: float
-             * @description Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of
-             *     itself counts as seen.
+             * @description Share of the object's points that no other object occludes from the camera, `0..=1`.
+             *     Self-occlusion does not count.
              */
             visible_share: number;
-            /** @description Why here, in words. */
+            /** @description Explanation of the pose for people. */
             why: string;
             /**
              * Format: float
-             * @description Direction it faces about +Z, radians; 0 looks along +X.
+             * @description Heading about +Z, radians. 0 looks along +X.
              */
             yaw_rad: number;
         };
-        /** @description Where the robot sets out. */
+        /** @description Start of the paths. */
         Start: {
             /**
              * Format: float
-             * @description How far that is from what was asked for, metres; more than a cell where `from` was not
-             *     free.
+             * @description Distance of this cell from `from`, meters. Larger than a cell if `from` was not free.
              */
             moved_m: number;
-            /** @description Whether the robot can stand where it says it is. */
+            /** @description Whether the robot can stand at `from`. */
             was_free: boolean;
             /**
              * Format: float
-             * @description Where paths begin, metres, world frame: the nearest free cell to what was asked for.
+             * @description X of the free cell nearest to `from`; meters, world frame.
              */
             x: number;
             /**
              * Format: float
-             * @description Metres along Y.
+             * @description Y of this cell; meters, world frame.
              */
             y: number;
         };
-        /** @description A server in numbers. */
+        /** @description Statistics of a server. */
         Stats: {
-            /** @description How much room everything takes. */
+            /** @description Disk usage. */
             disk: components["schemas"]["DiskUse"];
-            /** @description By kind, in alphabetical order. */
+            /** @description Job statistics per kind, in alphabetical order. */
             jobs: components["schemas"]["JobStats"][];
-            /** @description How long things are kept. */
+            /** @description Retention settings. */
             retention: components["schemas"]["Retention"];
-            /** @description What models have cost. */
+            /** @description Spending on models. */
             spending: components["schemas"]["Spending"];
-            /** @description When it was started, RFC 3339 UTC. */
+            /** @description Start time, RFC 3339 UTC. */
             started_at: string;
-            /** @description What is stored. */
+            /** @description Numbers of stored records. */
             stored: components["schemas"]["StoredCounts"];
             /**
              * Format: int64
-             * @description Whole seconds since then.
+             * @description Uptime, whole seconds.
              */
             uptime_s: number;
             /** @description Version of the server, like `1.2.3`. */
             version: string;
         };
         /**
-         * @description Whether the question has an answer in this room.
+         * @description Status of an answer.
          * @enum {string}
          */
         Status: "grounded" | "uncertain" | "ambiguous" | "no_match";
-        /** @description How many there are of what is stored. */
+        /** @description Numbers of stored records. */
         StoredCounts: {
             /**
              * Format: int32
-             * @description Answers that can be asked for again.
+             * @description Number of stored answers.
              */
             answers: number;
             /**
-             * @description Batches by state: `running`, `paused`, `succeeded`, `cancelled`; one whose job ended early
-             *     counts as running here.
+             * @description Number of batches by state: `running`, `paused`, `succeeded`, `cancelled`. A batch whose job
+             *     ended early counts as running.
              */
             batches: {
                 [key: string]: number;
             };
             /**
              * Format: int32
-             * @description Instances of all parses, of every level.
+             * @description Number of instances of all parses and levels.
              */
             instances: number;
             /**
              * Format: int32
-             * @description Finished parses; scenes with the same content and settings share one.
+             * @description Number of finished parses. Scenes with the same content and settings share one.
              */
             parses: number;
             /**
              * Format: int32
-             * @description Scenes, parsed or not.
+             * @description Number of scenes, parsed or not.
              */
             scenes: number;
         };
         /**
-         * @description Part of the building rather than an object in it.
+         * @description Kind of building element.
          * @enum {string}
          */
         Structure: "floor" | "ceiling" | "wall";
-        /** @description How finely the cloud is cut, and which patches grow together. */
+        /** @description Segmentation into superpoints by region growing. */
         SuperpointSettings: {
             /**
              * Format: float
-             * @description Region growing joins patches whose mean CIELAB colours differ by less than this.
+             * @description Maximum mean CIELAB difference of patches that region growing joins. Default: 4.
              * @default 4
              */
             colour_tolerance?: number;
             /**
              * Format: float
-             * @description Weight of the CIELAB distance, in units of 50.
+             * @description Weight of the CIELAB distance, in units of 50. Default: 0.2.
              * @default 0.20000000298023224
              */
             colour_weight?: number;
             /**
              * Format: float
-             * @description Region growing does not cross patches rougher than this (surface variation, 0 flat to 1/3
-             *     isotropic).
+             * @description Maximum roughness of patches that region growing crosses (surface variation, 0 for flat to
+             *     1/3 for isotropic). Default: 1.
              * @default 1
              */
             curvature?: number;
             /**
              * Format: float
-             * @description Weight of the angle between normals (`1 - |cos|`).
+             * @description Weight of the angle between normals (`1 - |cos|`). Default: 1.
              * @default 1
              */
             normal_weight?: number;
             /**
              * Format: float
-             * @description Distance between seeds, metres.
+             * @description Distance between seeds, meters, at most 100 voxels. Default: 0.15.
              * @default 0.15000000596046448
              */
             seed_m?: number;
             /**
              * Format: float
-             * @description Region growing joins patches whose normals differ by less than this, degrees.
+             * @description Maximum angle between the normals of patches that region growing joins, degrees, 0 to 90.
+             *     Default: 5.
              * @default 5
              */
             smoothness_deg?: number;
             /**
              * Format: float
-             * @description Weight of the distance in space, in units of the seed distance.
+             * @description Weight of the spatial distance, in units of the seed distance. Default: 0.4.
              * @default 0.4000000059604645
              */
             spatial_weight?: number;
             /**
              * Format: float
-             * @description Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better; sparse clouds
-             *     are cut coarser.
+             * @description Voxel size, meters, 0.001 to 10. Smaller voxels follow object borders better. Sparse clouds
+             *     use larger ones. Default: 0.025. Paper: 0.05.
              * @default 0.02500000037252903
              */
             voxel_m?: number;
         };
-        /** @description What an instance rests on. */
+        /** @description Support of an instance. */
         Support: {
             /** @enum {string} */
             on: "floor";
         } | {
-            /** @description What carries it. */
+            /** @description Id of the supporting instance. */
             id: components["schemas"]["InstanceId"];
             /** @enum {string} */
             on: "instance";
         } | {
-            /** @description The wall, itself an instance. */
+            /** @description Id of the wall instance. */
             id: components["schemas"]["InstanceId"];
             /** @enum {string} */
             on: "wall";
@@ -4319,57 +4313,57 @@ export interface components {
             /** @enum {string} */
             on: "nothing";
         };
-        /** @description A thing the question means. */
+        /** @description An object that the question refers to. */
         Target: {
-            /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
+            /** @description Axis-aligned box without outlier points; meters, world frame (Z up). */
             box: components["schemas"]["Aabb"];
             /**
              * Format: float
-             * @description Belief that it is meant, `0..=1`.
+             * @description Confidence that the question refers to it, `0..=1`.
              */
             confidence: number;
-            /** @description Numbered from 1 within the parse the answer comes from. */
+            /** @description Id within the parse of the answer, from 1. */
             id: components["schemas"]["InstanceId"];
-            /** @description What it is called, without regard to the question. */
+            /** @description Name of the object, independent of the question. */
             name: string;
-            /** @description Box turned about the vertical to fit it; metres, world frame (Z up). */
+            /** @description Box rotated about the vertical axis; meters, world frame (Z up). */
             oriented_box: components["schemas"]["OrientedBox"];
             parent?: components["schemas"]["InstanceId"] | null;
             support?: components["schemas"]["Support"] | null;
         };
-        /** @description Wall-clock milliseconds per step. */
+        /** @description Duration per step, wall-clock milliseconds. */
         Timings: {
             /**
              * Format: double
-             * @description Pictures for a vision-language model; the built-in reasoner needs none.
+             * @description Preparing pictures for a vision-language model. 0 for the built-in reasoner.
              */
             evidence: number;
             /**
              * Format: double
-             * @description Reading the question, the call included where a model reads.
+             * @description Parsing the question, including the model call if a model parses it.
              */
             parse_query: number;
             /**
              * Format: double
-             * @description Deciding: geometry, and the calls of a vision-language model where one reviews.
+             * @description Deciding: geometric reasoning, and the calls of a vision-language model if one is used.
              */
             reason: number;
             /**
              * Format: double
-             * @description Getting the instances ready to be compared with the question.
+             * @description Loading the instances for comparison with the question.
              */
             shortlist: number;
             /**
              * Format: double
-             * @description From reading the question to the decision.
+             * @description Total from parsing the question to the decision.
              */
             total: number;
         };
-        /** @description What happened on the way; empty when nothing was asked of a model and nothing went wrong. */
+        /** @description Model calls and corrections. Empty if no model was called and no error occurred. */
         Trace: {
-            /** @description In the order they were made, reading the question included; at most three. */
+            /** @description Calls in order, including the one that parses the question. At most three. */
             calls: components["schemas"]["Call"][];
-            /** @description What was wrong and what was done about it, a sentence each, in order. */
+            /** @description Problems and how they were handled, one sentence each, in order. */
             corrections: string[];
         };
         /** @description A thing. Metres, world frame of the scene (Z up). */
@@ -4401,45 +4395,45 @@ export interface components {
             yaw_deg: number;
         };
         /**
-         * @description The world axis that points up in the file; after import it is always `z`.
+         * @description The axis that points up in a file. After import it is always `z`.
          * @enum {string}
          */
         UpAxis: "x" | "-x" | "y" | "-y" | "z" | "-z";
-        /** @description An upload that comes in parts. */
+        /** @description A resumable upload. */
         Upload: {
-            /** @description When it was begun, RFC 3339 UTC. */
+            /** @description Creation time, RFC 3339 UTC. */
             created_at: string;
             /**
-             * @description When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is
-             *     forgotten. `null`: never.
+             * @description Time when the upload expires without further bytes, RFC 3339 UTC. For a finished upload,
+             *     when its record is removed. `null`: never.
              */
             expires_at?: string | null;
-            /** @description UUIDv7; in order of time. */
+            /** @description UUIDv7, so ids sort by time. */
             id: string;
-            /** @description The job that parses the scene; `null` where it was only to be stored. */
+            /** @description Id of the parse job. `null` if the scan is only stored. */
             job_id?: string | null;
             /**
              * Format: int64
-             * @description Bytes it will have.
+             * @description Total number of bytes.
              */
             length: number;
             /**
              * Format: int64
-             * @description Bytes that are on the server's disk: where to go on.
+             * @description Number of received bytes. Resume from this offset.
              */
             offset: number;
             problem?: components["schemas"]["Problem"] | null;
-            /** @description The scene it has become. */
+            /** @description Id of the created scene. */
             scene_id?: string | null;
-            /** @description How far it has come. */
+            /** @description State of the upload. */
             state: components["schemas"]["UploadState"];
         };
         /**
-         * @description How far an upload has come.
+         * @description State of an upload.
          * @enum {string}
          */
         UploadState: "receiving" | "making" | "done" | "refused";
-        /** @description What an answer took of a vision-language model; all zero when none was asked. */
+        /** @description Usage of vision-language models. All values are 0 if none was called. */
         Usage: {
             /**
              * Format: int64
@@ -4448,7 +4442,7 @@ export interface components {
             completion_tokens: number;
             /**
              * Format: double
-             * @description US dollars, at the prices the server was given; 0 where it was given none.
+             * @description Cost in US dollars at the configured prices. 0 if no prices are configured.
              */
             cost_usd: number;
             /**
@@ -4458,44 +4452,41 @@ export interface components {
             prompt_tokens: number;
             /**
              * Format: int32
-             * @description Calls that got a reply.
+             * @description Number of calls that got a reply.
              */
             vlm_calls: number;
         };
-        /** @description A picture that shows an instance well. */
+        /** @description A frame with a good view of an instance. */
         View: {
-            /** @description Tight box of the visible points in the colour picture: left, top, right, bottom, pixels. */
+            /** @description Tight box of the visible points in the color picture: left, top, right, bottom, pixels. */
             box_px: number[];
-            /** @description Position of the frame in the scan's own list, from 0. */
+            /** @description Index of the frame in the scan's own list, from 0. */
             frame: components["schemas"]["FrameIndex"];
             mask?: components["schemas"]["ViewMask"] | null;
             /**
              * Format: int32
-             * @description Points of the instance visible in this frame.
+             * @description Number of the instance's points that are visible in this frame.
              */
             visible_points: number;
         };
-        /** @description A mask over a box, in cells of equal size, as COCO writes run lengths: its tools read it. */
+        /** @description A mask over a box with cells of equal size, in COCO's run-length encoding. */
         ViewMask: {
-            /**
-             * @description Lengths of runs down the columns, outside and inside by turns, in COCO's compressed
-             *     letters.
-             */
+            /** @description Run lengths down the columns, alternating outside and inside, in COCO's compressed format. */
             counts: string;
             /** @description Rows and columns of cells, at most 64 each. */
             size: number[];
         };
-        /** @description Which views of an instance are kept as pictures. */
+        /** @description Selection of the views stored as pictures. */
         ViewSettings: {
             /**
              * Format: int32
-             * @description Views kept per instance. Paper: 3.
+             * @description Number of views stored per instance, 1 to 16. Default and paper: 3.
              * @default 3
              */
             count?: number;
             /**
              * Format: float
-             * @description A view must show at least this share of what the best one shows.
+             * @description Minimum visibility of a view, as a share of the best view's. Default: 0.4.
              * @default 0.4000000059604645
              */
             min_share_of_best?: number;
@@ -4518,7 +4509,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -4527,7 +4518,7 @@ export interface operations {
                     "application/json": components["schemas"]["Health"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -4536,7 +4527,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -4562,7 +4553,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description The answer, or an error of the protocol */
+            /** @description The response, or a protocol error */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -4571,14 +4562,14 @@ export interface operations {
                     "application/json": components["schemas"]["Message"];
                 };
             };
-            /** @description A notification was heard */
+            /** @description Notification accepted */
             202: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -4599,7 +4590,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -4608,7 +4599,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -4619,7 +4610,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -4628,7 +4619,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -4639,7 +4630,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such method */
+            /** @description Unknown method */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -4657,7 +4648,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -4666,7 +4657,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -4686,7 +4677,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -4697,7 +4688,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -4717,7 +4708,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -4726,7 +4717,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -4737,7 +4728,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -4757,7 +4748,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -4768,7 +4759,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -4790,7 +4781,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -4799,7 +4790,7 @@ export interface operations {
                     "application/openmetrics-text": string;
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -4808,7 +4799,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -4819,7 +4810,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -4828,7 +4819,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -4839,7 +4830,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -4850,7 +4841,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -4872,7 +4863,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -4881,7 +4872,7 @@ export interface operations {
                     "application/json": components["schemas"]["Readiness"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -4890,7 +4881,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -4901,7 +4892,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -4917,21 +4908,24 @@ export interface operations {
     list_answers: {
         parameters: {
             query?: {
-                /** @description To questions of this batch. */
+                /** @description Answers to questions of this batch. */
                 batch_id?: string;
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: string;
-                /** @description All of them instead of a page: as JSON, a line each, or as a table of their figures. */
+                /**
+                 * @description Streams all answers instead of one page: as JSONL or as CSV. Cannot be combined with `limit`
+                 *     and `cursor`.
+                 */
                 format?: "jsonl" | "csv";
-                /** @description Entries per page. */
+                /** @description Number of entries per page. */
                 limit?: number;
-                /** @description About this scene. */
+                /** @description Answers about this scene. */
                 scene_id?: string;
-                /** @description Given then or later, RFC 3339. */
+                /** @description Answers from this time on, RFC 3339. */
                 since?: string;
-                /** @description With this status. */
+                /** @description Answers with this status. */
                 status?: "grounded" | "uncertain" | "ambiguous" | "no_match";
-                /** @description Given before, RFC 3339. */
+                /** @description Answers before this time, RFC 3339. */
                 until?: string;
             };
             header?: never;
@@ -4940,7 +4934,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -4951,14 +4945,14 @@ export interface operations {
                     "text/csv": string;
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -4967,7 +4961,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -4978,7 +4972,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -4987,7 +4981,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -4998,7 +4992,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -5018,7 +5012,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5029,7 +5023,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5053,7 +5047,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -5062,14 +5056,14 @@ export interface operations {
                     "application/json": components["schemas"]["Answer"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5078,7 +5072,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -5089,7 +5083,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -5109,7 +5103,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -5118,7 +5112,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -5129,7 +5123,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5140,7 +5134,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5159,14 +5153,14 @@ export interface operations {
             header?: never;
             path: {
                 answer_id: string;
-                /** @description `global.jpg`, or as the answer's `evidence` names it */
+                /** @description `global.jpg`, or a name from the answer's `evidence` */
                 picture: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -5175,14 +5169,14 @@ export interface operations {
                     "image/jpeg": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5191,7 +5185,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -5202,7 +5196,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -5222,7 +5216,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -5231,7 +5225,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -5242,7 +5236,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5253,7 +5247,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5277,7 +5271,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -5286,14 +5280,14 @@ export interface operations {
                     "application/json": components["schemas"]["AnswerPrompt"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5302,7 +5296,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -5313,7 +5307,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -5333,7 +5327,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -5342,7 +5336,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -5353,7 +5347,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5364,7 +5358,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5388,7 +5382,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -5397,14 +5391,14 @@ export interface operations {
                     "application/json": components["schemas"]["AnswerReply"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5413,7 +5407,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -5424,7 +5418,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -5444,7 +5438,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -5453,7 +5447,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -5464,7 +5458,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5475,7 +5469,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5491,9 +5485,9 @@ export interface operations {
     list_audit: {
         parameters: {
             query?: {
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: string;
-                /** @description Entries per page. */
+                /** @description Number of entries per page, 1 to 100. Default: 20. */
                 limit?: number;
             };
             header?: never;
@@ -5502,7 +5496,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -5511,14 +5505,14 @@ export interface operations {
                     "application/json": components["schemas"]["AuditList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5527,7 +5521,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -5538,7 +5532,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5547,7 +5541,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -5558,7 +5552,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -5567,7 +5561,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -5578,7 +5572,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -5598,7 +5592,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5609,7 +5603,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5625,9 +5619,9 @@ export interface operations {
     list_batches: {
         parameters: {
             query?: {
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: string;
-                /** @description Entries per page. */
+                /** @description Number of entries per page, 1 to 100. Default: 20. */
                 limit?: number;
             };
             header?: never;
@@ -5636,7 +5630,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -5645,14 +5639,14 @@ export interface operations {
                     "application/json": components["schemas"]["BatchList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5661,7 +5655,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -5672,7 +5666,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -5681,7 +5675,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -5692,7 +5686,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -5712,7 +5706,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5723,7 +5717,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5739,17 +5733,17 @@ export interface operations {
     create_batch: {
         parameters: {
             query?: {
-                /** @description JSONL only: questions asked at once. */
+                /** @description JSONL only: number of questions answered in parallel. */
                 concurrency?: number;
-                /** @description JSONL only: for people. */
+                /** @description JSONL only: display name. */
                 label?: string;
-                /** @description JSONL only: most that all questions together may cost, US dollars. */
+                /** @description JSONL only: spending limit for the whole batch, US dollars. */
                 max_cost_usd?: number;
-                /** @description JSONL only: the scene of lines without one. */
+                /** @description JSONL only: scene of items without one. */
                 scene_id?: string;
             };
             header?: {
-                /** @description The same key again returns the batch it made */
+                /** @description A repeated key returns the batch of the first request */
                 "Idempotency-Key"?: string | null;
             };
             path?: never;
@@ -5762,7 +5756,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description Taken; the work goes on in the background */
+            /** @description Accepted; the work continues in the background */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -5771,7 +5765,7 @@ export interface operations {
                     "application/json": components["schemas"]["Batch"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -5791,7 +5785,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5800,7 +5794,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -5811,7 +5805,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -5820,7 +5814,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -5831,7 +5825,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -5840,7 +5834,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -5860,7 +5854,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -5871,7 +5865,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -5891,7 +5885,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -5900,7 +5894,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -5911,7 +5905,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -5931,7 +5925,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -5942,7 +5936,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -5966,7 +5960,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -5975,14 +5969,14 @@ export interface operations {
                     "application/json": components["schemas"]["Batch"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -5991,7 +5985,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -6002,7 +5996,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -6022,7 +6016,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -6031,7 +6025,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -6042,7 +6036,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -6053,7 +6047,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -6077,7 +6071,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -6086,7 +6080,7 @@ export interface operations {
                     "application/json": components["schemas"]["Batch"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -6095,7 +6089,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -6106,7 +6100,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -6115,7 +6109,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -6126,7 +6120,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -6146,7 +6140,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -6166,7 +6160,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -6175,7 +6169,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -6186,7 +6180,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -6197,7 +6191,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -6221,7 +6215,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -6230,7 +6224,7 @@ export interface operations {
                     "application/json": components["schemas"]["Batch"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -6239,7 +6233,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -6250,7 +6244,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -6259,7 +6253,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -6270,7 +6264,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -6290,7 +6284,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -6310,7 +6304,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -6319,7 +6313,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -6330,7 +6324,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -6341,7 +6335,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -6358,13 +6352,13 @@ export interface operations {
         parameters: {
             query?: {
                 /**
-                 * @description Wait for items that are still asked, until the batch ends or pauses; else the results end
-                 *     at the first that is.
+                 * @description Whether to wait for running items until the batch ends or pauses. If `false`, the results
+                 *     end before the first unfinished item.
                  */
                 follow?: boolean;
-                /** @description `jsonl` or `csv`. */
+                /** @description Format: `jsonl` or `csv`. */
                 format?: "jsonl" | "csv";
-                /** @description The first item wanted: who was cut off goes on here. */
+                /** @description Index of the first item to return. Use it to resume an interrupted download. */
                 from?: number;
             };
             header?: never;
@@ -6375,7 +6369,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -6385,14 +6379,14 @@ export interface operations {
                     "text/csv": string;
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -6401,7 +6395,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -6412,7 +6406,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -6432,7 +6426,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -6441,7 +6435,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -6452,7 +6446,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -6472,7 +6466,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -6483,7 +6477,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -6507,7 +6501,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -6516,7 +6510,7 @@ export interface operations {
                     "application/json": components["schemas"]["Batch"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -6525,7 +6519,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -6536,7 +6530,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -6545,7 +6539,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -6556,7 +6550,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -6576,7 +6570,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -6596,7 +6590,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -6605,7 +6599,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -6616,7 +6610,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -6627,7 +6621,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -6653,7 +6647,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -6662,7 +6656,7 @@ export interface operations {
                     "application/json": components["schemas"]["ManyAnswers"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -6682,7 +6676,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -6691,7 +6685,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -6702,7 +6696,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The money for it is spent */
+            /** @description The spending limit is reached */
             402: {
                 headers: {
                     [name: string]: unknown;
@@ -6722,7 +6716,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -6731,7 +6725,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -6742,7 +6736,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -6762,7 +6756,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -6771,7 +6765,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -6782,7 +6776,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -6811,7 +6805,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -6822,7 +6816,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -6842,7 +6836,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -6851,7 +6845,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -6862,7 +6856,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -6882,7 +6876,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -6893,7 +6887,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -6913,7 +6907,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_unavailable",
-                     *       "detail": "the vision-language model could not be asked, in 5 attempts: it answered 500",
+                     *       "detail": "the vision-language model could not be reached in 5 attempts: it answered 500",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 502,
@@ -6924,7 +6918,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -6935,7 +6929,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_down",
-                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "detail": "the vision-language model's server is down: the next attempt is in 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
@@ -6946,7 +6940,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description It took longer than was allowed */
+            /** @description Timeout */
             504: {
                 headers: {
                     [name: string]: unknown;
@@ -6971,15 +6965,15 @@ export interface operations {
     list_jobs: {
         parameters: {
             query?: {
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: string;
-                /** @description `parse`, `naming`, `batch`. */
+                /** @description Kind of job: `parse`, `naming`, `batch`. */
                 kind?: string;
-                /** @description Entries per page. */
+                /** @description Number of entries per page. */
                 limit?: number;
-                /** @description Where they stand. */
+                /** @description State of the job. */
                 state?: "queued" | "running" | "succeeded" | "failed" | "cancelled";
-                /** @description What they work on: the id of a scene, or of a batch. */
+                /** @description Id of the scene or batch that the job works on. */
                 subject?: string;
             };
             header?: never;
@@ -6988,7 +6982,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -6997,14 +6991,14 @@ export interface operations {
                     "application/json": components["schemas"]["JobList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7013,7 +7007,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7024,7 +7018,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -7033,7 +7027,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -7044,7 +7038,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -7064,7 +7058,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -7075,7 +7069,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -7099,7 +7093,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -7108,14 +7102,14 @@ export interface operations {
                     "application/json": components["schemas"]["Job"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7124,7 +7118,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7135,7 +7129,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -7155,7 +7149,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -7164,7 +7158,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -7175,7 +7169,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -7186,7 +7180,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -7210,7 +7204,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Asked to stop; the job as it stands */
+            /** @description Cancellation requested; returns the job */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -7219,7 +7213,7 @@ export interface operations {
                     "application/json": components["schemas"]["Job"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7228,7 +7222,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7239,7 +7233,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -7248,7 +7242,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -7259,7 +7253,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -7279,7 +7273,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -7288,7 +7282,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -7299,7 +7293,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -7310,7 +7304,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -7336,7 +7330,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -7345,14 +7339,14 @@ export interface operations {
                     "text/event-stream": components["schemas"]["JobEvent"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7361,7 +7355,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7372,7 +7366,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -7392,7 +7386,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -7401,7 +7395,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -7412,7 +7406,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -7423,7 +7417,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -7439,9 +7433,9 @@ export interface operations {
     list_keys: {
         parameters: {
             query?: {
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: string;
-                /** @description Entries per page. */
+                /** @description Number of entries per page, 1 to 100. Default: 20. */
                 limit?: number;
             };
             header?: never;
@@ -7450,7 +7444,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -7459,14 +7453,14 @@ export interface operations {
                     "application/json": components["schemas"]["KeyList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7475,7 +7469,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7486,7 +7480,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -7495,7 +7489,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -7506,7 +7500,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -7515,7 +7509,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -7526,7 +7520,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -7546,7 +7540,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -7557,7 +7551,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -7583,7 +7577,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description Made */
+            /** @description Created */
             201: {
                 headers: {
                     [name: string]: unknown;
@@ -7592,7 +7586,7 @@ export interface operations {
                     "application/json": components["schemas"]["CreatedKey"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -7612,7 +7606,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7621,7 +7615,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7632,7 +7626,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -7641,7 +7635,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -7652,7 +7646,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -7661,7 +7655,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -7681,7 +7675,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -7692,7 +7686,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -7712,7 +7706,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -7721,7 +7715,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -7732,7 +7726,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -7752,7 +7746,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -7763,7 +7757,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -7787,7 +7781,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -7796,7 +7790,7 @@ export interface operations {
                     "application/json": components["schemas"]["Key"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7805,7 +7799,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7816,7 +7810,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -7825,7 +7819,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -7836,7 +7830,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -7856,7 +7850,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -7865,7 +7859,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -7876,7 +7870,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -7887,7 +7881,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -7913,7 +7907,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -7922,7 +7916,7 @@ export interface operations {
                     "application/json": components["schemas"]["LinkList"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -7942,7 +7936,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -7951,7 +7945,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -7962,7 +7956,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -7971,7 +7965,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -7982,7 +7976,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -7991,7 +7985,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -8011,7 +8005,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -8022,7 +8016,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -8042,7 +8036,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -8051,7 +8045,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -8062,7 +8056,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -8082,7 +8076,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -8093,7 +8087,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -8115,7 +8109,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -8124,14 +8118,14 @@ export interface operations {
                     "application/json": components["schemas"]["ModelList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -8140,7 +8134,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -8151,7 +8145,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -8160,7 +8154,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -8171,7 +8165,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -8182,7 +8176,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -8198,14 +8192,14 @@ export interface operations {
     list_scenes: {
         parameters: {
             query?: {
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: string;
                 /**
-                 * @description Those with all of these labels.
+                 * @description Scenes with all of these labels.
                  * @example building=A,floor=2
                  */
                 labels?: string;
-                /** @description Entries per page. */
+                /** @description Number of entries per page. */
                 limit?: number;
             };
             header?: never;
@@ -8214,7 +8208,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -8223,14 +8217,14 @@ export interface operations {
                     "application/json": components["schemas"]["SceneList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -8239,7 +8233,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -8250,7 +8244,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -8259,7 +8253,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -8270,7 +8264,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -8290,7 +8284,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -8301,7 +8295,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -8317,33 +8311,33 @@ export interface operations {
     create_scene: {
         parameters: {
             query?: {
-                /** @description Whether a world that is tilted is turned level. */
+                /** @description Whether to level a tilted world. */
                 levelling?: "auto" | "off";
                 /**
-                 * @description Length of one unit of the files' clouds and poses, metres, for files that are not in
-                 *     metres; default: told by their size.
+                 * @description Length of one unit of the files' clouds and poses, meters. Default: estimated from their
+                 *     size.
                  */
                 metres_per_unit?: number;
-                /** @description Name of the scene; default: what the archive calls itself. */
+                /** @description Name of the scene. Default: the name in the archive. */
                 name?: string;
-                /** @description `false` only stores the scan. */
+                /** @description `false` stores the scan without parsing it. Default: `true`. */
                 parse?: boolean;
-                /** @description Settings to parse with. */
+                /** @description Preset of the parse settings. */
                 preset?: "default" | "paper";
                 /**
-                 * @description The axis that points up in the files, for archives that do not say; default: the axis the
-                 *     cameras hold up.
+                 * @description Axis of the files that points up, for archives that do not state it. Default: the axis that
+                 *     the cameras hold up.
                  */
                 up?: "x" | "-x" | "y" | "-y" | "z" | "-z";
             };
             header?: {
-                /** @description The same key again returns the scene it made */
+                /** @description A repeated key returns the scene of the first request */
                 "Idempotency-Key"?: string | null;
             };
             path?: never;
             cookie?: never;
         };
-        /** @description An archive of any layout that is read, a cloud or a mesh */
+        /** @description An archive in a supported layout, a point cloud or a mesh */
         requestBody: {
             content: {
                 "application/octet-stream": components["schemas"]["Binary"];
@@ -8353,7 +8347,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description Taken; the work goes on in the background */
+            /** @description Accepted; the work continues in the background */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -8362,7 +8356,7 @@ export interface operations {
                     "application/json": components["schemas"]["Created"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -8382,7 +8376,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -8391,7 +8385,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -8402,7 +8396,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -8411,7 +8405,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -8422,7 +8416,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -8431,7 +8425,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -8451,7 +8445,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -8462,7 +8456,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -8471,7 +8465,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -8482,7 +8476,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -8502,7 +8496,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -8513,7 +8507,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -8531,13 +8525,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -8546,14 +8541,14 @@ export interface operations {
                     "application/json": components["schemas"]["Scene"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -8562,7 +8557,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -8573,7 +8568,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -8593,7 +8588,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -8602,7 +8597,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -8613,7 +8608,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -8624,7 +8619,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -8642,6 +8637,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
@@ -8655,7 +8651,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -8664,7 +8660,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -8675,7 +8671,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -8684,7 +8680,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -8695,7 +8691,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -8715,7 +8711,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -8724,7 +8720,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -8735,7 +8731,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -8746,7 +8742,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -8764,6 +8760,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
@@ -8774,7 +8771,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -8783,7 +8780,7 @@ export interface operations {
                     "application/json": components["schemas"]["Scene"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -8803,7 +8800,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -8812,7 +8809,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -8823,7 +8820,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -8832,7 +8829,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -8843,7 +8840,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -8863,7 +8860,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -8872,7 +8869,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -8892,7 +8889,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -8903,7 +8900,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -8923,7 +8920,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -8932,7 +8929,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -8943,7 +8940,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -8963,7 +8960,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -8974,7 +8971,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -8992,13 +8989,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -9007,14 +9005,14 @@ export interface operations {
                     "application/json": components["schemas"]["GroundTruth"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -9023,7 +9021,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -9034,7 +9032,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -9054,7 +9052,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -9074,7 +9072,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -9083,7 +9081,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -9094,7 +9092,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -9105,7 +9103,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -9123,6 +9121,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
@@ -9133,7 +9132,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -9142,7 +9141,7 @@ export interface operations {
                     "application/json": components["schemas"]["Approach"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -9162,7 +9161,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -9171,7 +9170,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -9182,7 +9181,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -9191,7 +9190,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -9202,7 +9201,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -9222,7 +9221,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -9231,7 +9230,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -9242,7 +9241,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -9271,7 +9270,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -9282,7 +9281,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -9302,7 +9301,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -9311,7 +9310,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -9322,7 +9321,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -9342,7 +9341,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -9353,7 +9352,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -9373,7 +9372,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_unavailable",
-                     *       "detail": "the vision-language model could not be asked, in 5 attempts: it answered 500",
+                     *       "detail": "the vision-language model could not be reached in 5 attempts: it answered 500",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 502,
@@ -9384,7 +9383,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -9395,7 +9394,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_down",
-                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "detail": "the vision-language model's server is down: the next attempt is in 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
@@ -9412,24 +9411,25 @@ export interface operations {
         parameters: {
             query?: {
                 /**
-                 * @description With `to`: whether the two clouds are laid over each other, from their places in the same
-                 *     map or in one world. Default: yes.
+                 * @description With `to`: whether to register the two clouds, starting from their shared map or world
+                 *     coordinates. Default: `true`.
                  */
                 align?: boolean;
-                /** @description A version of the scene: what changed after it, as frames were added. Default: its first. */
+                /** @description Earlier version of the scene to compare with. Default: the first. */
                 since?: number;
-                /** @description Another scene of the same room: what is different there. Not together with `since`. */
+                /** @description Id of another scene of the same room to compare with. Cannot be combined with `since`. */
                 to?: string;
             };
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -9438,14 +9438,14 @@ export interface operations {
                     "application/json": components["schemas"]["SceneChanges"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -9454,7 +9454,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -9465,7 +9465,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -9485,7 +9485,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -9505,7 +9505,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -9514,7 +9514,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -9525,7 +9525,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -9545,7 +9545,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -9556,7 +9556,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -9567,7 +9567,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description It took longer than was allowed */
+            /** @description Timeout */
             504: {
                 headers: {
                     [name: string]: unknown;
@@ -9594,13 +9594,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -9609,21 +9610,21 @@ export interface operations {
                     "application/octet-stream": components["schemas"]["Binary"];
                 };
             };
-            /** @description The part that `Range` names */
+            /** @description The part requested by `Range` */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Where the object store has it, if the server sends callers there */
+            /** @description Redirect to the object store, if the server is configured for it */
             307: {
                 headers: {
                     location?: string;
@@ -9631,7 +9632,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -9640,7 +9641,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -9651,7 +9652,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -9671,7 +9672,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -9691,14 +9692,14 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The file has no such part */
+            /** @description The requested range does not exist */
             416: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -9707,7 +9708,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -9718,7 +9719,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -9729,7 +9730,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -9747,13 +9748,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -9762,14 +9764,14 @@ export interface operations {
                     "application/json": components["schemas"]["CorrectionList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -9778,7 +9780,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -9789,7 +9791,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -9809,7 +9811,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -9829,7 +9831,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -9838,7 +9840,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -9849,7 +9851,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -9860,7 +9862,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -9878,6 +9880,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
@@ -9888,7 +9891,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description Made */
+            /** @description Created */
             201: {
                 headers: {
                     [name: string]: unknown;
@@ -9897,7 +9900,7 @@ export interface operations {
                     "application/json": components["schemas"]["Correction"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -9917,7 +9920,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -9926,7 +9929,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -9937,7 +9940,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -9946,7 +9949,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -9957,7 +9960,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -9977,7 +9980,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -9986,7 +9989,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -9997,7 +10000,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -10026,7 +10029,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -10037,7 +10040,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -10057,7 +10060,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -10066,7 +10069,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -10077,7 +10080,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -10097,7 +10100,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10108,7 +10111,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -10127,13 +10130,14 @@ export interface operations {
             header?: never;
             path: {
                 correction_id: string;
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -10142,7 +10146,7 @@ export interface operations {
                     "application/json": components["schemas"]["Correction"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -10151,7 +10155,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -10162,7 +10166,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -10171,7 +10175,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -10182,7 +10186,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -10202,7 +10206,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -10222,7 +10226,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -10231,7 +10235,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -10242,7 +10246,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10253,7 +10257,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -10271,13 +10275,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -10286,21 +10291,21 @@ export interface operations {
                     "application/octet-stream": components["schemas"]["Binary"];
                 };
             };
-            /** @description The part that `Range` names */
+            /** @description The part requested by `Range` */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Where the object store has it, if the server sends callers there */
+            /** @description Redirect to the object store, if the server is configured for it */
             307: {
                 headers: {
                     location?: string;
@@ -10308,7 +10313,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -10317,7 +10322,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -10328,7 +10333,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -10348,7 +10353,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -10368,14 +10373,14 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The file has no such part */
+            /** @description The requested range does not exist */
             416: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -10384,7 +10389,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -10395,7 +10400,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10406,7 +10411,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -10422,23 +10427,24 @@ export interface operations {
     export_scene: {
         parameters: {
             query: {
-                /** @description Kind of file. */
+                /** @description File format. */
                 format: "glb" | "ply" | "usdz" | "json";
                 /**
-                 * @description Most points in the file: a larger cloud is thinned evenly, always to the same points. JSON
-                 *     has none.
+                 * @description Maximum number of points in the file. A larger cloud is thinned evenly and
+                 *     deterministically. Ignored for JSON.
                  */
                 points?: number;
             };
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -10450,14 +10456,14 @@ export interface operations {
                     "model/vnd.usdz+zip": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -10466,7 +10472,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -10477,7 +10483,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -10497,7 +10503,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -10517,7 +10523,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -10526,7 +10532,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -10537,7 +10543,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -10557,7 +10563,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10568,7 +10574,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -10579,7 +10585,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10590,7 +10596,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_down",
-                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "detail": "the vision-language model's server is down: the next attempt is in 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
@@ -10606,18 +10612,19 @@ export interface operations {
     get_floor: {
         parameters: {
             query?: {
-                /** @description Height of the robot, metres: what is higher above the floor is no obstacle. */
+                /** @description Height of the robot, meters. Anything higher is not an obstacle. */
                 height_m?: number;
             };
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -10626,14 +10633,14 @@ export interface operations {
                     "application/json": components["schemas"]["FloorMap"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -10642,7 +10649,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -10653,7 +10660,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -10673,7 +10680,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -10693,7 +10700,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -10702,7 +10709,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -10713,7 +10720,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -10733,7 +10740,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10744,7 +10751,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -10755,7 +10762,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10766,7 +10773,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_down",
-                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "detail": "the vision-language model's server is down: the next attempt is in 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
@@ -10782,18 +10789,19 @@ export interface operations {
     get_floor_picture: {
         parameters: {
             query?: {
-                /** @description Height of the robot, metres: what is higher above the floor is no obstacle. */
+                /** @description Height of the robot, meters. Anything higher is not an obstacle. */
                 height_m?: number;
             };
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -10802,14 +10810,14 @@ export interface operations {
                     "image/png": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -10818,7 +10826,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -10829,7 +10837,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -10849,7 +10857,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -10869,7 +10877,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -10878,7 +10886,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -10889,7 +10897,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -10909,7 +10917,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10920,7 +10928,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -10931,7 +10939,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -10942,7 +10950,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_down",
-                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "detail": "the vision-language model's server is down: the next attempt is in 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
@@ -10960,13 +10968,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -10975,14 +10984,14 @@ export interface operations {
                     "application/json": components["schemas"]["FrameList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -10991,7 +11000,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -11002,7 +11011,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -11022,7 +11031,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -11042,7 +11051,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -11051,7 +11060,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -11062,7 +11071,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -11073,7 +11082,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -11090,28 +11099,29 @@ export interface operations {
         parameters: {
             query?: {
                 /**
-                 * @description Whose coordinates the poses are in: those of the files the scene was made of (default), the
-                 *     scene's, or those of the map it lies in.
+                 * @description Frame of the poses: that of the scene's original files (default), the scene's own, or that
+                 *     of its map.
                  */
                 world?: ("scene" | "source" | "map") & Record<string, never>;
             };
             header?: {
-                /** @description The same key again returns what it led to */
+                /** @description A repeated key returns the result of the first request */
                 "Idempotency-Key"?: string | null;
             };
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
-        /** @description As for a new scene: an archive, or a form with one */
+        /** @description As for a new scene: an archive, or a form with an archive */
         requestBody: {
             content: {
                 "application/octet-stream": components["schemas"]["Binary"];
             };
         };
         responses: {
-            /** @description Taken; the work goes on in the background */
+            /** @description Accepted; the work continues in the background */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -11120,7 +11130,7 @@ export interface operations {
                     "application/json": components["schemas"]["Created"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -11140,7 +11150,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -11149,7 +11159,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -11160,7 +11170,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -11169,7 +11179,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -11180,7 +11190,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -11200,7 +11210,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -11209,7 +11219,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -11220,7 +11230,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -11249,7 +11259,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -11260,7 +11270,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -11269,7 +11279,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -11280,7 +11290,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -11300,7 +11310,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -11311,7 +11321,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -11331,7 +11341,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "storage_full",
-                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator to free space",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 507,
@@ -11347,19 +11357,20 @@ export interface operations {
     get_photograph: {
         parameters: {
             query?: {
-                /** @description With the instances it shows laid over it in their colours. */
+                /** @description Whether to overlay the visible instances in their colors. */
                 instances?: boolean;
             };
             header?: never;
             path: {
                 frame: number;
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -11369,14 +11380,14 @@ export interface operations {
                     "image/png": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -11385,7 +11396,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -11396,7 +11407,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -11416,7 +11427,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -11436,7 +11447,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -11445,7 +11456,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -11456,7 +11467,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -11476,7 +11487,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -11487,7 +11498,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -11504,24 +11515,28 @@ export interface operations {
         parameters: {
             query?: {
                 /**
-                 * @description An instance: it and what it stands in a relation to, alone, its parts and wholes among them
-                 *     whatever `level` says.
+                 * @description Id of an instance. Limits the graph to it and its related nodes, including its parts and
+                 *     wholes regardless of `level`.
                  */
                 around?: number;
-                /** @description JSON, `GraphML`, or lines of text for a language model. */
+                /** @description Format: JSON, `GraphML`, or lines of text for a language model. */
                 format?: "json" | "graphml" | "text";
-                /** @description Things and the building; besides these parts, wholes, or all of them. */
+                /**
+                 * @description Levels of the nodes: objects and building elements (default), additionally parts, wholes, or
+                 *     all.
+                 */
                 level?: "things" | "parts" | "wholes" | "all";
             };
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -11532,14 +11547,14 @@ export interface operations {
                     "text/plain": string;
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -11548,7 +11563,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -11559,7 +11574,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -11579,7 +11594,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -11599,7 +11614,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -11608,7 +11623,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -11619,7 +11634,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -11639,7 +11654,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -11650,7 +11665,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -11661,7 +11676,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -11672,7 +11687,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_down",
-                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "detail": "the vision-language model's server is down: the next attempt is in 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
@@ -11689,10 +11704,11 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The same key again returns the answer it got: a model is paid once, however often a question is sent */
+                /** @description A repeated key returns the first answer, so that a retry does not call the model again */
                 "Idempotency-Key"?: string | null;
             };
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
@@ -11703,10 +11719,10 @@ export interface operations {
             };
         };
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
-                    /** @description `true`: this answer was given before, under the same `Idempotency-Key` */
+                    /** @description `true` if the answer was stored earlier under the same `Idempotency-Key` */
                     "Idempotent-Replayed"?: string | null;
                     [name: string]: unknown;
                 };
@@ -11714,7 +11730,7 @@ export interface operations {
                     "application/json": components["schemas"]["Answer"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -11734,7 +11750,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -11743,7 +11759,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -11754,7 +11770,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The money for it is spent */
+            /** @description The spending limit is reached */
             402: {
                 headers: {
                     [name: string]: unknown;
@@ -11774,7 +11790,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -11783,7 +11799,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -11794,7 +11810,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -11814,7 +11830,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -11823,7 +11839,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -11834,7 +11850,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -11863,7 +11879,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -11874,7 +11890,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -11894,7 +11910,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -11903,7 +11919,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -11914,7 +11930,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -11934,7 +11950,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -11945,7 +11961,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -11965,7 +11981,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_unavailable",
-                     *       "detail": "the vision-language model could not be asked, in 5 attempts: it answered 500",
+                     *       "detail": "the vision-language model could not be reached in 5 attempts: it answered 500",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 502,
@@ -11976,7 +11992,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not now: again after `Retry-After` */
+            /** @description Temporarily unavailable: retry after `Retry-After` */
             503: {
                 headers: {
                     /** @description Seconds to wait */
@@ -11987,7 +12003,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_down",
-                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "detail": "the vision-language model's server is down: the next attempt is in 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
@@ -11998,7 +12014,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description It took longer than was allowed */
+            /** @description Timeout */
             504: {
                 headers: {
                     [name: string]: unknown;
@@ -12023,22 +12039,23 @@ export interface operations {
     list_instances: {
         parameters: {
             query?: {
-                /** @description `next_cursor` of the page before. */
+                /** @description `next_cursor` of the previous page. */
                 cursor?: number;
-                /** @description Things alone, their parts, wholes of several, or all of them. */
+                /** @description Levels to list: objects (default), parts, wholes, or all. */
                 level?: "things" | "parts" | "wholes" | "all";
-                /** @description Instances per page. */
+                /** @description Number of instances per page. */
                 limit?: number;
             };
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -12047,14 +12064,14 @@ export interface operations {
                     "application/json": components["schemas"]["InstanceList"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -12063,7 +12080,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -12074,7 +12091,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -12094,7 +12111,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -12114,7 +12131,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -12123,7 +12140,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -12134,7 +12151,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -12154,7 +12171,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -12165,7 +12182,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -12183,13 +12200,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -12198,21 +12216,21 @@ export interface operations {
                     "application/octet-stream": components["schemas"]["Binary"];
                 };
             };
-            /** @description The part that `Range` names */
+            /** @description The part requested by `Range` */
             206: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Where the object store has it, if the server sends callers there */
+            /** @description Redirect to the object store, if the server is configured for it */
             307: {
                 headers: {
                     location?: string;
@@ -12220,7 +12238,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -12229,7 +12247,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -12240,7 +12258,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -12260,7 +12278,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -12280,14 +12298,14 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The file has no such part */
+            /** @description The requested range does not exist */
             416: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -12296,7 +12314,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -12307,7 +12325,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -12318,7 +12336,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -12337,13 +12355,14 @@ export interface operations {
             header?: never;
             path: {
                 instance_id: number;
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -12352,14 +12371,14 @@ export interface operations {
                     "application/json": components["schemas"]["InstanceView"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -12368,7 +12387,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -12379,7 +12398,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -12399,7 +12418,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -12419,7 +12438,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -12428,7 +12447,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -12439,7 +12458,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -12450,7 +12469,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -12467,14 +12486,15 @@ export interface operations {
         parameters: {
             query?: {
                 /**
-                 * @description The full frame with the object outlined in a red box, or a crop of it with darker
-                 *     surroundings.
+                 * @description Kind of picture: the full frame with the object outlined and a red box (default), or a crop
+                 *     with darkened surroundings.
                  */
                 picture?: "frame" | "crop";
             };
             header?: never;
             path: {
                 instance_id: number;
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
                 /** @description `{k}.jpg`, k from 0 */
                 view: string;
@@ -12483,7 +12503,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -12492,14 +12512,14 @@ export interface operations {
                     "image/jpeg": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -12508,7 +12528,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -12519,7 +12539,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -12539,7 +12559,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -12559,7 +12579,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -12568,7 +12588,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -12579,7 +12599,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -12599,7 +12619,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -12610,7 +12630,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -12628,13 +12648,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description Taken; the work goes on in the background */
+            /** @description Accepted; the work continues in the background */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -12643,7 +12664,7 @@ export interface operations {
                     "application/json": components["schemas"]["Job"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -12652,7 +12673,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -12663,7 +12684,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -12672,7 +12693,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -12683,7 +12704,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -12703,7 +12724,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -12723,7 +12744,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -12732,7 +12753,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -12743,7 +12764,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -12754,7 +12775,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -12772,6 +12793,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
@@ -12782,7 +12804,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description Taken; the work goes on in the background */
+            /** @description Accepted; the work continues in the background */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -12791,7 +12813,7 @@ export interface operations {
                     "application/json": components["schemas"]["Job"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -12811,7 +12833,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -12820,7 +12842,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -12831,7 +12853,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -12840,7 +12862,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -12851,7 +12873,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -12871,7 +12893,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -12880,7 +12902,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -12900,7 +12922,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -12911,7 +12933,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -12931,7 +12953,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -12940,7 +12962,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -12951,7 +12973,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -12971,7 +12993,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -12982,7 +13004,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -13000,13 +13022,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -13015,7 +13038,7 @@ export interface operations {
                     "application/octet-stream": components["schemas"]["Binary"];
                 };
             };
-            /** @description The part that `Range` names */
+            /** @description The part requested by `Range` */
             206: {
                 headers: {
                     [name: string]: unknown;
@@ -13024,14 +13047,14 @@ export interface operations {
                     "application/octet-stream": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Where the object store has it, if the server sends callers there */
+            /** @description Redirect to the object store, if the server is configured for it */
             307: {
                 headers: {
                     location?: string;
@@ -13039,7 +13062,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -13048,7 +13071,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -13059,7 +13082,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -13079,7 +13102,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -13099,14 +13122,14 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The file has no such part */
+            /** @description The requested range does not exist */
             416: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -13115,7 +13138,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -13126,7 +13149,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -13137,7 +13160,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -13155,13 +13178,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -13170,14 +13194,14 @@ export interface operations {
                     "application/json": components["schemas"]["SceneReport"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -13186,7 +13210,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -13197,7 +13221,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -13217,7 +13241,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -13237,7 +13261,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -13246,7 +13270,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -13257,7 +13281,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -13268,7 +13292,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -13288,13 +13312,14 @@ export interface operations {
             path: {
                 /** @description `{name}.jpg` as listed in the report */
                 picture: string;
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -13303,14 +13328,14 @@ export interface operations {
                     "image/jpeg": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -13319,7 +13344,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -13330,7 +13355,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -13350,7 +13375,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -13370,7 +13395,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -13379,7 +13404,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -13390,7 +13415,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -13401,7 +13426,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -13419,6 +13444,7 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
@@ -13429,7 +13455,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -13438,7 +13464,7 @@ export interface operations {
                     "application/json": components["schemas"]["Shortlisted"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -13458,7 +13484,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -13467,7 +13493,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -13478,7 +13504,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -13487,7 +13513,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -13498,7 +13524,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -13518,7 +13544,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -13527,7 +13553,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -13538,7 +13564,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -13567,7 +13593,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -13578,7 +13604,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -13598,7 +13624,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -13607,7 +13633,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -13618,7 +13644,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -13638,7 +13664,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -13649,7 +13675,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -13667,13 +13693,14 @@ export interface operations {
             query?: never;
             header?: never;
             path: {
+                /** @description Id of the scene, or its name if no other scene has it */
                 scene_id: string;
             };
             cookie?: never;
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -13682,14 +13709,14 @@ export interface operations {
                     "image/jpeg": components["schemas"]["Binary"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -13698,7 +13725,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -13709,7 +13736,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -13729,7 +13756,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -13749,7 +13776,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -13758,7 +13785,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -13769,7 +13796,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -13780,7 +13807,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -13797,7 +13824,7 @@ export interface operations {
         parameters: {
             query?: never;
             header?: {
-                /** @description The same key again returns the scene it made */
+                /** @description A repeated key returns the scene of the first request */
                 "Idempotency-Key"?: string | null;
             };
             path?: never;
@@ -13809,7 +13836,7 @@ export interface operations {
             };
         };
         responses: {
-            /** @description Taken; the work goes on in the background */
+            /** @description Accepted; the work continues in the background */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -13818,7 +13845,7 @@ export interface operations {
                     "application/json": components["schemas"]["Created"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -13838,7 +13865,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -13847,7 +13874,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -13858,7 +13885,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -13867,7 +13894,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -13878,7 +13905,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -13898,7 +13925,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -13907,7 +13934,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -13927,7 +13954,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -13938,7 +13965,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -13958,7 +13985,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -13967,7 +13994,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -13978,7 +14005,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -13998,7 +14025,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -14009,7 +14036,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -14029,7 +14056,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "storage_full",
-                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator to free space",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 507,
@@ -14051,7 +14078,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Taken; the work goes on in the background */
+            /** @description Accepted; the work continues in the background */
             202: {
                 headers: {
                     [name: string]: unknown;
@@ -14060,7 +14087,7 @@ export interface operations {
                     "application/json": components["schemas"]["Created"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -14069,7 +14096,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -14080,7 +14107,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14089,7 +14116,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -14100,7 +14127,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -14109,7 +14136,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -14120,7 +14147,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -14131,7 +14158,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -14153,7 +14180,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -14162,14 +14189,14 @@ export interface operations {
                     "application/json": components["schemas"]["Stats"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -14178,7 +14205,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -14189,7 +14216,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -14198,7 +14225,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -14209,7 +14236,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -14220,7 +14247,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -14236,30 +14263,30 @@ export interface operations {
     create_upload: {
         parameters: {
             query?: {
-                /** @description What the file is called; its ending tells what its bytes do not. */
+                /** @description File name. Its extension identifies formats that the bytes do not. */
                 filename?: string;
-                /** @description Name of the scene; default: what the archive calls itself. */
+                /** @description Name of the scene. Default: the name in the archive. */
                 name?: string;
-                /** @description `false` only stores the scan. */
+                /** @description `false` stores the scan without parsing it. */
                 parse?: boolean;
-                /** @description Settings to parse with. */
+                /** @description Preset of the parse settings. */
                 preset?: "default" | "paper";
                 /**
-                 * @description The axis that points up in the files, for archives that do not say; default: the axis the
-                 *     cameras hold up.
+                 * @description Axis of the files that points up, for archives that do not state it. Default: the axis that
+                 *     the cameras hold up.
                  */
                 up?: "x" | "-x" | "y" | "-y" | "z" | "-z";
             };
             header: {
-                /** @description Uploads under the same key become one scene */
+                /** @description Uploads with the same key create one scene */
                 "Idempotency-Key"?: string | null;
-                /** @description The version of tus */
+                /** @description Version of tus */
                 "Tus-Resumable": "1.0.0";
-                /** @description Of the bytes that come with it: `sha1` or `sha256`, a space, base64 */
+                /** @description Checksum of the body: `sha1` or `sha256`, a space, base64 */
                 "Upload-Checksum"?: string | null;
-                /** @description Bytes of the whole */
+                /** @description Total number of bytes */
                 "Upload-Length": number;
-                /** @description `filename`, `name`, `parse`, `up`, `preset`, their texts in base64 */
+                /** @description `filename`, `name`, `parse`, `up`, `preset`, with values in base64 */
                 "Upload-Metadata"?: string | null;
             };
             path?: never;
@@ -14267,14 +14294,14 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Made */
+            /** @description Created */
             201: {
                 headers: {
-                    /** @description The upload */
+                    /** @description URL of the upload */
                     Location?: string;
-                    /** @description When it is removed unless more of it comes */
+                    /** @description Time when the upload expires without further bytes */
                     "Upload-Expires"?: string;
-                    /** @description Bytes that are there */
+                    /** @description Number of received bytes */
                     "Upload-Offset"?: number;
                     [name: string]: unknown;
                 };
@@ -14282,7 +14309,7 @@ export interface operations {
                     "application/json": components["schemas"]["Upload"];
                 };
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -14302,7 +14329,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -14311,7 +14338,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -14322,7 +14349,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14331,7 +14358,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -14342,7 +14369,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -14351,7 +14378,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -14362,7 +14389,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another version of tus */
+            /** @description Unsupported version of tus */
             412: {
                 headers: {
                     [name: string]: unknown;
@@ -14371,7 +14398,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "tus_version_unknown",
-                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "detail": "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 412,
@@ -14391,7 +14418,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -14402,7 +14429,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -14411,7 +14438,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -14422,7 +14449,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -14442,7 +14469,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -14453,7 +14480,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -14464,7 +14491,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The checksum is of other bytes */
+            /** @description The checksum does not match */
             460: {
                 headers: {
                     [name: string]: unknown;
@@ -14493,7 +14520,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "storage_full",
-                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator to free space",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 507,
@@ -14515,22 +14542,22 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Versions, extensions and the largest upload, in headers */
+            /** @description Versions, extensions and the maximum size, in headers */
             204: {
                 headers: {
-                    /** @description Checksums that are known here */
+                    /** @description Supported checksum algorithms */
                     "Tus-Checksum-Algorithm"?: string;
-                    /** @description Its extensions that are known here */
+                    /** @description Supported extensions */
                     "Tus-Extension"?: string;
-                    /** @description Bytes of the largest upload */
+                    /** @description Maximum size of an upload, bytes */
                     "Tus-Max-Size"?: number;
-                    /** @description Versions of tus */
+                    /** @description Supported versions of tus */
                     "Tus-Version"?: string;
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -14539,7 +14566,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -14550,7 +14577,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14559,7 +14586,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -14570,7 +14597,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -14579,7 +14606,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -14590,7 +14617,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -14601,7 +14628,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -14625,7 +14652,7 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description As asked for */
+            /** @description Success */
             200: {
                 headers: {
                     [name: string]: unknown;
@@ -14634,14 +14661,14 @@ export interface operations {
                     "application/json": components["schemas"]["Upload"];
                 };
             };
-            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            /** @description Not modified since the `ETag` in `If-None-Match` */
             304: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -14650,7 +14677,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -14661,7 +14688,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14670,7 +14697,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -14681,7 +14708,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -14701,7 +14728,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description It is over */
+            /** @description No longer available */
             410: {
                 headers: {
                     [name: string]: unknown;
@@ -14710,7 +14737,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "upload_expired",
-                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 has expired: begin a new one",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 410,
@@ -14721,7 +14748,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -14730,7 +14757,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -14741,7 +14768,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -14752,7 +14779,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -14769,11 +14796,11 @@ export interface operations {
         parameters: {
             query?: never;
             header: {
-                /** @description The version of tus */
+                /** @description Version of tus */
                 "Tus-Resumable": "1.0.0";
-                /** @description Of this part: `sha1` or `sha256`, a space, base64 */
+                /** @description Checksum of this part: `sha1` or `sha256`, a space, base64 */
                 "Upload-Checksum"?: string | null;
-                /** @description Bytes that are there already */
+                /** @description Current offset of the upload */
                 "Upload-Offset"?: number | null;
                 /** @description `PATCH` or `DELETE` */
                 "X-HTTP-Method-Override": string;
@@ -14789,14 +14816,14 @@ export interface operations {
             };
         };
         responses: {
-            /** @description As that method answers */
+            /** @description As for the selected method */
             204: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -14816,7 +14843,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -14825,7 +14852,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -14836,7 +14863,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -14845,7 +14872,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -14856,7 +14883,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -14876,7 +14903,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -14885,7 +14912,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -14896,7 +14923,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
                     [name: string]: unknown;
@@ -14916,7 +14943,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description It is over */
+            /** @description No longer available */
             410: {
                 headers: {
                     [name: string]: unknown;
@@ -14925,7 +14952,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "upload_expired",
-                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 has expired: begin a new one",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 410,
@@ -14936,7 +14963,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another version of tus */
+            /** @description Unsupported version of tus */
             412: {
                 headers: {
                     [name: string]: unknown;
@@ -14945,7 +14972,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "tus_version_unknown",
-                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "detail": "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 412,
@@ -14965,7 +14992,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -14976,7 +15003,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -14996,7 +15023,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -15005,7 +15032,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -15016,7 +15043,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -15036,7 +15063,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Somebody is at work on it */
+            /** @description Locked by another request */
             423: {
                 headers: {
                     [name: string]: unknown;
@@ -15045,7 +15072,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "upload_busy",
-                     *       "detail": "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 is in use: another request sends to it, or a scene is being made of it. Ask for its offset later",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 423,
@@ -15056,7 +15083,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -15067,7 +15094,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -15078,7 +15105,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The checksum is of other bytes */
+            /** @description The checksum does not match */
             460: {
                 headers: {
                     [name: string]: unknown;
@@ -15107,7 +15134,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "storage_full",
-                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator to free space",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 507,
@@ -15124,7 +15151,7 @@ export interface operations {
         parameters: {
             query?: never;
             header: {
-                /** @description The version of tus */
+                /** @description Version of tus */
                 "Tus-Resumable": "1.0.0";
             };
             path: {
@@ -15141,7 +15168,7 @@ export interface operations {
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -15150,7 +15177,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -15161,7 +15188,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -15170,7 +15197,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -15181,7 +15208,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -15201,7 +15228,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description It is over */
+            /** @description No longer available */
             410: {
                 headers: {
                     [name: string]: unknown;
@@ -15210,7 +15237,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "upload_expired",
-                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 has expired: begin a new one",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 410,
@@ -15221,7 +15248,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another version of tus */
+            /** @description Unsupported version of tus */
             412: {
                 headers: {
                     [name: string]: unknown;
@@ -15230,7 +15257,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "tus_version_unknown",
-                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "detail": "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 412,
@@ -15241,7 +15268,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -15250,7 +15277,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -15261,7 +15288,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Somebody is at work on it */
+            /** @description Locked by another request */
             423: {
                 headers: {
                     [name: string]: unknown;
@@ -15270,7 +15297,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "upload_busy",
-                     *       "detail": "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 is in use: another request sends to it, or a scene is being made of it. Ask for its offset later",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 423,
@@ -15281,7 +15308,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -15292,7 +15319,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -15309,7 +15336,7 @@ export interface operations {
         parameters: {
             query?: never;
             header: {
-                /** @description The version of tus */
+                /** @description Version of tus */
                 "Tus-Resumable": "1.0.0";
             };
             path: {
@@ -15319,61 +15346,61 @@ export interface operations {
         };
         requestBody?: never;
         responses: {
-            /** @description Where to go on */
+            /** @description The current offset */
             200: {
                 headers: {
-                    /** @description The job that parses the scene */
+                    /** @description Id of the parse job */
                     "uniground-job-id"?: string;
-                    /** @description The scene it has become */
+                    /** @description Id of the created scene */
                     "uniground-scene-id"?: string;
-                    /** @description When it is removed unless more of it comes */
+                    /** @description Time when the upload expires without further bytes */
                     "Upload-Expires"?: string;
-                    /** @description Bytes of the whole */
+                    /** @description Total number of bytes */
                     "Upload-Length"?: number;
-                    /** @description As it came */
+                    /** @description The unchanged metadata */
                     "Upload-Metadata"?: string;
-                    /** @description Bytes that are there */
+                    /** @description Number of received bytes */
                     "Upload-Offset"?: number;
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description There is no such upload */
+            /** @description Upload not found */
             404: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description It was not gone on with for too long */
+            /** @description The upload has expired */
             410: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description Another version of tus */
+            /** @description Unsupported version of tus */
             412: {
                 headers: {
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -15382,7 +15409,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -15393,7 +15420,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -15408,11 +15435,11 @@ export interface operations {
         parameters: {
             query?: never;
             header: {
-                /** @description The version of tus */
+                /** @description Version of tus */
                 "Tus-Resumable": "1.0.0";
-                /** @description Of this part: `sha1` or `sha256`, a space, base64 */
+                /** @description Checksum of this part: `sha1` or `sha256`, a space, base64 */
                 "Upload-Checksum"?: string | null;
-                /** @description Bytes that are there already */
+                /** @description Current offset of the upload */
                 "Upload-Offset": number;
             };
             path: {
@@ -15426,22 +15453,22 @@ export interface operations {
             };
         };
         responses: {
-            /** @description It is on the disk */
+            /** @description The bytes are stored */
             204: {
                 headers: {
-                    /** @description The job that parses the scene */
+                    /** @description Id of the parse job */
                     "uniground-job-id"?: string;
-                    /** @description The scene it has become */
+                    /** @description Id of the created scene */
                     "uniground-scene-id"?: string;
-                    /** @description When it is removed unless more of it comes */
+                    /** @description Time when the upload expires without further bytes */
                     "Upload-Expires"?: string;
-                    /** @description Bytes that are there */
+                    /** @description Number of received bytes */
                     "Upload-Offset"?: number;
                     [name: string]: unknown;
                 };
                 content?: never;
             };
-            /** @description The body can not be read */
+            /** @description The body cannot be parsed */
             400: {
                 headers: {
                     [name: string]: unknown;
@@ -15461,7 +15488,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description No key, or one that is not known (any more) */
+            /** @description The API key is missing or invalid */
             401: {
                 headers: {
                     [name: string]: unknown;
@@ -15470,7 +15497,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "unauthorized",
-                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "detail": "this server requires an API key: send the header Authorization: Bearer <key>",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 401,
@@ -15481,7 +15508,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The key may not do this */
+            /** @description The key lacks the required scope */
             403: {
                 headers: {
                     [name: string]: unknown;
@@ -15490,7 +15517,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "scope_missing",
-                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "detail": "this key has the scope \"read\", but this request requires \"write\"",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 403,
@@ -15501,7 +15528,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description There is no such thing */
+            /** @description Not found */
             404: {
                 headers: {
                     [name: string]: unknown;
@@ -15521,7 +15548,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The body comes too slowly */
+            /** @description The body arrives too slowly */
             408: {
                 headers: {
                     [name: string]: unknown;
@@ -15530,7 +15557,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_slow",
-                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "detail": "a JSON body must arrive within 20 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 408,
@@ -15541,10 +15568,10 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Not as things are now */
+            /** @description Conflict with the current state */
             409: {
                 headers: {
-                    /** @description Where to go on */
+                    /** @description The current offset */
                     "Upload-Offset"?: number;
                     [name: string]: unknown;
                 };
@@ -15563,7 +15590,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description It is over */
+            /** @description No longer available */
             410: {
                 headers: {
                     [name: string]: unknown;
@@ -15572,7 +15599,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "upload_expired",
-                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 has expired: begin a new one",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 410,
@@ -15583,7 +15610,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another version of tus */
+            /** @description Unsupported version of tus */
             412: {
                 headers: {
                     [name: string]: unknown;
@@ -15592,7 +15619,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "tus_version_unknown",
-                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "detail": "resumable uploads use tus 1.0: send the header Tus-Resumable: 1.0.0",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 412,
@@ -15612,7 +15639,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "body_too_large",
-                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "detail": "a JSON body must have at most 1048576 bytes",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 413,
@@ -15623,7 +15650,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Another content type is wanted */
+            /** @description Unsupported content type */
             415: {
                 headers: {
                     [name: string]: unknown;
@@ -15643,7 +15670,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The server is called by a name that is not its own */
+            /** @description The Host header is not allowed */
             421: {
                 headers: {
                     [name: string]: unknown;
@@ -15652,7 +15679,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "host_not_allowed",
-                     *       "detail": "this server is not evil.example",
+                     *       "detail": "the host name evil.example is not allowed: start the server with --allowed-host, or use an API key",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
@@ -15663,7 +15690,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description A field or parameter makes no sense */
+            /** @description A field or parameter is invalid */
             422: {
                 headers: {
                     [name: string]: unknown;
@@ -15683,7 +15710,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Somebody is at work on it */
+            /** @description Locked by another request */
             423: {
                 headers: {
                     [name: string]: unknown;
@@ -15692,7 +15719,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "upload_busy",
-                     *       "detail": "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 is in use: another request sends to it, or a scene is being made of it. Ask for its offset later",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 423,
@@ -15703,7 +15730,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description Too much at once: again after `Retry-After` */
+            /** @description Too many requests: retry after `Retry-After` */
             429: {
                 headers: {
                     /** @description Seconds to wait */
@@ -15714,7 +15741,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "rate_limited",
-                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "detail": "this key has reached its rate limit: try again in 12 s",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
@@ -15725,7 +15752,7 @@ export interface operations {
                     "application/problem+json": components["schemas"]["Problem"];
                 };
             };
-            /** @description The checksum is of other bytes */
+            /** @description The checksum does not match */
             460: {
                 headers: {
                     [name: string]: unknown;
@@ -15754,7 +15781,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "storage_full",
-                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator to free space",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 507,
