@@ -347,7 +347,7 @@ fn a_run_without_scores_fails_with_a_reason() {
     assert_eq!(output.status.code(), Some(1));
     let told = to_text(&output.stderr);
     assert!(
-        told.contains("1 of 1 expressions left out") && told.contains("nothing was scored"),
+        told.contains("1 of 1 expressions skipped") && told.contains("nothing was scored"),
         "{told}"
     );
 }

@@ -108,7 +108,7 @@ fn invalid_uploads() -> Vec<Case> {
             .concat(),
             400,
             "malformed_form",
-            "before its file",
+            "no file within the first",
         ),
         (
             "a form without a file",

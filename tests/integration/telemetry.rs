@@ -471,7 +471,7 @@ async fn a_model_that_is_down_is_reported_and_the_server_stays_ready() {
     assert_eq!(answer.usage.vlm_calls, 2);
     tokio::time::sleep(Duration::from_millis(1100)).await;
     assert_eq!(fetch_readiness(&server).await.1.vlm.as_deref(), Some("ok"));
-    server.client.ground("none", &ask(query)).await.unwrap_err();
+    server.client.ground("01a204e6-089a-7381-b0fc-2e7c672de513", &ask(query)).await.unwrap_err();
     let items =
         serde_json::json!({"items": [{"scene_id": scene, "query": query, "reasoner": "builtin"}]});
     let batch =
