@@ -19,12 +19,13 @@ files=(
 out=target/mutants
 mkdir -p $out
 "$tools/bin/cargo-mutants" mutants --workspace "${files[@]/#/--file=}" --shard "$shard" \
-    --sharding round-robin --baseline skip --timeout 120 --no-shuffle --output $out \
+    --sharding round-robin --baseline skip --timeout 300 --no-shuffle --output $out \
     -- --lib || [ $? -lt 4 ]
 python3 - $out/mutants.out/outcomes.json "$shard" <<'EOF'
 import json, sys
 found = json.load(open(sys.argv[1]))
 caught, missed = found["caught"] + found["timeout"], found["missed"]
 print(f"shard {sys.argv[2]}: {caught} of {caught + missed} changes noticed by unit tests "
-      f"({100 * caught / max(caught + missed, 1):.1f} %), {found['unviable']} did not compile")
+      f"({100 * caught / max(caught + missed, 1):.1f} %), {found['timeout']} of them by a timeout; "
+      f"{found['unviable']} did not compile")
 EOF
