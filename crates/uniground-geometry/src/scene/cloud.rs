@@ -9,6 +9,7 @@ pub struct PointCloud {
     /// Coordinates, meters, Z up.
     pub positions: Vec<Point3<f32>>,
     /// 8-bit sRGB.
+    #[serde(rename = "colours")]
     pub colors: Vec<[u8; 3]>,
 }
 

@@ -15,10 +15,12 @@ pub struct FrameRef {
     /// Position in the scan's own list, from 0; skipped frames leave gaps.
     pub index: FrameIndex,
     /// Path of the color picture.
+    #[serde(rename = "colour")]
     pub color: Utf8PathBuf,
     /// Path of the depth picture: 16-bit gray, or floats.
     pub depth: Utf8PathBuf,
     /// At the resolution of the color picture.
+    #[serde(rename = "colour_intrinsics")]
     pub color_intrinsics: Intrinsics,
     /// At the resolution of the depth picture. If the depth camera is beside the color camera:
     /// those of the depth picture reprojected into the color camera.
@@ -327,4 +329,23 @@ pub fn stream_frames<T: Send, E: Send>(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames are stored as JSON with every parse: a renamed field would make stored parses
+    /// unreadable.
+    #[test]
+    fn stored_frames_keep_their_field_names() {
+        let intrinsics = r#"{"width":4,"height":3,"fx":2.0,"fy":2.0,"cx":1.5,"cy":1.0}"#;
+        let pose = r#"{"rotation":[0.0,0.0,0.0,1.0],"translation":[1.0,2.0,3.0]}"#;
+        let stored = format!(
+            r#"{{"index":7,"colour":"color/7.jpg","depth":"depth/7.png","colour_intrinsics":{intrinsics},"depth_intrinsics":{intrinsics},"depth_scale_m":0.001,"camera_to_world":{pose},"optics":{{"colour_lens":null,"depth_lens":null,"depth_sensor":null,"confidence":null}}}}"#
+        );
+        let frame: FrameRef = serde_json::from_str(&stored).unwrap();
+        assert_eq!((frame.index, frame.color.as_str()), (FrameIndex(7), "color/7.jpg"));
+        assert_eq!(serde_json::to_string(&frame).unwrap(), stored);
+    }
 }

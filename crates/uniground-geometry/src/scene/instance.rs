@@ -28,6 +28,7 @@ pub struct Instance {
     /// Mean 8-bit sRGB.
     pub mean_rgb: [u8; 3],
     /// Shares of the color names among its points.
+    #[serde(rename = "colours")]
     pub colors: ColorHistogram,
     /// Share of the points within 3 cm of the best plane, `0..=1`.
     pub planarity: f32,

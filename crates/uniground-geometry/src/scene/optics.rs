@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
     /// Lens of the color camera; `None`: the picture is rectified.
+    #[serde(rename = "colour_lens")]
     pub color_lens: Option<Lens>,
     /// Lens of the depth camera; `None`: the picture is rectified.
     pub depth_lens: Option<Lens>,
@@ -44,6 +45,7 @@ pub struct DepthSensor {
     /// Intrinsics of the depth picture in the file, pixels.
     pub intrinsics: Intrinsics,
     /// Transform from the depth camera's axes to the color camera's (both OpenCV), meters.
+    #[serde(rename = "depth_to_colour")]
     pub depth_to_color: Isometry3<f32>,
 }
 
