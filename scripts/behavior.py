@@ -31,7 +31,7 @@ from pathlib import Path
 from string import Template
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-ROOMS = Path("/work/shared/scenes")
+ROOMS = REPOSITORY.parent / "shared/scenes"
 QUESTIONS = 40  # most to ask in a room
 PATIENCE_S = 1800
 MOST_SHOWN = 30  # differences of one entry
