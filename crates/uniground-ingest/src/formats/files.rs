@@ -111,15 +111,14 @@ impl FolderListing {
 
     /// Describes the folder's content for people.
     pub fn describe(&self) -> String {
+        let shown = self.names.iter().take(8).cloned().collect::<Vec<_>>().join(", ");
         // The most common misunderstanding: what a camera alone writes.
         if !self.names.is_empty() && self.names.iter().all(|name| is_picture(name)) {
             return format!(
-                "{} pictures and nothing else. Depth pictures and camera poses are needed too: \
-                 export the scan, not its photographs",
-                self.names.len()
+                "only pictures ({shown}). Depth pictures and camera poses are needed too: export \
+                 the scan, not its photographs"
             );
         }
-        let shown = self.names.iter().take(8).cloned().collect::<Vec<_>>().join(", ");
         match self.names.len() {
             0 => "nothing".into(),
             n if n > 8 => format!("{shown} and {} more", n - 8),
