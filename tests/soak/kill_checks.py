@@ -102,14 +102,16 @@ def judge_batch_job(table, batch):
         table.note(f"put off {what}")
 
 
-def judge(table, storm, told, expected, parses, data):
+def judge(table, storm, told, expected, parses, data, full):
     """Checks the batch, its cost, uploads and jobs."""
     number = len(storm.items)
     number_of = {item["query"]: at for at, item in enumerate(storm.items)}
     kinds = collections.Counter(life.moment for life in storm.lives)
     table.row("moments", ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items())))
     working = sum(0 < life.open_items < number for life in storm.lives)
-    table.row("kills while the batch was running", f"{working} of {len(storm.lives)}", "more than half", 2 * working > len(storm.lives))
+    # A busy machine may start slowly: five kills can all come before the batch runs.
+    wanted, held = ("more than half", 2 * working > len(storm.lives)) if full else ("for information", True)
+    table.row("kills while the batch was running", f"{working} of {len(storm.lives)}", wanted, held)
 
     table.row("the batch", f"{told.batch['state']}, {told.batch['done']} of {number} done",
               "succeeded", (told.batch["state"], told.batch["done"]) == ("succeeded", number))

@@ -251,7 +251,7 @@ def run(program, folder, full, kills=None):
     table.row("kills", f"{storm_s:.0f} s; the end {time.time() - start:.0f} s")
     model.shutdown()
     kill_checks.judge_batch_job(table, batch)
-    kill_checks.judge(table, storm, told, expected, parses, folder / "storm")
+    kill_checks.judge(table, storm, told, expected, parses, folder / "storm", full)
     numbers, examples = log_lines(folder / "storm.log", ("WARN", "ERROR"))
     # The model always answers and the disk has space, so no job has a reason to fail.
     table.equal("tries of jobs that failed, by the log", numbers["job failed"], 0)
