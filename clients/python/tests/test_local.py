@@ -80,7 +80,9 @@ def test_the_server_ends_with_the_program(end: str) -> None:
 def test_an_interrupt_does_not_stop_the_server() -> None:
     """As a notebook interrupts a cell: all processes of the group get the signal."""
     script = (
-        "import os, signal\nfrom uniground import Client\nclient = Client.local()\n"
+        "import os, signal\nfrom uniground import Client\n"
+        # A shell starts background jobs with this signal ignored.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\nclient = Client.local()\n"
         "try:\n    os.killpg(0, signal.SIGINT)\n    signal.pause()\nexcept KeyboardInterrupt:\n    print(len([*client.scenes()]))"
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, start_new_session=True)
