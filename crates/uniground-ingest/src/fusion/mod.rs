@@ -128,7 +128,8 @@ mod tests {
             (folder.join(format!("{index}.png")), folder.join(format!("{index}-depth.png")));
         RgbImage::from_pixel(SIZE, SIZE, image::Rgb([10, 200, 30])).save(&color).unwrap();
         let shake = |u: u32, v: u32| {
-            (u * 7919 + v * 104_729 + index * 31_337) * 2_654_435 % (2 * noise_mm + 1)
+            let mixed = (u * 7919 + v * 104_729 + index * 31_337).wrapping_mul(2_654_435);
+            mixed % (2 * noise_mm + 1)
         };
         let picture = ImageBuffer::<Luma<u16>, _>::from_fn(SIZE, SIZE, |u, v| {
             Luma([(depth_mm(u, v) + shake(u, v) - noise_mm) as u16])
