@@ -44,7 +44,9 @@ pub enum BadWebhook {
         "{0} is an address of this machine or its own network: say --webhook-allow-private where that is meant"
     )]
     Private(String),
-    #[error("the secret is base64 of at least {MIN_SECRET_BYTES} bytes, after whsec_")]
+    #[error(
+        "the webhook secret must be `whsec_` followed by at least {MIN_SECRET_BYTES} bytes in base64"
+    )]
     Secret,
     #[error("a client for webhooks")]
     Client(#[from] reqwest::Error),
