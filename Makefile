@@ -4,9 +4,9 @@ PYTHON ?= python3
 
 .PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation
 
-demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
-	$(CARGO) build --release --locked
-	./target/release/uniground demo
+demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/ (a build that is ready sooner, in target/demo)
+	$(CARGO) build --profile demo --locked
+	./target/demo/uniground demo
 
 serve: ## Run the service on http://127.0.0.1:8080 with its data in ./data; fetches models once (without a network it goes on without)
 	$(CARGO) build --release --locked

@@ -15,7 +15,8 @@ use utoipa::openapi::{Content, Header, Ref, RefOr, Response, ResponseBuilder, Sc
         description = "3D visual grounding as a service: upload a scan of a room, ask in plain words, get the object's 3D box. \
             Lengths are in meters in a right-handed world frame with Z up. \
             Boxes have a center and a full extent. \
-            Errors are RFC 9457 problem details with a stable `code`."
+            Errors are RFC 9457 problem details with a stable `code`. \
+            [Back to the rooms](/)."
     ),
     servers((url = "/", description = "This server")),
     tags(

@@ -132,6 +132,8 @@ impl From<Error> for ProblemResponse {
             Error::Overloaded | Error::TooMany { .. } | Error::UploadBusy { .. } => {
                 problem.retry_after_s = Some(1);
             }
+            // An upload ends within minutes, or expires.
+            Error::TooManyUploads { .. } => problem.retry_after_s = Some(60),
             Error::VlmDown { again_in_s } => problem.retry_after_s = u32::try_from(again_in_s).ok(),
             _ if status == StatusCode::SERVICE_UNAVAILABLE => problem.retry_after_s = Some(2),
             Error::Jobs(JobsError::QueueFull { again_in_s, .. }) => {

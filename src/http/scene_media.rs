@@ -13,6 +13,18 @@ use uniground_service::EvidenceFile;
 use uniground_types::scene::FrameList;
 use utoipa::IntoParams;
 
+/// Whether a draft is accepted.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct PointsParameters {
+    /// `true` returns the imported cloud while the first parse runs. Its points have no objects
+    /// yet.
+    #[serde(default)]
+    #[param(default = false)]
+    draft: bool,
+}
+
 /// Returns the cloud of the current parse in a compact format for viewers. Points are ordered so
 /// that every prefix is an even sample: a part (`Range: bytes=0-2400031` for 200,000 points) can be
 /// shown.
@@ -22,7 +34,7 @@ use utoipa::IntoParams;
 /// origin + step x number), red, green, blue (u8), and the id of its object (three bytes, 0 for
 /// none).
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/points.bin", operation_id = "get_points", tag = "scenes", params(("scene_id" = String, Path)),
+    get, path = "/v1/scenes/{scene_id}/points.bin", operation_id = "get_points", tag = "scenes", params(("scene_id" = String, Path), PointsParameters),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 206, description = "The part requested by `Range`", body = Binary, content_type = "application/octet-stream"),
@@ -34,14 +46,15 @@ use utoipa::IntoParams;
 pub async fn points(
     State(app): State<App>,
     ScenePath(scene_id): ScenePath<String>,
+    Query(PointsParameters { draft }): Query<PointsParameters>,
     request_headers: HeaderMap,
 ) -> Result<Response, ProblemResponse> {
-    send_download(
-        app.services.media.points(&scene_id).await?,
-        "application/octet-stream",
-        &request_headers,
-    )
-    .await
+    let media = &app.services.media;
+    let points = match draft {
+        true => media.points_or_draft(&scene_id).await?,
+        false => media.points(&scene_id).await?,
+    };
+    send_download(points, "application/octet-stream", &request_headers).await
 }
 
 /// Returns a picture of the current parse from above, 320 x 240 pixels.

@@ -4,15 +4,16 @@ use crate::test_scans::Scan;
 use crate::test_server::{
     TestServer, ask, assert_contains, expect_problem, upload_and_parse, wait_for_job,
 };
-use reqwest::Method;
+use reqwest::{Method, StatusCode};
 use serde_json::json;
 use std::fs;
+use uniground_client::Client;
 use uniground_core::grounding::Status;
 use uniground_core::scene::{InstanceId, Level};
 use uniground_storage::JobState;
 use uniground_types::instances::Levels;
 use uniground_types::question::ShortlistRequest;
-use uniground_types::scenes::{SceneReport, SceneStatus};
+use uniground_types::scenes::{Created, SceneReport, SceneStatus};
 
 #[tokio::test]
 async fn a_scan_is_uploaded_parsed_and_queried() {
@@ -316,27 +317,56 @@ async fn the_report_covers_every_stage_with_pictures() {
     server.stop().await;
 }
 
-#[tokio::test]
-async fn a_restarted_job_resumes_where_it_was_cancelled() {
-    let server = TestServer::start().await;
+/// Uploads the sample scan, and cancels its parse when frames are processed: earlier stages are
+/// then done.
+async fn cancel_a_parse_of_frames(client: &Client) -> Created {
     let sample =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
-    let created = server.client.create_scene(None, "application/zip", sample).await.unwrap();
-    let id = created.job.unwrap().id;
-    // Wait until frames are processed; the stages before are then done.
+    let created = client.create_scene(None, "application/zip", sample).await.unwrap();
+    let id = &created.job.as_ref().unwrap().id;
     loop {
-        let job = server.client.job(&id).await.unwrap();
+        let job = client.job(id).await.unwrap();
         assert!(!job.state.is_final(), "the parse was over before it could be cancelled: {job:?}");
         if job.stage.as_deref() == Some("masks_and_lifting") {
             break;
         }
     }
-    server.client.cancel_job(&id).await.unwrap();
-    assert_eq!(wait_for_job(&server.client, &id).await.state, JobState::Cancelled);
+    client.cancel_job(id).await.unwrap();
+    assert_eq!(wait_for_job(client, id).await.state, JobState::Cancelled);
+    created
+}
+
+#[tokio::test]
+async fn a_restarted_job_resumes_where_it_was_cancelled() {
+    let server = TestServer::start().await;
+    let created = cancel_a_parse_of_frames(&server.client).await;
     let job = server.client.parse(&created.scene.id, &json!({})).await.unwrap();
     assert_eq!(wait_for_job(&server.client, &job.id).await.state, JobState::Succeeded);
     let report = server.client.report(&created.scene.id).await.unwrap();
     assert_eq!(reused_stages(&report)[..2], ["import", "superpoints"]);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn the_imported_cloud_is_available_as_a_draft() {
+    let server = TestServer::start().await;
+    let scene = cancel_a_parse_of_frames(&server.client).await.scene;
+    let points = async |query: &str| {
+        let path = format!("v1/scenes/{}/points.bin{query}", scene.id);
+        server.client.request(Method::GET, &path).send().await.unwrap()
+    };
+    assert_eq!(points("").await.status(), StatusCode::CONFLICT);
+    let draft = points("?draft=true").await.bytes().await.unwrap();
+    let count = u32::from_le_bytes(draft[4..8].try_into().unwrap()) as usize;
+    assert_eq!((&draft[..4], draft.len()), (&b"UGP1"[..], 32 + 12 * count));
+    assert!(count > 10_000, "{count} points");
+    assert!(draft[32..].chunks(12).all(|point| point[9..] == [0; 3]), "a point has an object");
+
+    let job = server.client.parse(&scene.id, &json!({})).await.unwrap();
+    assert_eq!(wait_for_job(&server.client, &job.id).await.state, JobState::Succeeded);
+    let parsed = points("").await.bytes().await.unwrap();
+    assert_eq!(points("?draft=true").await.bytes().await.unwrap(), parsed);
+    assert!(parsed[32..].chunks(12).any(|point| point[9..] != [0; 3]));
     server.stop().await;
 }
 

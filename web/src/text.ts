@@ -173,6 +173,7 @@ export const t = {
     newName: "New name",
     status: { uploaded: "not parsed", parsing: "getting ready", ready: "ready", failed: "failed" },
     parse: "Parse it",
+    draftCanvas: "The room as it was scanned. Drag to turn it.",
     draft: "Getting the room ready. It appears here as soon as it is done.",
     notParsed: "This scan has not been parsed. Parse it to find the objects in it.",
     steps: ["Read the scan", "Group points", "Find objects in the photos", "Join them into 3D objects", "Name the objects"],

@@ -63,6 +63,8 @@ test("the sample room is one click away, and is entered while it is parsed", asy
   // A question that is asked meanwhile is answered when the room is there.
   await page.getByRole("button", { name: "the orange stool" }).click();
   await page.getByText(/“the orange stool” is asked as soon as/).waitFor();
+  // The scan can be looked at meanwhile, unless the parse is faster than the browser.
+  await page.locator('[data-draft="true"]').or(page.getByRole("article", { name: "Answer" })).first().waitFor();
   await keep(page, "waiting");
   await page.getByRole("article", { name: "Answer" }).getByText("orange stool").first().waitFor({ timeout: 90_000 });
   await drawn(page);

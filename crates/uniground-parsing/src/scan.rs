@@ -9,7 +9,7 @@ use crate::{ParseError, Perception, StageOutcome, Stopwatch};
 use camino::Utf8Path;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{
-    FrameRef, ImportReport, ParsedScene, SceneBundle, SourceToScene, stream_frames,
+    FrameRef, ImportReport, ParsedScene, PointCloud, SceneBundle, SourceToScene, stream_frames,
 };
 use uniground_ingest::{GrownScan, IngestError, part_folder};
 use uniground_models::attributes;
@@ -127,6 +127,12 @@ impl ImportedScan {
     #[must_use]
     pub fn stages(&self) -> &[StageReport] {
         &self.stages
+    }
+
+    /// The cloud of the scan's first upload, before any instance is found.
+    #[must_use]
+    pub fn cloud(&self) -> &PointCloud {
+        &self.bundle.cloud
     }
 
     /// Returns the same scan with the stage reports of an import that another process has made.

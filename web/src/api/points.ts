@@ -8,10 +8,12 @@ const FIRST_BYTES = 32 + 200_000 * 12;
 const MOST_BYTES = 32_000_000;
 const GROWTH = 2;
 
-export async function* pointsFile(scene: string, signal: AbortSignal): AsyncGenerator<Uint8Array> {
+/** With `draft`, also the cloud of a room that is still being parsed. */
+export async function* pointsFile(scene: string, signal: AbortSignal, draft = false): AsyncGenerator<Uint8Array> {
+  const path = pointsPath(scene) + (draft ? "?draft=true" : "");
   let version: string | null = null;
   for (let [at, step, end] = [0, FIRST_BYTES, Infinity]; at < end; step = Math.min(MOST_BYTES, step * GROWTH)) {
-    const response = await request(pointsPath(scene), { signal, headers: { range: `bytes=${at}-${at + step - 1}` } });
+    const response = await request(path, { signal, headers: { range: `bytes=${at}-${at + step - 1}` } });
     const whole = response.status === 200;
     // Halves of two clouds are no cloud: it was parsed again in the meantime.
     if (at > 0 && (whole || response.headers.get("etag") !== version)) throw new ProblemError(changed());

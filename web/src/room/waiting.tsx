@@ -1,6 +1,6 @@
 /** A room whose scan is not parsed yet: what the server does with it, and a question that is asked when the room is ready. */
 
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { asProblem } from "../api/client";
 import { parseAgain } from "../api/service";
 import type { Problem } from "../api/types";
@@ -10,6 +10,7 @@ import { ModelsNote } from "../ui/models";
 import { narrow } from "../ui/narrow";
 import { ofJob, ProblemNote } from "../ui/problem";
 import { AskForm } from "./ask";
+import { DraftCanvas } from "./draft";
 import type { Room } from "./state";
 
 /** For each of the steps that are listed, the stages of a parse that belong to it. */
@@ -24,6 +25,8 @@ const STEPS = [
 export function WaitingRoom({ room, onReady }: { room: Room; onReady: () => void }) {
   const scene = room.scene.value!;
   const parsing = scene.status === "parsing";
+  const [imported, setImported] = useState(false);
+  const [drafted, setDrafted] = useState(false);
   const ask = (
     <div class="ask-early">
       <AskForm room={room} examples={scene.name === t.welcome.sampleName ? t.welcome.questions : []} />
@@ -37,7 +40,10 @@ export function WaitingRoom({ room, onReady }: { room: Room; onReady: () => void
       {narrow.value && parsing && ask}
       <section class="stage" aria-label={scene.name}>
         <h1 class="room-name">{scene.name}</h1>
-        <div class="canvas waiting">{parsing ? <Parsing room={room} onReady={onReady} /> : <NotParsed room={room} onReady={onReady} />}</div>
+        <div class="canvas waiting" data-draft={parsing && drafted}>
+          {imported && <DraftCanvas scene={room.id} onShown={() => setDrafted(true)} />}
+          {parsing ? <Parsing room={room} onReady={onReady} onImported={() => setImported(true)} /> : <NotParsed room={room} onReady={onReady} />}
+        </div>
       </section>
       <section class="side">
         <div class="panel">
@@ -49,10 +55,13 @@ export function WaitingRoom({ room, onReady }: { room: Room; onReady: () => void
   );
 }
 
-function Parsing({ room, onReady }: { room: Room; onReady: () => void }) {
+function Parsing({ room, onReady, onImported }: { room: Room; onReady: () => void; onImported: () => void }) {
   const { job_id: job } = room.scene.value!;
   const [step, setStep] = useState(-1);
   const follow = (stage: string | null | undefined) => setStep((before) => Math.max(before, STEPS.findIndex((stages) => stages.includes(stage ?? ""))));
+  useEffect(() => {
+    if (step > 0) onImported();
+  }, [step > 0]);
   return (
     <div class="waiting-card">
       <p>{t.scenes.draft}</p>

@@ -410,7 +410,8 @@ pub(super) fn read_seen_at(value: &str) -> Option<SeenAt> {
     }
     let at = [numbers[1] / PER_MILLE, numbers[2] / PER_MILLE];
     let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
-    (numbers[0] >= 1.0 && at.iter().all(|share| (0.0..=1.0).contains(share))).then(|| SeenAt {
+    let is_image = numbers[0] >= 1.0 && numbers[0].fract() == 0.0;
+    (is_image && at.iter().all(|share| (0.0..=1.0).contains(share))).then(|| SeenAt {
         image: numbers[0] as usize,
         at,
         name,

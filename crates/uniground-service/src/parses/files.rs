@@ -12,7 +12,7 @@ use uniground_geometry::scene::{
     write_even_points, write_instances_ply,
 };
 use uniground_parsing::evidence::Picture;
-use uniground_parsing::scan::ParsedScan;
+use uniground_parsing::scan::{ImportedScan, ParsedScan};
 use uniground_parsing::{ParseError, report_pictures};
 use uniground_render::{RenderScene, encode_jpeg};
 use uniground_storage::{Blobs, Scratch};
@@ -162,6 +162,25 @@ fn none_if_missing<T>(got: io::Result<T>) -> io::Result<Option<T>> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         got => got.map(Some),
     }
+}
+
+/// Returns the path of a scan's cloud while its first parse runs, given its checkpoints.
+#[must_use]
+pub fn draft_points(checkpoints: &Utf8Path) -> Utf8PathBuf {
+    checkpoints.join("draft_points.bin")
+}
+
+/// Writes the cloud of an imported scan in the format of [`ParseFile::Points`], without instances.
+///
+/// # Errors
+/// Errors of the file system.
+pub fn write_draft(scan: &ImportedScan, blobs: &Blobs, draft: &Utf8Path) -> io::Result<()> {
+    let (cloud, scratch) = (scan.cloud(), blobs.scratch()?);
+    let unfinished = scratch.path().join("points");
+    let no_instances = vec![InstanceId::default(); cloud.len()];
+    write_even_points(cloud, &no_instances, File::create(&unfinished)?)?;
+    // Readers see the whole file or none.
+    fs::rename(unfinished, draft)
 }
 
 /// Writes the files of a parse: clouds, embeddings, pictures of the report, and the photographs

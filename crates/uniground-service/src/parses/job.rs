@@ -185,6 +185,7 @@ impl ParseRunner {
             let _entered = entered.enter();
             let folder = blobs.open_checkpoints(&hash)?;
             let checkpoints = Checkpoints::in_folder(&folder, &origin);
+            let draft = files::draft_points(&folder);
             let imported = import_share(&select_models(job_settings.models, &models));
             let scan = if let Some(scan) =
                 load_stored_import(&scan_folder, &job_settings.import, &checkpoints)?
@@ -195,6 +196,9 @@ impl ParseRunner {
                 let task = Task::Import { content, settings, checkpoints: folder, origin };
                 service.import(&task, &checkpoints, &parsing.sub_range(0.0, imported))?
             };
+            if let Err(error) = files::write_draft(&scan, &blobs, &draft) {
+                tracing::warn!(%draft, %error, "the draft of the cloud could not be written");
+            }
             // Parallel work stays in the pool of parses, whose threads have a low priority.
             pool.install(|| {
                 service.capacity.check_memory(scan.estimate_memory())?;

@@ -1,5 +1,6 @@
 //! Media of a parse for viewers: points, a thumbnail, photographs and their camera poses.
 
+use super::files::draft_points;
 use super::{FileDownload, ParseFile, photograph, read_frames, read_photograph, view};
 use crate::answers::StoredScene;
 use crate::error::Error;
@@ -10,6 +11,7 @@ use camino::Utf8PathBuf;
 use std::fs::File;
 use std::io::BufReader;
 use std::sync::Arc;
+use tokio::fs::try_exists;
 use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
 use uniground_geometry::scene::{
@@ -54,6 +56,24 @@ impl MediaService {
             Ok(made)
         });
         Ok(FileDownload::Local(made.await?.path().join(POINTS).into()))
+    }
+
+    /// Returns the cloud of a scene's current parse, or of its import while the first parse runs.
+    /// No point of a draft belongs to an instance. A draft is on the machine that parses.
+    ///
+    /// # Errors
+    /// Those of [`points`](Self::points).
+    pub async fn points_or_draft(&self, scene_id: &str) -> Result<FileDownload, Error> {
+        let not_ready = match self.points(scene_id).await {
+            Err(error @ Error::SceneNotReady { .. }) => error,
+            points => return points,
+        };
+        let scene = self.scene_lookup.scene_row(scene_id).await?;
+        let draft = draft_points(&self.blobs.checkpoints(&scene.content_hash));
+        match try_exists(&draft).await? {
+            true => Ok(FileDownload::Local(draft.into())),
+            false => Err(not_ready),
+        }
     }
 
     /// Returns a small picture of the room of a scene's current parse.

@@ -701,3 +701,11 @@ proptest! {
         prop_assert_eq!(read(&without).predicted, Choice::Missing);
     }
 }
+
+#[test]
+fn a_fractional_image_number_is_rejected() {
+    let seen_at = |text: &str| read(&format!("Seen at: {text}")).seen_at.map(|at| at.image);
+    assert_eq!(seen_at("image 2, 512, 640, mug"), Some(2));
+    assert_eq!(seen_at("image 2.7, 512, 640, mug"), None);
+    assert_eq!(seen_at("image 0, 512, 640, mug"), None);
+}
