@@ -7,7 +7,9 @@ use crate::words;
 use anyhow::bail;
 use comfy_table::{Table, presets};
 use std::io::{self, Write};
-use uniground_types::approach::{Approach, ApproachRequest, ApproachStatus, FloorPoint, Robot};
+use uniground_types::approach::{
+    Approach, ApproachRequest, ApproachStatus, FloorPoint, PlacedPose, Robot,
+};
 use uniground_types::placement::FrameChoice;
 use uniground_types::scene::InstanceId;
 
@@ -100,13 +102,12 @@ fn table_of(found: &Approach) -> Table {
     table.set_header(["Position (m)", "Yaw", "Distance", "In sight", "Path", "Why"]);
     let placed = found.in_frame.as_ref();
     for (i, pose) in found.poses.iter().enumerate() {
-        let position = placed
-            .and_then(|frame| frame.poses.get(i))
-            .map_or(pose.position.map(f64::from), |pose| pose.position);
-        let [x, y, z] = position;
+        let placed = placed.and_then(|frame| frame.poses.get(i));
+        let [x, y, z] = placed.map_or(pose.position.map(f64::from), |placed| placed.position);
+        let yaw_rad = placed.map_or(f64::from(pose.yaw_rad), PlacedPose::yaw_rad);
         table.add_row([
             format!("{x:.2}, {y:.2}, {z:.2}"),
-            format!("{:.0}°", pose.yaw_rad.to_degrees()),
+            format!("{:.0}°", yaw_rad.to_degrees()),
             format!("{:.2} m", pose.distance_m),
             format!("{:.0} %", pose.visible_share * 100.0),
             pose.path_m.map_or_else(|| "-".into(), |path| format!("{path:.1} m")),

@@ -103,6 +103,9 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
         eprintln!("parsed in {:.1} s: {told}", begun.elapsed().as_secs_f32());
     }
     let scene = client.scene(&scene.id).await?;
+    for warning in scene.import.iter().flat_map(|import| &import.warnings) {
+        eprintln!("warning: {warning}");
+    }
     match args.json {
         true => print_json(&scene)?,
         false => writeln!(io::stdout(), "{}", scene.id)?,

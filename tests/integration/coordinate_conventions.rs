@@ -30,6 +30,11 @@ fn opencv_to_opengl() -> Matrix4<f32> {
     Matrix4::from_diagonal(&Vector4::new(1., -1., -1., 1.))
 }
 
+/// Returns the rotation from ROS body axes (x forward, y left, z up) to OpenCV's.
+fn opencv_to_ros() -> Matrix4<f32> {
+    Matrix4::new(0., -1., 0., 0., 0., 0., -1., 0., 1., 0., 0., 0., 0., 0., 0., 1.)
+}
+
 #[tokio::test]
 async fn declared_and_detected_conventions_give_the_same_scene() {
     let server = TestServer::start().await;
@@ -53,6 +58,19 @@ async fn declared_and_detected_conventions_give_the_same_scene() {
                 with_poses(Scan::neutral(), |pose| pose * opencv_to_opengl()),
                 "\"camera_axes\":\"opengl\"",
             ),
+            UpAxis::Z,
+        ),
+        (
+            "ROS body axes, declared",
+            declare(
+                with_poses(Scan::neutral(), |pose| pose * opencv_to_ros()),
+                "\"camera_axes\":\"ros\"",
+            ),
+            UpAxis::Z,
+        ),
+        (
+            "ROS body axes, detected",
+            with_poses(Scan::neutral(), |pose| pose * opencv_to_ros()),
             UpAxis::Z,
         ),
         (

@@ -9,7 +9,7 @@ use uniground_types::problem::{FieldError, Problem};
 #[allow(missing_docs)] // Every message says what it is about.
 pub enum ClientError {
     /// The server said no, and why.
-    #[error("{} ({}){}", .0.detail, .0.code, fields(&.0.errors))]
+    #[error("{} ({}){}", .0.detail, .0.code, other_fields(.0))]
     Problem(Box<Problem>),
     #[error("the server answered {status} without a problem document: {body}")]
     Unexpected { status: StatusCode, body: String },
@@ -21,8 +21,10 @@ pub enum ClientError {
     BadAddress(String),
 }
 
-fn fields(errors: &[FieldError]) -> String {
-    errors.iter().map(|e| format!("; {}: {}", e.pointer, e.detail)).collect()
+/// Returns the invalid fields that the detail does not name.
+fn other_fields(problem: &Problem) -> String {
+    let unnamed = |field: &&FieldError| !problem.detail.contains(&field.detail);
+    problem.errors.iter().filter(unnamed).map(|field| format!("; {field}")).collect()
 }
 
 pub(crate) async fn json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, ClientError> {

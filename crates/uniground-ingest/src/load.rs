@@ -2,7 +2,7 @@
 
 use super::levelling::{self, UpDirection, UpHint};
 use super::reprojection::{self, CheckedConvention, SourceConvention};
-use super::scan::{CameraAxes, RawFrame, Scan, Units};
+use super::scan::{RawFrame, Scan, Units};
 use super::{IngestError, UPLOADED, clouds, fusion, guess_units};
 use camino::Utf8Path;
 use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
@@ -132,10 +132,7 @@ pub fn inspect(
         source_to_scene: Some(to_scene.source),
         levelling: upright.report,
         pose: reading.pose,
-        camera_axes: match reading.axes {
-            CameraAxes::Opencv => "opencv".into(),
-            CameraAxes::Opengl => "opengl".into(),
-        },
+        camera_axes: reading.axes.as_str().into(),
         frames: frames.len() as u32,
         frames_skipped: scan.frames_skipped,
         cloud_points: cloud.as_ref().map(|cloud| cloud.len() as u64),

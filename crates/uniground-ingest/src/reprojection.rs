@@ -23,7 +23,7 @@ const TIMES_BETTER: f32 = 1.5;
 /// place agree too easily.
 const TIMES_BETTER_UNITS: f32 = 2.5;
 /// Below this agreement, a scan gets a warning whatever the interpretation.
-const SUSPICIOUS: f32 = 0.15;
+const SUSPICIOUS: f32 = 0.4;
 /// Below this agreement, cloud, poses and depth do not belong together.
 const NOTHING_FITS: f32 = 0.03;
 /// Plausible median depth of an indoor scan, meters. A scale that leads outside is rejected.
@@ -136,7 +136,10 @@ pub(super) fn check(
             return Err(IngestError::NothingFits { agreement: agreement * 100.0, hypothesis, other_agreement });
         }
         Some(agreement) if agreement < SUSPICIOUS => {
-            warnings.push(format!("only {:.0}% of the sampled points agree with the depth pictures", agreement * 100.0));
+            warnings.push(format!(
+                "only {:.0}% of the sampled points agree with the depth pictures (a correct scan has 60 to 90%): check the direction of the poses, the camera axes and the depth scale",
+                agreement * 100.0
+            ));
         }
         Some(_) => {}
     }
@@ -147,7 +150,7 @@ impl SourceConvention {
     fn all(metres_per_unit: f64) -> impl Iterator<Item = Self> {
         [PoseConvention::CameraToWorld, PoseConvention::WorldToCamera].into_iter().flat_map(
             move |pose| {
-                [CameraAxes::Opencv, CameraAxes::Opengl].into_iter().flat_map(move |axes| {
+                CameraAxes::ALL.into_iter().flat_map(move |axes| {
                     DEPTH_SCALES_M.into_iter().map(move |depth_scale_m| Self {
                         pose,
                         axes,
@@ -164,10 +167,7 @@ impl SourceConvention {
             PoseConvention::CameraToWorld => "camera_to_world",
             PoseConvention::WorldToCamera => "world_to_camera",
         };
-        let axes = match self.axes {
-            CameraAxes::Opencv => "opencv",
-            CameraAxes::Opengl => "opengl",
-        };
+        let axes = self.axes.as_str();
         let units = match self.metres_per_unit == declared.metres_per_unit {
             true => String::new(),
             false => format!(", metres_per_unit {}", self.metres_per_unit),

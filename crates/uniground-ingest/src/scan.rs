@@ -3,7 +3,7 @@
 use super::IngestError;
 use camino::{Utf8Path, Utf8PathBuf};
 use image::ImageReader;
-use nalgebra::Matrix4;
+use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
 use uniground_geometry::scene::{
     FrameIndex, Intrinsics, Optics, PoseConvention, float_picture_size, is_compressed_floats,
     is_float_picture,
@@ -109,6 +109,32 @@ pub enum CameraAxes {
     Opencv,
     /// x right, y up, z backward.
     Opengl,
+    /// x forward, y left, z up: the body axes of ROS (REP 103).
+    Ros,
+}
+
+impl CameraAxes {
+    pub(super) const ALL: [Self; 3] = [Self::Opencv, Self::Opengl, Self::Ros];
+
+    /// Returns the name in `scene.json` and in reports.
+    pub(super) fn as_str(self) -> &'static str {
+        match self {
+            Self::Opencv => "opencv",
+            Self::Opengl => "opengl",
+            Self::Ros => "ros",
+        }
+    }
+
+    /// Returns the rotation from OpenCV's axes to these.
+    fn rotation_from_opencv(self) -> UnitQuaternion<f32> {
+        UnitQuaternion::new_unchecked(match self {
+            Self::Opencv => Quaternion::new(1.0, 0.0, 0.0, 0.0),
+            // 180 degrees about x.
+            Self::Opengl => Quaternion::new(0.0, 1.0, 0.0, 0.0),
+            // (x, y, z) becomes (z, -x, -y).
+            Self::Ros => Quaternion::new(0.5, -0.5, 0.5, -0.5),
+        })
+    }
 }
 
 impl Scan {
@@ -166,13 +192,7 @@ impl RawFrame {
             PoseConvention::CameraToWorld => rigid,
             PoseConvention::WorldToCamera => rigid.inverse(),
         };
-        Ok(match axes {
-            CameraAxes::Opencv => camera_to_world,
-            // OpenGL's camera is OpenCV's camera rotated by 180 degrees about its own X axis.
-            CameraAxes::Opengl => {
-                camera_to_world * Isometry3::rotation(nalgebra::Vector3::x() * std::f32::consts::PI)
-            }
-        })
+        Ok(camera_to_world * axes.rotation_from_opencv())
     }
 }
 

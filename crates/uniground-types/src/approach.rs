@@ -382,6 +382,13 @@ impl PlacedPose {
             path: pose.path.iter().map(corner).collect(),
         }
     }
+
+    /// Returns the direction that the robot faces in the frame's XY plane, radians from X.
+    #[must_use]
+    pub fn yaw_rad(&self) -> f64 {
+        let [x, y, z, w] = self.orientation;
+        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+    }
 }
 
 /// Metadata of a scene's floor map in the format of the ROS `map_server`. The JSON is also valid
@@ -423,6 +430,17 @@ mod tests {
     use super::*;
 
     const ROBOT: Robot = Robot { radius_m: 0.25, height_m: 1.2, eye_height_m: 1.1, reach_m: None };
+
+    #[test]
+    fn the_yaw_of_a_placed_pose_follows_its_frame() {
+        let half = 65.0_f64.to_radians();
+        let placed = PlacedPose {
+            position: [0.0; 3],
+            orientation: [0.0, 0.0, half.sin(), half.cos()],
+            path: Vec::new(),
+        };
+        assert!((placed.yaw_rad() - 130.0_f64.to_radians()).abs() < 1e-9);
+    }
 
     #[test]
     fn wrong_requests_are_named_by_field() {

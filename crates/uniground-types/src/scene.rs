@@ -264,7 +264,7 @@ pub struct ImportReport {
     pub levelling: Option<Levelling>,
     /// Direction of the poses in the files.
     pub pose: PoseConvention,
-    /// Camera axes of the files: `opencv` or `opengl`.
+    /// Camera axes of the files: `opencv`, `opengl` or `ros`.
     pub camera_axes: String,
     /// Number of usable frames, without skipped ones.
     pub frames: u32,

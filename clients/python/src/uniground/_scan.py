@@ -48,8 +48,8 @@ class Scan:
     """Of the points, Nx3, RGB: 8 bits, or floats in 0..1."""
     up: Optional[UpAxis] = None
     """The world axis that points up; left out: the one that the cameras hold up."""
-    camera_axes: Literal["opencv", "opengl"] = "opencv"
-    """`opencv`: x right, y down, z forward. `opengl`: x right, y up, z backward."""
+    camera_axes: Literal["opencv", "opengl", "ros"] = "opencv"
+    """`opencv`: x right, y down, z forward. `opengl`: x right, y up, z backward. `ros`: x forward, y left, z up."""
     pose: Literal["camera_to_world", "world_to_camera"] = "camera_to_world"
     """What a pose does."""
     name: str = "scan"

@@ -85,7 +85,7 @@ pub fn explanation(failed: FailedCondition, name: &str, cells: &CellCounts) -> S
     let CellCounts { near, floor, clear, connected, in_reach, looked_from, visible: _ } = cells;
     match failed {
         FailedCondition::StartNotFree => {
-            "the robot can not stand where it is said to be, nor within 0.5 m of it".into()
+            "the start position is not free floor, and none is within 0.5 m of it".into()
         }
         FailedCondition::NoFloor => format!(
             "no free floor was seen near the {name}: none of {near} cells within the limits of distance"
@@ -95,15 +95,21 @@ pub fn explanation(failed: FailedCondition, name: &str, cells: &CellCounts) -> S
         ),
         FailedCondition::NotReachable => {
             format!(
-                "there is no way to where the {name} can be seen and reached: of {clear} cells with room {connected} can be got to"
+                "no path leads to where the {name} can be seen and reached: the robot can drive to {connected} of {clear} cells with room"
             )
         }
         FailedCondition::OutOfReach => {
-            format!("the {name} is out of reach from all {connected} cells the robot can get to")
+            let cut_off = match clear - connected {
+                0 => String::new(),
+                cells => format!(
+                    "; obstacles cut off {cells} other cells with room, so a smaller robot or another start may find a pose"
+                ),
+            };
+            format!("the {name} is out of reach from all {connected} cells that the robot can drive to{cut_off}")
         }
         FailedCondition::NotVisible => {
             format!(
-                "other things hide the {name} from all {looked_from} places that were looked from, of {in_reach} cells"
+                "other objects hide the {name} from all {looked_from} cells that were tested, of {in_reach} cells in reach"
             )
         }
     }

@@ -596,11 +596,12 @@ mod tests {
                 answer.parsed_query
             );
         }
-        assert_eq!(
-            ask("the sofa closest to me").parsed_query.not_understood,
-            ["me"],
-            "nobody knows where"
-        );
+        let explained = from("the sofa closest to me", -1.0, 0.0).answer.explanation;
+        assert!(explained.contains("; closest to you, "), "{explained}");
+        let nowhere = ask("the sofa closest to me");
+        assert_eq!(nowhere.parsed_query.not_understood, ["me"]);
+        let expected = "\"closest to me\" is not checked, as the request has no observer";
+        assert!(nowhere.answer.explanation.contains(expected), "{nowhere:?}");
     }
 
     #[test]

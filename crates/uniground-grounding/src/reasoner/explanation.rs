@@ -8,7 +8,7 @@ use crate::readings::Readings;
 use crate::relations::SeenBy;
 use std::fmt::Write;
 use uniground_geometry::scene::Instance;
-use uniground_language::{Meaning, ParsedQuery, Phrase, Relation, RelationKind};
+use uniground_language::{ME, Meaning, ParsedQuery, Phrase, Relation, RelationKind};
 use uniground_models::attributes;
 
 /// Explains a choice: "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93),
@@ -86,6 +86,21 @@ pub(super) fn explain(
             }
             // A relation without an anchor cannot have decided.
             None if relation.anchors.is_empty() && !relation.kind.is_of_the_room() => {}
+            None if relation.anchors.iter().any(|anchor| anchor.head == ME) => {
+                let words = in_words(relation);
+                let _ = match &assessor.observer {
+                    Some(observer) => write!(
+                        text,
+                        "; {not}{words} you, {:.2} m apart{of} ({:.2})",
+                        assessor.solids[best].gap(observer),
+                        bond.score
+                    ),
+                    None => write!(
+                        text,
+                        "; \"{words} me\" is not checked, as the request has no observer"
+                    ),
+                };
+            }
             None => {
                 let _ = write!(text, "; {not}{} ({:.2})", relation.text, bond.score);
             }
