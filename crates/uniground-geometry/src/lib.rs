@@ -12,6 +12,7 @@ pub mod lru_cache;
 pub mod moments;
 pub mod pose;
 pub mod progress;
+pub mod resize;
 pub mod rotated_box;
 pub mod scene;
 pub mod statistics;

@@ -5,9 +5,8 @@
 use super::outline::{Surroundings, draw_outline, outline_reach};
 use super::shot::Shot;
 use super::text;
-use fast_image_resize::images::Image;
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::{Rgb, RgbImage, imageops};
+use uniground_geometry::resize::{Filter, resize};
 use uniground_geometry::scene::FrameIndex;
 
 /// Size limits of collages. 1024 x 512 pixels are two of the tiles that providers charge for.
@@ -212,7 +211,7 @@ fn draw_crop(sheet: &mut RgbImage, shot: &Shot, area: Area) {
 fn paste(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Area) {
     imageops::replace(
         sheet,
-        &resize_picture(picture, (width, height)),
+        &resize(picture, (width, height), Filter::Bilinear),
         i64::from(left),
         i64::from(top),
     );
@@ -227,24 +226,6 @@ fn fit_area(picture: (u32, u32), (x, y): (u32, u32), (width, height): (u32, u32)
     let side = |length: u32, room: u32| ((length as f32 * scale).round() as u32).clamp(1, room);
     let size = (side(picture.0, width), side(picture.1, height));
     (x + (width - size.0) / 2, y + (height - size.1) / 2, size.0, size.1)
-}
-
-fn resize_picture(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
-    if picture.dimensions() == (width, height) {
-        return picture.clone();
-    }
-    let source = Image::from_vec_u8(
-        picture.width(),
-        picture.height(),
-        picture.as_raw().clone(),
-        PixelType::U8x3,
-    );
-    let mut target = Image::new(width, height, PixelType::U8x3);
-    let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
-    let done =
-        source.ok().and_then(|source| Resizer::new().resize(&source, &mut target, &options).ok());
-    done.and_then(|()| RgbImage::from_raw(width, height, target.into_vec()))
-        .unwrap_or_else(|| imageops::resize(picture, width, height, imageops::FilterType::Triangle))
 }
 
 /// Draws a red outline just outside of a box, three pixels wide, clipped to the box's picture.

@@ -105,7 +105,9 @@ pub fn explanation(failed: FailedCondition, name: &str, cells: &CellCounts) -> S
                     "; obstacles cut off {cells} other cells with room, so a smaller robot or another start may find a pose"
                 ),
             };
-            format!("the {name} is out of reach from all {connected} cells that the robot can drive to{cut_off}")
+            format!(
+                "the {name} is out of reach from all {connected} cells that the robot can drive to{cut_off}"
+            )
         }
         FailedCondition::NotVisible => {
             format!(

@@ -2,9 +2,8 @@
 //! channel.
 
 use super::bundle::{Interpolation, Resize};
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::{RgbImage, imageops};
+use uniground_geometry::resize::{Filter, resize};
 
 /// A picture of the size that a network requires.
 pub struct Fitted {
@@ -51,31 +50,14 @@ pub fn resize_to_fit(
     Fitted { picture, scale: (new_w as f32 / w as f32, new_h as f32 / h as f32) }
 }
 
-/// Resamples like Pillow, with a filter that widens when shrinking (antialias) and eight bits
-/// between the passes. The networks were exported with Pillow's results, and some of them are
+/// Resamples like Pillow. The networks were exported with Pillow's results, and some of them are
 /// sensitive to the difference.
-fn resample(
-    picture: &RgbImage,
-    (width, height): (u32, u32),
-    interpolation: Interpolation,
-) -> RgbImage {
-    if picture.dimensions() == (width, height) {
-        return picture.clone();
-    }
+fn resample(picture: &RgbImage, size: (u32, u32), interpolation: Interpolation) -> RgbImage {
     let filter = match interpolation {
-        Interpolation::Bilinear => FilterType::Bilinear,
-        Interpolation::Bicubic => FilterType::CatmullRom,
+        Interpolation::Bilinear => Filter::Bilinear,
+        Interpolation::Bicubic => Filter::Bicubic,
     };
-    let mut resized = Image::new(width, height, PixelType::U8x3);
-    // Sizes and pixel types match by construction.
-    let source =
-        ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3);
-    let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(filter));
-    let done =
-        source.is_ok_and(|source| Resizer::new().resize(&source, &mut resized, &options).is_ok());
-    debug_assert!(done, "resizing {:?} to {width}x{height}", picture.dimensions());
-    RgbImage::from_raw(width, height, resized.into_vec())
-        .unwrap_or_else(|| RgbImage::new(width, height))
+    resize(picture, size, filter)
 }
 
 /// Appends `(value / divisor - mean) / std`, channel by channel, into a plane of `size`. Pixels
