@@ -2145,7 +2145,7 @@ export interface components {
         };
         /** @description Report of the importer. Part of the scene in the API. */
         ImportReport: {
-            /** @description Camera axes of the files: `opencv` or `opengl`. */
+            /** @description Camera axes of the files: `opencv`, `opengl` or `ros`. */
             camera_axes: string;
             /**
              * Format: int64
@@ -13019,7 +13019,13 @@ export interface operations {
     };
     get_points: {
         parameters: {
-            query?: never;
+            query?: {
+                /**
+                 * @description `true` returns the imported cloud while the first parse runs. Its points have no objects
+                 *     yet.
+                 */
+                draft?: boolean;
+            };
             header?: never;
             path: {
                 /** @description Id of the scene, or its name if no other scene has it */

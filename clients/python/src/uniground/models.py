@@ -839,7 +839,7 @@ class ImportReport(ShortRepr):
     pose: PoseConvention
     """Direction of the poses in the files."""
     camera_axes: str
-    """Camera axes of the files: `opencv` or `opengl`."""
+    """Camera axes of the files: `opencv`, `opengl` or `ros`."""
     frames: int
     """Number of usable frames, without skipped ones."""
     frames_skipped: int
