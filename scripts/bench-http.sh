@@ -5,7 +5,7 @@ cd "$(dirname "$0")/.."
 command -v wrk >/dev/null || { echo "skipped: wrk is not installed" >&2; exit 1; }
 
 work=$(mktemp -d)
-./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$work/data" --masks builtin --encoder builtin >"$work/out" 2>"$work/log" &
+"${PROGRAM:-./target/release/uniground}" serve --listen 127.0.0.1:0 --data-dir "$work/data" --masks builtin --encoder builtin >"$work/out" 2>"$work/log" &
 server=$!
 trap 'kill $server 2>/dev/null; rm -rf "$work"' EXIT
 until grep -q "listening on" "$work/out"; do sleep 0.1; done
