@@ -9,7 +9,7 @@ use super::segmentation::{AnnotatedObject, InstanceScore, recall, score_instance
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{DepthCache, Frame, FrameIndex, InstanceId};
+use uniground_geometry::scene::{Frame, FrameIndex, InstanceId};
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::labels::Labels;
 use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
@@ -95,18 +95,13 @@ pub fn measure_stage_losses(
 
     let judged = ScoredMaskSource { masks, truth: room.masks(), best: Mutex::default() };
     let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
-    let depths = DepthCache::new(0);
     let lifting = LiftingInput {
         visibility: &visibility,
         superpoint_of_point: &superpoints.of_point,
         masks: &judged,
     };
-    let (lifted, _) = lifting.lift_all(
-        &frames,
-        &depths,
-        Checkpoints::disabled().open_log("lifting", &()),
-        &quiet,
-    )?;
+    let (lifted, _) =
+        lifting.lift_all(&frames, Checkpoints::disabled().open_log("lifting", &()), &quiet)?;
     let (tables, masks_of, _) = Lifted::split(lifted);
     let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
     let pixels = objects.iter().map(|object| mean_iou_of_best_views(&best, object.id)).collect();
@@ -165,7 +160,7 @@ pub fn measure_stage_losses(
         cloud,
         &visibility,
         superpoints.regions_of_points(&joined),
-        (&frames, &depths),
+        &frames,
         &masks_of,
         &quiet,
     )?;
@@ -176,13 +171,7 @@ pub fn measure_stage_losses(
     let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
     let flats =
         FlatCandidates::find(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
-    let sighted = views::compute_instance_views(
-        labeled,
-        Some(&flats),
-        (&frames, &depths),
-        &masks_of,
-        &quiet,
-    )?;
+    let sighted = views::compute_instance_views(labeled, Some(&flats), &frames, &masks_of, &quiet)?;
     let built = instances::build(
         cloud,
         &superpoints,

@@ -9,9 +9,7 @@ use super::views::{LabeledPoints, Sighting, compute_sightings, visible_pixels};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{
-    DepthCache, FrameIndex, FrameRef, Instance, InstanceId, Level, stream_frames,
-};
+use uniground_geometry::scene::{FrameIndex, FrameRef, Instance, InstanceId, Level, stream_frames};
 use uniground_models::neural::DualEncoder;
 use uniground_types::settings::AppearanceSettings;
 
@@ -66,7 +64,7 @@ pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a model that fails, cancellation.
 pub fn embed_instances(
-    (frames, depths): (&[FrameRef], &DepthCache),
+    frames: &[FrameRef],
     instances: &[Instance],
     boxes: &FrameBoxes,
     labeled: LabeledPoints,
@@ -87,7 +85,7 @@ pub fn embed_instances(
             let picture = frame.decode_color()?;
             let corrected = match correction {
                 Some(correction) => {
-                    correct_outlines(frame, depths, &picture, labeled, correction, &seen, progress)?
+                    correct_outlines(frame, &picture, labeled, correction, &seen, progress)?
                 }
                 None => BTreeMap::new(),
             };
@@ -123,11 +121,10 @@ pub fn embed_known(
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
-    let depths = &DepthCache::new(0);
-    let seen = compute_sightings(labeled, (frames, depths), &MasksOfFrames::new(), &quiet)?;
+    let seen = compute_sightings(labeled, frames, &MasksOfFrames::new(), &quiet)?;
     let boxes = choose_frames(instances, &seen, settings);
     Ok(embed_instances(
-        (frames, depths),
+        frames,
         instances,
         &boxes,
         labeled,
@@ -141,14 +138,13 @@ pub fn embed_known(
 /// For instances with projected boxes, returns the masks that agree with the projection.
 fn correct_outlines(
     frame: &FrameRef,
-    depths: &DepthCache,
     picture: &RgbImage,
     labeled: LabeledPoints,
     Correction { corrector, known }: Correction,
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
 ) -> Result<BTreeMap<InstanceId, Outline>, ParseError> {
-    let depth = depths.depth(frame)?;
+    let depth = frame.decode_depth()?;
     let known: Vec<KnownMasks> = known
         .get(&frame.index)
         .into_iter()

@@ -11,9 +11,7 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{
-    Camera, DepthCache, DepthImage, FrameRef, PointCloud, stream_frames,
-};
+use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, stream_frames};
 use uniground_geometry::voxels::VoxelGrid;
 use uniground_geometry::{Point3, Vector3};
 
@@ -39,7 +37,7 @@ pub fn remove_pairs_across_gaps(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     voxel_m: f32,
-    (frames, depths): (&[FrameRef], &DepthCache),
+    frames: &[FrameRef],
     depth_tolerance: f32,
     progress: &Progress,
 ) -> Result<Vec<(u32, u32)>, ParseError> {
@@ -50,7 +48,7 @@ pub fn remove_pairs_across_gaps(
         frames,
         |frame| {
             progress.check()?;
-            let (camera, depth) = (frame.depth_camera(), depths.depth(frame)?);
+            let (camera, depth) = (frame.depth_camera(), frame.decode_depth()?);
             Ok::<_, ParseError>(
                 gaps.iter()
                     .map(|gap| vote(&gap.middle, &camera, &depth, depth_tolerance))
@@ -237,7 +235,7 @@ mod tests {
                 &cloud,
                 &superpoints,
                 VOXEL_M,
-                (&frames, &DepthCache::new(0)),
+                &frames,
                 0.02,
                 &Progress::silent(),
             )

@@ -61,8 +61,7 @@ use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{
-    DepthCache, FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud,
-    SceneBundle,
+    FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle,
 };
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_models::{attributes, calibration};
@@ -130,10 +129,6 @@ impl<'a> Perception<'a> {
 /// whole.
 const FRAMES_LOOKED_AT: f32 = 0.97;
 
-/// Memory for decoded depth pictures, which most stages read, bytes. 32 MB saves 2 % of the time of
-/// a parse and raises its peak memory by a fifth.
-const DECODED_DEPTH_BYTES: usize = 4 << 20;
-
 /// Parses a scene into instances. Stages found in `checkpoints` are loaded from there.
 ///
 /// # Errors
@@ -152,17 +147,8 @@ pub fn parse(
     let ends = perception.stage_ends();
 
     let perceiving = progress.sub_range(0.0, ends[1]);
-    let depths = DepthCache::new(DECODED_DEPTH_BYTES);
     let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
-        lift_frames::lift_scan(
-            bundle,
-            perception,
-            settings,
-            &depths,
-            checkpoints,
-            &perceiving,
-            &mut watch,
-        )?;
+        lift_frames::lift_scan(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
     let (tables, masks_of, sharpness_of) = Lifted::split(lifted);
@@ -173,7 +159,7 @@ pub fn parse(
         .collect();
     if settings.merging.split_at_depth_edges {
         superpoints.adjacent = watch.time("gaps", |outcome| {
-            let frames = (&frames[..], &depths);
+            let frames = &frames[..];
             let kept = split_at_depth_edges(&cloud, &superpoints, frames, settings, progress)?;
             outcome.produced = superpoints.adjacent.len() - kept.len();
             Ok::<_, ParseError>(kept)
@@ -182,7 +168,6 @@ pub fn parse(
     let seen = ScanObservations {
         cloud: &cloud,
         frames: &frames,
-        depths: &depths,
         superpoints: &superpoints,
         visibility: &visibility,
         tables: &tables,
@@ -202,13 +187,8 @@ pub fn parse(
             &camera_centers(&frames),
             &settings.instances,
         );
-        let sighted = views::compute_instance_views(
-            labeled,
-            Some(&flats),
-            (&frames, &depths),
-            &masks_of,
-            &viewing,
-        )?;
+        let sighted =
+            views::compute_instance_views(labeled, Some(&flats), &frames, &masks_of, &viewing)?;
         outcome.produced = sighted.sightings.len();
         Ok::<_, ParseError>(sighted)
     })?;
@@ -235,7 +215,7 @@ pub fn parse(
             let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
             let looking = progress.sub_range(ends[7], FRAMES_LOOKED_AT);
             let (rows, outlines) = appearance::embed_instances(
-                (&frames, &depths),
+                &frames,
                 &instances,
                 &looked_at,
                 labeled,
@@ -302,7 +282,7 @@ pub fn parse(
 fn split_at_depth_edges(
     cloud: &PointCloud,
     superpoints: &Superpoints,
-    frames: (&[FrameRef], &DepthCache),
+    frames: &[FrameRef],
     settings: &ParsingSettings,
     progress: &Progress,
 ) -> Result<Vec<(u32, u32)>, ParseError> {
@@ -322,7 +302,6 @@ fn split_at_depth_edges(
 struct ScanObservations<'a> {
     cloud: &'a PointCloud,
     frames: &'a [FrameRef],
-    depths: &'a DepthCache,
     superpoints: &'a Superpoints,
     visibility: &'a Visibility,
     tables: &'a [FrameVisibility],
@@ -347,8 +326,7 @@ fn group_superpoints(
     progress: &Progress,
     watch: &mut Stopwatch,
 ) -> Result<RegionGrouping, ParseError> {
-    let ScanObservations { cloud, frames, depths, superpoints, visibility, tables, masks_of } =
-        seen;
+    let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
     let ends = perception.stage_ends();
     let planes = watch.time("planes", |outcome| {
         let planes = planes::find(
@@ -418,14 +396,8 @@ fn group_superpoints(
         false => region_of,
         true => watch.time("refinement", |outcome| {
             let refining = progress.sub_range(ends[4], ends[5]);
-            let refined = refinement::refine(
-                cloud,
-                visibility,
-                region_of,
-                (frames, depths),
-                masks_of,
-                &refining,
-            )?;
+            let refined =
+                refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
             outcome.produced = count_labels(&refined);
             Ok::<_, ParseError>(refined)
         })?,

@@ -10,7 +10,7 @@ use super::superpoints::{self, Superpoints};
 use super::visibility::Visibility;
 use super::{ParseError, Perception, StageOutcome, Stopwatch};
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{DepthCache, FrameRef, PointCloud, SceneBundle};
+use uniground_geometry::scene::{FrameRef, PointCloud, SceneBundle};
 use uniground_types::settings::{
     FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings,
 };
@@ -52,7 +52,6 @@ pub(super) fn lift_scan(
     bundle: SceneBundle,
     perception: &Perception,
     settings: &ParsingSettings,
-    depths: &DepthCache,
     checkpoints: &Checkpoints,
     progress: &Progress,
     watch: &mut Stopwatch,
@@ -86,7 +85,6 @@ pub(super) fn lift_scan(
         };
         lifting.lift_all(
             frames,
-            depths,
             checkpoints.open_log(stage, &lifting_dependencies(perception.masks, settings)),
             progress,
         )

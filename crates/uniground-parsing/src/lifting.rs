@@ -11,7 +11,7 @@ use super::visibility::Visibility;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{DepthCache, Frame, FrameIndex, FrameRef, stream_frames};
+use uniground_geometry::scene::{Frame, FrameIndex, FrameRef, stream_frames};
 
 /// What one frame sees, by one of its id images. Rows are sorted by superpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -96,7 +96,6 @@ impl LiftingInput<'_> {
     pub fn lift_all(
         &self,
         frames: &[FrameRef],
-        depths: &DepthCache,
         mut log: StageLog<Lifted>,
         progress: &Progress,
     ) -> Result<(Vec<Lifted>, bool), ParseError> {
@@ -112,7 +111,7 @@ impl LiftingInput<'_> {
             &frames[kept..],
             |frame| {
                 progress.check()?;
-                let frame = frame.decode_with(depths.depth(frame)?)?;
+                let frame = frame.decode()?;
                 let images = self.masks.masks(&frame, progress)?;
                 let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
                 let (masks, sharpness) = (
@@ -456,9 +455,8 @@ mod tests {
                 move |stage, done| sink.lock().unwrap().push((stage, done)),
                 || false,
             );
-            let (lifted, all_kept) = lifting
-                .lift_all(frames, &DepthCache::new(0), checkpoints.open_log("masks", &0), &progress)
-                .unwrap();
+            let (lifted, all_kept) =
+                lifting.lift_all(frames, checkpoints.open_log("masks", &0), &progress).unwrap();
             let told = told.lock().unwrap().clone();
             (lifted, all_kept, halves.0.into_inner(), told)
         };
@@ -512,18 +510,12 @@ mod tests {
             LiftingInput { visibility: &visibility, superpoint_of_point: &[0], masks: &halves };
         let nowhere = Checkpoints::disabled();
         let cancelled = Progress::new(|_, _| {}, || true);
-        let stopped = lifting
-            .lift_all(&frames, &DepthCache::new(0), nowhere.open_log("masks", &0), &cancelled)
-            .unwrap_err();
+        let stopped =
+            lifting.lift_all(&frames, nowhere.open_log("masks", &0), &cancelled).unwrap_err();
         assert!(matches!(stopped, ParseError::Cancelled(_)), "{stopped:?}");
         assert_eq!(halves.0.load(Ordering::Relaxed), 0, "nothing was cut into masks");
         frames[0].depth = folder.join("missing.png");
-        let failed = lifting.lift_all(
-            &frames,
-            &DepthCache::new(0),
-            nowhere.open_log("masks", &0),
-            &Progress::silent(),
-        );
+        let failed = lifting.lift_all(&frames, nowhere.open_log("masks", &0), &Progress::silent());
         assert!(matches!(failed, Err(ParseError::Frame(_))), "{:?}", failed.map(drop));
     }
 

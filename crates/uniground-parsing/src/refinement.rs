@@ -11,7 +11,7 @@ use super::visibility::Visibility;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{DepthCache, FrameRef, PointCloud, stream_frames};
+use uniground_geometry::scene::{FrameRef, PointCloud, stream_frames};
 use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 
 /// A point moves only to a region that comes within this distance, meters.
@@ -48,7 +48,7 @@ pub fn refine(
     cloud: &PointCloud,
     visibility: &Visibility,
     mut region_of: Vec<u32>,
-    (frames, depths): (&[FrameRef], &DepthCache),
+    frames: &[FrameRef],
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<u32>, ParseError> {
@@ -57,7 +57,7 @@ pub fn refine(
         frames,
         |frame| {
             progress.check()?;
-            let seen = visibility.in_frame(&frame.depth_camera(), &*depths.depth(frame)?);
+            let seen = visibility.in_frame(&frame.depth_camera(), &frame.decode_depth()?);
             let by_image = masks[&frame.index].iter().flat_map(|masks| {
                 let ids = masks.to_image();
                 let hits: Vec<(u32, u16)> =

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use uniground_geometry::Point3;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
-    Camera, DepthCache, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, View, stream_frames,
+    Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, View, stream_frames,
 };
 use uniground_geometry::statistics::{median, quantile};
 use uniground_types::settings::ViewSettings;
@@ -242,11 +242,11 @@ const TRIM: f32 = 0.01;
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn compute_sightings(
     labeled: LabeledPoints,
-    (frames, depths): (&[FrameRef], &DepthCache),
+    frames: &[FrameRef],
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
-    Ok(compute_instance_views(labeled, None, (frames, depths), masks, progress)?.sightings)
+    Ok(compute_instance_views(labeled, None, frames, masks, progress)?.sightings)
 }
 
 /// Same as [`compute_sightings`], plus the reliefs of flat things.
@@ -256,7 +256,7 @@ pub fn compute_sightings(
 pub fn compute_instance_views(
     labeled: LabeledPoints,
     flats: Option<&FlatCandidates>,
-    (frames, depths): (&[FrameRef], &DepthCache),
+    frames: &[FrameRef],
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<InstanceViews, ParseError> {
@@ -267,7 +267,7 @@ pub fn compute_instance_views(
         |frame| {
             progress.check()?;
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
-            let depth = depths.depth(frame)?;
+            let depth = frame.decode_depth()?;
             let camera = frame.depth_camera();
             let points = labeled.visibility.around_frame(&camera, &depth);
             let heights = flats

@@ -5,8 +5,7 @@ use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::color::ColorHistogram;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
-    DepthCache, Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure,
-    Support,
+    Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support,
 };
 use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::DualEncoder;
@@ -140,12 +139,8 @@ pub(super) fn choose_views(
     let labels = Labels::from_things(&instance_of_point);
     let visibility = visibility(&own, &instance_of_point, settings);
     let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
-    let seen = views::compute_sightings(
-        labeled,
-        (frames, &DepthCache::new(0)),
-        &MasksOfFrames::new(),
-        &Progress::silent(),
-    )?;
+    let seen =
+        views::compute_sightings(labeled, frames, &MasksOfFrames::new(), &Progress::silent())?;
     views::choose_views(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
     Ok(())
 }

@@ -7,7 +7,6 @@ use image::{DynamicImage, GrayImage, ImageReader, Limits, RgbImage};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io;
-use std::sync::Arc;
 
 /// File locations and camera of one frame. Decoding happens in [`FrameRef::decode`].
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -96,7 +95,7 @@ pub struct Frame {
     /// 8-bit sRGB.
     pub color: RgbImage,
     /// On its own grid, see [`color_on_depth_grid`](Self::color_on_depth_grid).
-    pub depth: Arc<DepthImage>,
+    pub depth: DepthImage,
     /// Projects into pixels of `color`.
     pub color_camera: Camera,
     /// Projects into pixels of `depth`.
@@ -132,18 +131,10 @@ impl FrameRef {
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
     pub fn decode(&self) -> Result<Frame, FrameError> {
-        self.decode_with(Arc::new(self.decode_depth()?))
-    }
-
-    /// Reads the color picture of this frame. `depth` is its decoded depth picture.
-    ///
-    /// # Errors
-    /// [`FrameError`] naming the frame and the file.
-    pub fn decode_with(&self, depth: Arc<DepthImage>) -> Result<Frame, FrameError> {
         Ok(Frame {
             index: self.index,
             color: self.decode_color()?,
-            depth,
+            depth: self.decode_depth()?,
             color_camera: self.color_camera(),
             depth_camera: self.depth_camera(),
         })
