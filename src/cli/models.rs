@@ -107,6 +107,10 @@ fn print_list(args: &ListArgs) -> anyhow::Result<()> {
         writeln!(out, "{}", serde_json::to_string_pretty(&listed)?)?;
         return Ok(());
     }
+    if listed.is_empty() {
+        eprintln!("no models in {}: `uniground models fetch` downloads them", args.models);
+        return Ok(());
+    }
     let mut table = Table::new();
     table
         .load_preset(presets::ASCII_MARKDOWN)
@@ -136,7 +140,11 @@ fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
             .collect(),
         false => bundles.iter().map(|bundle| bundle_folder(bundle, &config.models)).collect(),
     };
-    ensure!(!folders.is_empty(), "{}: no bundles found", config.models);
+    ensure!(
+        !folders.is_empty(),
+        "no models in {}: `uniground models fetch` downloads them",
+        config.models
+    );
     let engine = config.engine()?;
     let (mut loaded, mut failed) = (Vec::new(), 0);
     for folder in folders {

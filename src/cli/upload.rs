@@ -113,14 +113,10 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     // A key without permission to list scenes gets no names.
     let known = resolve_scene::list_scenes(client).await.unwrap_or_default();
     let (named, flag) = (resolve_scene::shortest_reference(&known, &scene), args.server.to_flag());
-    match is_awaited || job.is_none() {
-        true => {
-            eprintln!("ask: uniground ground --scene {named}{flag} \"the chair next to the door\"");
-        }
-        false => eprintln!(
-            "the parse is running; ask: uniground ground --scene {named}{flag} --wait \"the chair \
-             next to the door\""
-        ),
-    }
+    let (running, wait) = match is_awaited || job.is_none() {
+        true => ("", ""),
+        false => ("the parse is running; ", " --wait"),
+    };
+    eprintln!("{running}ask: uniground ground --scene {named}{flag}{wait} \"the largest table\"");
     Ok(())
 }

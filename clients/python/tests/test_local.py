@@ -101,7 +101,7 @@ def test_the_program_is_found_where_it_may_be(monkeypatch: pytest.MonkeyPatch, t
     with pytest.raises(UnigroundError) as missing:
         Client.local()
     assert missing.value.code == "program_not_found"
-    assert 'pip install "uniground[server]"' in missing.value.detail
+    assert "Install the wheel uniground-server" in missing.value.detail
 
     def put(folder: Path) -> str:
         folder.mkdir(parents=True)

@@ -31,7 +31,7 @@ POLL_S = 0.05
 # Variables for the program that a private server must not share with another server: its key, and where its data are.
 NOT_INHERITED = ("API_KEY", "API_KEY_FILE", "ALLOWED_HOSTS", "BLOBS", "DATABASE", "DATA_DIR", "LISTEN", "ROLE", "WEBHOOK_URL")
 NOT_FOUND = (
-    'The program `uniground` was not found. Run: pip install "uniground[server]". '
+    "The program `uniground` was not found. Install the wheel uniground-server, or put a build on PATH. "
     "Or set UNIGROUND_PROGRAM to its path, or use Client(…) with the address of a server."
 )
 

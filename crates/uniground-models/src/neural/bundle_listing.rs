@@ -4,6 +4,7 @@ use super::bundle::{Bundle, MANIFEST, Manifest};
 use super::{Engine, ModelError, Models, Role};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
+use std::io;
 
 /// A file of a bundle.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -33,15 +34,17 @@ pub struct BundleListing {
     pub problem: Option<String>,
 }
 
-/// Returns the bundles in a folder, sorted by name.
+/// Returns the bundles in a folder, sorted by name. A folder that does not exist has none.
 ///
 /// # Errors
 /// Returns an error when the folder cannot be read.
-pub fn list(folder: &Utf8Path) -> std::io::Result<Vec<BundleListing>> {
-    let mut folders: Vec<Utf8PathBuf> = folder
-        .read_dir_utf8()?
-        .map(|entry| Ok(entry?.into_path()))
-        .collect::<std::io::Result<_>>()?;
+pub fn list(folder: &Utf8Path) -> io::Result<Vec<BundleListing>> {
+    let entries = match folder.read_dir_utf8() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries?,
+    };
+    let mut folders: Vec<Utf8PathBuf> =
+        entries.map(|entry| Ok(entry?.into_path())).collect::<io::Result<_>>()?;
     folders.retain(|folder| folder.join(MANIFEST).is_file());
     folders.sort();
     Ok(folders.iter().map(|folder| listing(folder)).collect())
