@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Keeps decoded depth pictures in memory, so that several stages can read them.
 ///
 /// Every stage reads all frames in the same order. A cache that replaces the oldest picture would
-/// therefore never have the next one. This one keeps the first pictures that fit; the others are
+/// therefore never contain the next one. This one keeps the first pictures that fit. The others are
 /// decoded each time.
 #[derive(Debug)]
 pub struct DepthCache {
@@ -28,11 +28,11 @@ impl DepthCache {
         Self { max_bytes, kept: Mutex::default() }
     }
 
-    /// Returns the depth picture of a frame, see [`FrameRef::decode_depth`]. All frames given to
-    /// one cache must belong to one scan.
+    /// Returns the depth picture of a frame, see [`FrameRef::decode_depth`]. All frames of a cache
+    /// must belong to one scan.
     ///
     /// # Errors
-    /// [`FrameError`] naming the frame and the file.
+    /// Returns a [`FrameError`] that names the frame and the file.
     pub fn depth(&self, frame: &FrameRef) -> Result<Arc<DepthImage>, FrameError> {
         if let Some(depth) = self.kept().by_frame.get(&frame.index) {
             return Ok(depth.clone());
@@ -61,7 +61,7 @@ mod tests {
     use camino::Utf8Path;
     use image::{ImageBuffer, Luma};
 
-    /// A frame whose depth picture of 2x2 pixels shows `unit` millimeters.
+    /// Creates a frame with a depth picture of 2x2 pixels, each `unit` millimeters.
     fn frame(folder: &Utf8Path, index: u32, unit: u16) -> FrameRef {
         let depth = folder.join(format!("{index}.png"));
         ImageBuffer::from_pixel(2, 2, Luma([unit])).save(&depth).unwrap();
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_can_not_be_read_is_an_error_each_time() {
+    fn read_errors_are_not_cached() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let mut frame = frame(folder, 7, 1);
