@@ -6,15 +6,15 @@
 
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
-/// Niceness of background threads: they get a tenth of what an ordinary thread gets when both want
-/// the same core.
+/// Niceness of background threads: they get a tenth of the time of an ordinary thread when both
+/// compete for one core.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 10;
 
 /// Creates a low-priority pool for long work, with as many threads as there are cores.
 ///
 /// # Errors
-/// When the system cannot start more threads.
+/// Returns an error when the system cannot start more threads.
 pub fn low_priority_pool() -> Result<ThreadPool, ThreadPoolBuildError> {
     ThreadPoolBuilder::new()
         .thread_name(|i| format!("background-{i}"))
@@ -48,7 +48,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn background_threads_give_way_and_so_do_those_they_start() {
+    fn low_priority_is_inherited_and_the_caller_keeps_its_own() {
         // Niceness of the calling thread: the nineteenth field of its `stat`.
         let niceness = || -> i32 {
             let stat = std::fs::read_to_string("/proc/thread-self/stat").unwrap();
@@ -60,6 +60,6 @@ mod tests {
             std::thread::scope(|scope| scope.spawn(niceness).join().unwrap())
         });
         assert_eq!(inherited, (own + NICENESS).min(19));
-        assert_eq!(niceness(), own, "the caller keeps its own");
+        assert_eq!(niceness(), own, "the caller's niceness must not change");
     }
 }

@@ -26,8 +26,8 @@ static LINEAR: LazyLock<[f32; 256]> = LazyLock::new(|| {
     })
 });
 
-/// CIELAB's compressive curve, read from a table: a scan has millions of pixels, and a cube root is
-/// slow.
+/// Applies CIELAB's compressive curve. Uses a table, because a scan has millions of pixels and a
+/// cube root is slow.
 fn lab_curve(t: f32) -> f32 {
     const STEPS: usize = 4096;
     static TABLE: LazyLock<Vec<f32>> = LazyLock::new(|| {
@@ -90,7 +90,7 @@ impl ColorName {
         Self::Beige,
     ];
 
-    /// The English word, lower case.
+    /// Returns the English word, lower case.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
@@ -196,7 +196,8 @@ impl ColorName {
         }
     }
 
-    /// How well this name may stand for `other`, since people disagree at the borders, in `0..=1`.
+    /// Returns how well this name describes `other`, in `0..=1`. People disagree at the borders
+    /// between colors.
     #[must_use]
     pub fn similarity(self, other: Self) -> f32 {
         use ColorName::{
@@ -229,7 +230,7 @@ impl ColorName {
 pub struct ColorHistogram(pub [f32; 12]);
 
 impl ColorHistogram {
-    /// Counts 8-bit sRGB colors by name; all shares are 0 when there are none.
+    /// Counts 8-bit sRGB colors by name. All shares are 0 when there are no colors.
     pub fn from_colors(colors: impl IntoIterator<Item = [u8; 3]>) -> Self {
         let mut counts = [0_u32; 12];
         for rgb in colors {
@@ -239,7 +240,7 @@ impl ColorHistogram {
         Self(counts.map(|n| n as f32 / total))
     }
 
-    /// A histogram with equal shares of these names.
+    /// Creates a histogram with equal shares of these names.
     #[must_use]
     pub fn uniform(names: &[ColorName]) -> Self {
         let mut shares = [0.0; 12];
@@ -247,13 +248,13 @@ impl ColorHistogram {
         Self(shares)
     }
 
-    /// Share of the points with exactly this name, `0..=1`; similar names do not count.
+    /// Returns the share of the points with exactly this name, `0..=1`. Similar names do not count.
     #[must_use]
     pub fn share(&self, name: ColorName) -> f32 {
         self.0[name as usize]
     }
 
-    /// Names by descending share, without those under 10 %.
+    /// Returns the names by descending share, without those under 10 %.
     #[must_use]
     pub fn dominant(&self) -> Vec<(ColorName, f32)> {
         let mut named: Vec<_> = ColorName::ALL
@@ -265,9 +266,9 @@ impl ColorHistogram {
         named
     }
 
-    /// How well the word `name` describes these points, in `0..=1`. The full score needs 60 % of
-    /// the points with this name. Similar names count less: a brown desk may be called orange, but
-    /// not if an orange one is next to it.
+    /// Returns how well the word `name` describes these points, in `0..=1`. The full score needs 60
+    /// % of the points with this name. Similar names count less: a brown desk matches "orange", but
+    /// an orange desk matches it better.
     #[must_use]
     pub fn name_fit(&self, name: ColorName) -> f32 {
         let kin: f32 = ColorName::ALL
@@ -297,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn everyday_colors_get_their_names() {
+    fn common_colors_get_the_expected_names() {
         use ColorName::*;
         for (rgb, name) in [
             ([10, 10, 10], Black),
@@ -326,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn kinship_is_symmetric() {
+    fn similarity_is_symmetric() {
         for a in ColorName::ALL {
             for b in ColorName::ALL {
                 assert_eq!(a.similarity(b), b.similarity(a));

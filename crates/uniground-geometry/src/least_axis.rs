@@ -3,10 +3,11 @@
 use super::{Matrix3, Vector3};
 use nalgebra::SymmetricEigen;
 
-/// Smallest eigenvalue of a symmetric positive semi-definite matrix and its unit eigenvector.
+/// Returns the smallest eigenvalue of a symmetric positive semi-definite matrix, and its unit
+/// eigenvector.
 ///
-/// In closed form (Smith 1961), an order of magnitude faster than iteration. Degenerate matrices,
-/// whose smallest eigenvalue is not unique, are solved by iteration.
+/// The closed form (Smith 1961) is an order of magnitude faster than iteration. Degenerate
+/// matrices, whose smallest eigenvalue is not unique, are solved by iteration.
 #[must_use]
 pub fn least_axis(matrix: &Matrix3<f32>) -> (f32, Vector3<f32>) {
     let a = matrix.cast::<f64>();
@@ -39,7 +40,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn agrees_with_the_iteration(points in prop::collection::vec(prop::array::uniform3(-1.0_f32..1.0), 4..30), flat in 0.0_f32..1.0) {
+        fn closed_form_agrees_with_iteration(points in prop::collection::vec(prop::array::uniform3(-1.0_f32..1.0), 4..30), flat in 0.0_f32..1.0) {
             let scatter = points.iter().map(|p| Vector3::new(p[0], p[1], p[2] * flat)).fold(Matrix3::zeros(), |sum, p| sum + p * p.transpose());
             let (value, axis) = least_axis(&scatter);
             let expected = SymmetricEigen::new(scatter).eigenvalues.min();
@@ -50,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn degenerate_spreads_have_an_axis_too() {
+    fn degenerate_matrices_have_a_unit_axis() {
         for diagonal in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 1.0], [2.0, 2.0, 0.0]] {
             let (value, axis) = least_axis(&Matrix3::from_diagonal(&Vector3::from(diagonal)));
             assert!(

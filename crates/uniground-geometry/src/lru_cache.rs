@@ -3,8 +3,8 @@
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-/// The most recently used values, as many as their weights allow, and always the latest one. Stored
-/// values never change, so no entry can be stale.
+/// Stores the most recently used values, as many as their weights allow, and always the latest one.
+/// Stored values never change, so no entry can be stale.
 pub struct LruCache<V> {
     /// Most recently used last: key, value, weight.
     entries: Mutex<Vec<(String, V, usize)>>,
@@ -37,7 +37,7 @@ impl<V: Clone> LruCache<V> {
         Some(value)
     }
 
-    /// Numbers of cache hits and misses.
+    /// Returns the numbers of cache hits and misses.
     pub fn hits_and_misses(&self) -> (u64, u64) {
         (self.hits.load(Relaxed), self.misses.load(Relaxed))
     }
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_least_recently_used_leaves_first() {
+    fn the_least_recently_used_value_is_evicted_first() {
         let cache = LruCache::new(64);
         (0..64).for_each(|i| cache.put(i.to_string(), i, 1));
         assert!(cache.get("0").is_some());
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn heavy_values_push_out_many() {
+    fn a_heavy_value_evicts_as_many_values_as_needed() {
         let cache = LruCache::new(10);
         (0..5).for_each(|i| cache.put(i.to_string(), i, 2));
         cache.put("heavy".into(), 9, 7);
@@ -90,7 +90,7 @@ mod tests {
         cache.put("too heavy".into(), 9, 11);
         assert!(
             cache.get("too heavy").is_some() && cache.get("heavy").is_none(),
-            "the latest stays, alone"
+            "the latest value is stored even above the capacity"
         );
         cache.put("heavy".into(), 1, 1);
         assert_eq!(cache.get("heavy"), Some(1));

@@ -1,5 +1,5 @@
-//! Mean and covariance of many points, summed in double precision: five million single-precision
-//! sums lose whole meters.
+//! Mean and covariance of many points, summed in double precision. In single precision, the sum of
+//! five million points is off by meters.
 
 use super::{Matrix3, Point3};
 
@@ -14,7 +14,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Moments of no points: the origin and no spread.
+    /// Computes the moments. Without points, they are the origin and no spread.
     #[must_use]
     pub fn from_points(points: &[Point3<f32>]) -> Self {
         let n = points.len().max(1) as f64;
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn millions_of_points_far_from_the_origin_keep_their_plane() {
+    fn moments_are_accurate_for_millions_of_points_far_from_the_origin() {
         // A level plane at 2.3 m, a kilometer away.
         let points: Vec<_> = (0..3_000_000)
             .map(|i| {

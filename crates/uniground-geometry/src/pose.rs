@@ -5,7 +5,7 @@ use nalgebra::{Rotation3, Translation3, UnitQuaternion};
 
 /// Why a 4x4 matrix is not a pose.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // Every message describes its variant.
 pub enum PoseError {
     #[error("pose holds a value that is not finite")]
     NotFinite,
@@ -22,10 +22,11 @@ pub enum PoseError {
 /// Largest entry of `RᵀR - I` that still counts as a rounding error of a text file.
 const ORTHONORMAL_TOLERANCE: f32 = 0.02;
 
-/// Reads a row-major 4x4 matrix as a rigid transform; small rounding errors are projected away.
+/// Converts a row-major 4x4 matrix to a rigid transform. Corrects small rounding errors.
 ///
 /// # Errors
-/// [`PoseError`] when an entry is not finite, or the upper 3x3 block is not a rotation.
+/// Returns [`PoseError`] when an entry is not finite, the upper 3x3 block is not a rotation, or the
+/// position is too far away.
 pub fn rigid(matrix: &Matrix4<f32>) -> Result<Isometry3<f32>, PoseError> {
     if matrix.iter().any(|v| !v.is_finite()) {
         return Err(PoseError::NotFinite);
@@ -53,7 +54,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn bad_matrices_are_named() {
+    fn non_finite_mirrored_and_scaled_matrices_are_refused() {
         let mut lost = Matrix4::<f32>::identity();
         lost[(0, 3)] = f32::NEG_INFINITY;
         assert_eq!(rigid(&lost), Err(PoseError::NotFinite));
@@ -65,7 +66,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_rounded_rotation_survives(axis in prop::array::uniform3(-1.0_f32..1.0), angle in -3.1_f32..3.1, t in prop::array::uniform3(-9.0_f32..9.0)) {
+        fn poses_rounded_to_four_decimals_are_accepted(axis in prop::array::uniform3(-1.0_f32..1.0), angle in -3.1_f32..3.1, t in prop::array::uniform3(-9.0_f32..9.0)) {
             prop_assume!(Vector3::from(axis).norm() > 0.1);
             let exact = Isometry3::new(Vector3::from(t), Vector3::from(axis).normalize() * angle);
             let rounded = exact.to_homogeneous().map(|v| (v * 1e4).round() / 1e4);

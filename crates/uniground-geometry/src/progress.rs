@@ -20,8 +20,8 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// `sink` receives a stage's name and the overall progress in `0..=1`. `is_cancelled` is called
-    /// often and must be cheap.
+    /// Creates a progress. `sink` receives a stage's name and the overall progress in `0..=1`.
+    /// `is_cancelled` is called often and must be cheap.
     pub fn new(
         sink: impl Fn(&'static str, f32) + Send + Sync + 'static,
         is_cancelled: impl Fn() -> bool + Send + Sync + 'static,
@@ -29,31 +29,33 @@ impl Progress {
         Self { sink: Arc::new(sink), is_cancelled: Arc::new(is_cancelled), from: 0.0, to: 1.0 }
     }
 
-    /// Reports to nobody and is never cancelled.
+    /// Creates a progress that reports nothing and is never cancelled.
     #[must_use]
     pub fn silent() -> Self {
         Self::new(|_, _| {}, || false)
     }
 
-    /// Returns the part `from..to` (shares of this progress) as a progress of its own.
+    /// Returns a progress for the part `from..to` (shares of this one).
     #[must_use]
     pub fn sub_range(&self, from: f32, to: f32) -> Self {
         let at = |share: f32| self.from + (self.to - self.from) * share;
         Self { from: at(from), to: at(to), ..self.clone() }
     }
 
-    /// Reports that `stage` is `done` (0..=1) of this part.
+    /// Reports that `done` (0..=1) of this part is complete, in `stage`.
     ///
     /// # Errors
-    /// [`Cancelled`] once the caller has asked to stop.
+    /// Returns [`Cancelled`] once the caller has cancelled.
     pub fn report(&self, stage: &'static str, done: f32) -> Result<(), Cancelled> {
         self.check()?;
         (self.sink)(stage, self.from + (self.to - self.from) * done.clamp(0.0, 1.0));
         Ok(())
     }
 
+    /// Checks for cancellation.
+    ///
     /// # Errors
-    /// [`Cancelled`] once the caller has asked to stop.
+    /// Returns [`Cancelled`] once the caller has cancelled.
     pub fn check(&self) -> Result<(), Cancelled> {
         if (self.is_cancelled)() { Err(Cancelled) } else { Ok(()) }
     }
@@ -66,7 +68,7 @@ mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
 
     #[test]
-    fn nested_parts_add_up_and_cancelling_stops_them() {
+    fn nested_sub_ranges_scale_progress_and_reports_fail_after_cancellation() {
         let seen = Arc::new(Mutex::new(Vec::new()));
         let cancel = Arc::new(AtomicBool::new(false));
         let sink = {

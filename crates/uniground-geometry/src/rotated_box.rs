@@ -36,15 +36,15 @@ impl From<Aabb> for RotatedBox {
 type Face = Vec<Point3<f64>>;
 
 impl RotatedBox {
-    /// The axis-aligned box around this one.
+    /// Returns the axis-aligned box around this one.
     #[must_use]
     pub fn aabb(&self) -> Aabb {
         let turn = self.rotation.to_rotation_matrix();
         Aabb { center: self.center, size: turn.matrix().abs() * self.size }
     }
 
-    /// Intersection over union with another box, in `0..=1`; 0 for boxes without volume. Exact up
-    /// to rounding.
+    /// Returns the intersection over union with another box, in `0..=1`; 0 for boxes without
+    /// volume. Exact up to rounding.
     #[must_use]
     pub fn iou(&self, other: &Self) -> f32 {
         let [own, others] =
@@ -53,7 +53,8 @@ impl RotatedBox {
         if shared <= 0.0 { 0.0 } else { (shared / (own + others - shared)) as f32 }
     }
 
-    /// Volume of the intersection: this box's faces, cut by the six planes of the other.
+    /// Returns the volume of the intersection: clips this box's faces by the six planes of the
+    /// other.
     fn shared_volume(&self, other: &Self) -> f64 {
         // Coordinates relative to this box's center, so that rounding does not depend on the room's
         // position.
@@ -71,7 +72,7 @@ impl RotatedBox {
         volume(&faces)
     }
 
-    /// The six faces, counter-clockwise from outside, relative to `origin`.
+    /// Returns the six faces, counter-clockwise from outside, relative to `origin`.
     fn faces(&self, origin: &Point3<f32>) -> Vec<Face> {
         // Corner i has bit 0 for +X, bit 1 for +Y, bit 2 for +Z.
         const FACES: [[usize; 4]; 6] =
@@ -87,7 +88,7 @@ impl RotatedBox {
     }
 }
 
-/// Keeps the part of a convex body where `normal . p <= offset`, and closes it.
+/// Returns the part of a convex body where `normal . p <= offset`, closed.
 fn clip_to_plane(faces: Vec<Face>, normal: &Vector3<f64>, offset: f64) -> Vec<Face> {
     const ON_PLANE_M: f64 = 1e-9;
     let height = |p: &Point3<f64>| normal.dot(&p.coords) - offset;
@@ -117,7 +118,7 @@ fn clip_to_plane(faces: Vec<Face>, normal: &Vector3<f64>, offset: f64) -> Vec<Fa
     kept
 }
 
-/// Points of a convex polygon, counter-clockwise seen against `normal`.
+/// Sorts the points of a convex polygon counter-clockwise, seen against `normal`.
 fn sort_counter_clockwise(mut points: Face, normal: &Vector3<f64>) -> Face {
     let middle =
         points.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / points.len() as f64;
@@ -128,7 +129,7 @@ fn sort_counter_clockwise(mut points: Face, normal: &Vector3<f64>) -> Face {
     points
 }
 
-/// Volume of a closed convex body (divergence theorem).
+/// Returns the volume of a closed convex body (divergence theorem).
 fn volume(faces: &[Face]) -> f64 {
     let of_face = |face: &Face| -> f64 {
         (1..face.len().max(2) - 1)
@@ -150,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn overlaps_by_hand() {
+    fn iou_matches_values_computed_by_hand() {
         let cube = turned([0.0; 3], [1.0; 3], [0.0; 3]);
         assert!((cube.iou(&cube) - 1.0).abs() < 1e-6);
         // A square and the same square rotated by 45 degrees: the octagon has 2 (sqrt 2 - 1) of the
@@ -177,16 +178,16 @@ mod tests {
     proptest! {
         /// Without rotation, the result is the benchmark's axis-aligned IoU.
         #[test]
-        fn aligned_boxes_agree_with_the_plain_formula(a in prop::array::uniform6(0.1_f32..2.0), b in prop::array::uniform6(0.1_f32..2.0)) {
+        fn iou_of_aligned_boxes_matches_the_axis_aligned_formula(a in prop::array::uniform6(0.1_f32..2.0), b in prop::array::uniform6(0.1_f32..2.0)) {
             let make = |v: [f32; 6]| Aabb { center: Point3::new(v[0], v[1], v[2]), size: Vector3::new(v[3], v[4], v[5]) };
             let (a, b) = (make(a), make(b));
             let exact = RotatedBox::from(a).iou(&b.into());
             prop_assert!((exact - a.iou(&b)).abs() < 1e-4, "{exact} {}", a.iou(&b));
         }
 
-        /// Overlap depends neither on the order nor on the orientation of the world.
+        /// The IoU depends neither on the order of the boxes nor on the orientation of the world.
         #[test]
-        fn overlap_is_symmetric_and_moves_with_the_world(
+        fn iou_is_symmetric_and_independent_of_the_world_rotation(
             sizes in prop::array::uniform6(0.2_f32..2.0), at in prop::array::uniform3(-1.0_f32..1.0),
             turns in prop::array::uniform3(-3.0_f32..3.0), world in prop::array::uniform3(-3.0_f32..3.0),
         ) {

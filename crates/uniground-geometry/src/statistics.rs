@@ -1,7 +1,7 @@
 //! Order statistics, which are robust against a few outliers.
 
-/// Returns the value below which the share `q` (0..=1) of `values` lies; reorders them. `None` when
-/// there are none.
+/// Returns the value below which the share `q` (0..=1) of `values` lies, or `None` when there are
+/// no values. Reorders them.
 ///
 /// Nearest rank, no interpolation: the answer is always one of the values. NaN sorts last.
 pub fn quantile(values: &mut [f32], q: f32) -> Option<f32> {
@@ -12,7 +12,7 @@ pub fn quantile(values: &mut [f32], q: f32) -> Option<f32> {
     Some(*values.select_nth_unstable_by(rank, f32::total_cmp).1)
 }
 
-/// Returns the median value; reorders the values.
+/// Returns the median value. Reorders the values.
 pub fn median(values: &mut [f32]) -> Option<f32> {
     quantile(values, 0.5)
 }
@@ -36,14 +36,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_largest_come_first_and_ties_in_order() {
+    fn largest_indices_are_sorted_with_ties_by_position() {
         assert_eq!(largest_indices(&[0.2, 0.9, 0.2, 0.5, 0.9], 3), [1, 4, 3]);
         assert_eq!(largest_indices(&[0.2, 0.9, 0.2], 9), [1, 0, 2]);
         assert!(largest_indices(&[], 2).is_empty() && largest_indices(&[1.0], 0).is_empty());
     }
 
     #[test]
-    fn quantiles_are_members_of_the_set() {
+    fn a_quantile_is_one_of_the_values() {
         let mut values = [5.0, 1.0, 4.0, 2.0, 3.0];
         assert_eq!(quantile(&mut values, 0.0), Some(1.0));
         assert_eq!(median(&mut values), Some(3.0));

@@ -8,7 +8,7 @@ pub struct UnionFind {
 }
 
 impl UnionFind {
-    /// Starts with `len` sets of one element each.
+    /// Creates `len` sets of one element each.
     #[must_use]
     pub fn new(len: usize) -> Self {
         Self { parent: (0..len as u32).collect() }
@@ -25,7 +25,7 @@ impl UnionFind {
         i
     }
 
-    /// Joins two sets; returns the representative of the joined set.
+    /// Joins two sets. Returns the representative of the joined set.
     pub fn union(&mut self, a: u32, b: u32) -> u32 {
         let (a, b) = (self.find(a), self.find(b));
         let (low, high) = (a.min(b), a.max(b));
@@ -33,8 +33,8 @@ impl UnionFind {
         low
     }
 
-    /// Returns consecutive labels `0..n` per element, numbered by each set's smallest member; and
-    /// `n`.
+    /// Returns a label in `0..n` for each element, numbered in order of each set's smallest member,
+    /// and `n`.
     #[must_use]
     pub fn into_labels(mut self) -> (Vec<u32>, usize) {
         let mut labels = vec![0; self.parent.len()];

@@ -13,8 +13,8 @@ const BIAS: i64 = 1 << 20;
 const MASK: u64 = (1 << 21) - 1;
 
 impl VoxelKey {
-    /// The voxel of edge `voxel_m` that contains `p`. Coordinates beyond ±2^20 voxels are clamped
-    /// to the border.
+    /// Returns the voxel of edge `voxel_m` that contains `p`. Coordinates beyond ±2^20 voxels are
+    /// clamped to the border.
     #[must_use]
     pub fn containing(p: &Point3<f32>, voxel_m: f32) -> Self {
         Self::pack([p.x, p.y, p.z].map(|c| floor_to_int(c / voxel_m)))
@@ -25,27 +25,28 @@ impl VoxelKey {
         Self(x << 42 | y << 21 | z)
     }
 
-    /// The key at an offset of `d` voxels.
+    /// Returns the key at an offset of `d` voxels.
     #[must_use]
     pub fn offset(self, d: [i64; 3]) -> Self {
         let cell = [self.0 >> 42, self.0 >> 21 & MASK, self.0 & MASK];
         Self::pack(std::array::from_fn(|i| cell[i] as i64 - BIAS + d[i]))
     }
 
-    /// An offset in voxels as one number to add; see [`offset_by_step`](Self::offset_by_step).
+    /// Converts an offset in voxels to a single number for
+    /// [`offset_by_step`](Self::offset_by_step).
     #[must_use]
     pub const fn step([x, y, z]: [i64; 3]) -> i64 {
         (x << 42) + (y << 21) + z
     }
 
-    /// The key at the offset of a [`step`](Self::step). Faster than [`offset`](Self::offset).
-    /// Beyond the border it is an arbitrary other key.
+    /// Returns the key at the offset of a [`step`](Self::step). Faster than
+    /// [`offset`](Self::offset), but beyond the border it returns an arbitrary other key.
     #[must_use]
     pub const fn offset_by_step(self, step: i64) -> Self {
         Self((self.0 as i64).wrapping_add(step) as u64)
     }
 
-    /// Center of the voxel, meters.
+    /// Returns the center of the voxel, meters.
     #[must_use]
     pub fn center(self, voxel_m: f32) -> Point3<f32> {
         let at =
@@ -54,8 +55,8 @@ impl VoxelKey {
     }
 }
 
-/// `value.floor() as i64`, without the call into the C library that the oldest x86-64 processors
-/// need.
+/// Returns `value.floor() as i64` without the call into the C library that the oldest x86-64
+/// processors need.
 fn floor_to_int(value: f32) -> i64 {
     let towards_zero = value as i64;
     towards_zero.saturating_sub(i64::from((towards_zero as f32) > value))
@@ -106,25 +107,25 @@ impl VoxelGrid {
         Self { keys, of_point, index }
     }
 
-    /// Number of occupied voxels.
+    /// Returns the number of occupied voxels.
     #[must_use]
     pub fn len(&self) -> usize {
         self.keys.len()
     }
 
-    /// Whether there were no points.
+    /// Returns whether there were no points.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.keys.is_empty()
     }
 
-    /// Number of a voxel; `None` when no point lies in it.
+    /// Returns the number of a voxel, or `None` when it contains no point.
     #[must_use]
     pub fn get(&self, key: VoxelKey) -> Option<u32> {
         self.index.get(&key).copied()
     }
 
-    /// Returns the occupied ones among the 26 neighbors of every voxel, ascending.
+    /// Returns the occupied voxels among the 26 neighbors of every voxel, ascending.
     #[must_use]
     pub fn neighbors(&self) -> VoxelNeighbors {
         const CHUNK: usize = 4096;
@@ -184,7 +185,7 @@ pub struct VoxelNeighbors {
 }
 
 impl VoxelNeighbors {
-    /// Numbers of the occupied voxels around this one, ascending, at most 26.
+    /// Returns the numbers of the occupied voxels around this one, ascending, at most 26.
     #[must_use]
     pub fn neighbors_of(&self, voxel: u32) -> &[u32] {
         let v = voxel as usize;
@@ -192,7 +193,7 @@ impl VoxelNeighbors {
     }
 }
 
-/// The distinct keys, ascending.
+/// Returns the distinct keys, ascending.
 fn distinct(mut keys: Vec<VoxelKey>) -> Vec<VoxelKey> {
     // Consecutive points are mostly close together, so much is removed before the sort.
     keys.dedup();
@@ -203,12 +204,12 @@ fn distinct(mut keys: Vec<VoxelKey>) -> Vec<VoxelKey> {
 
 /// Initial cell size for measuring the surface area of a cloud, meters.
 const AREA_CELL_M: f32 = 0.1;
-/// With fewer points per cell on average, a cell is no estimate of the surface: larger cells are
-/// tried.
+/// Minimum number of points per cell on average. With fewer, cells do not cover the surface, and
+/// larger ones are tried.
 const POINTS_PER_CELL: usize = 3;
 
-/// Typical distance between neighboring points on their surface, meters: the side of the square
-/// that each point represents.
+/// Returns the typical distance between neighboring points on their surface, meters: the side of
+/// the square that each point represents.
 #[must_use]
 pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
     const LARGEST_CELL_M: f32 = 1000.0;
@@ -243,7 +244,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keys_know_their_neighbours_across_zero() {
+    fn key_offsets_work_across_zero() {
         let key = VoxelKey::containing(&Point3::new(-0.01, 0.01, 0.0), 0.05);
         assert_eq!(
             key.offset([1, 0, 0]),
@@ -272,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn spacing_is_that_of_the_surface() {
+    fn typical_spacing_is_measured_on_the_surface() {
         let plane: Vec<_> = (0..200)
             .flat_map(|i| {
                 (0..200).map(move |j| Point3::new(i as f32 * 0.02, j as f32 * 0.02, 0.51))
@@ -284,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn wild_coordinates_do_not_panic() {
+    fn huge_and_non_finite_coordinates_do_not_panic() {
         let grid = VoxelGrid::new(
             &[Point3::new(1e30, -1e30, f32::NAN), Point3::new(f32::INFINITY, 0.0, 0.0)],
             0.01,

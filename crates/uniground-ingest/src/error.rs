@@ -110,7 +110,8 @@ pub enum IngestErrorKind {
 }
 
 impl IngestError {
-    /// Returns the kind that has a stable code. For many damaged frames, the kind of the first one.
+    /// Returns the kind, which has a stable code. For many damaged frames, returns the kind of the
+    /// first error.
     #[must_use]
     pub fn kind(&self) -> IngestErrorKind {
         match self {
@@ -140,7 +141,8 @@ impl IngestError {
         }
     }
 
-    /// A file of the archive could not be read. The upload is at fault unless the disk failed.
+    /// Converts an error of reading a file of the archive. The upload is at fault unless the disk
+    /// failed.
     pub(super) fn reading(file: impl Into<Utf8PathBuf>, source: io::Error) -> Self {
         use io::ErrorKind::{
             InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound,

@@ -1,8 +1,8 @@
 //! Adds frames to a scan: checks them against the scene, fuses them and merges them into its cloud.
 //!
-//! The newest measurement wins. Points that new frames look through are removed. A surface with no
-//! known point nearby is added. Everything else stays unchanged, so that superpoints, what frames
-//! saw of them, and the instances built from them can stay unchanged as well.
+//! The newest measurement wins. Points that new frames see through are removed. A surface with no
+//! known point nearby is added. Everything else stays unchanged, so that superpoints, their
+//! visibility in frames, and the instances built from them can stay unchanged as well.
 
 use super::IngestError;
 use super::fusion;
@@ -22,7 +22,7 @@ use uniground_types::settings::ImportSettings;
 /// A new surface this close to a known one counts as the same surface, meters. Pose drift and depth
 /// noise are about this large.
 const SAME_SURFACE_M: f32 = 0.04;
-/// Number of frames that must look through a point before it is removed, if that many frames exist.
+/// Number of frames that must see through a point before it is removed, if that many frames exist.
 const ENOUGH_LOOKS: usize = 2;
 /// Minimum share of the scene's points in view that must agree with the frames' depth. Below this,
 /// the frames show another place, or their poses belong to another world. Merging them would carve
@@ -80,7 +80,7 @@ pub fn check_fit(
                 other => other,
             },
         )?;
-    // Frames that see none of the known points may show any place.
+    // Frames that see none of the known points can show any place.
     let agreement = agreement.unwrap_or(0.0);
     if agreement < BELONGS {
         return Err(IngestError::DoesNotBelong { agreement: agreement * 100.0 });
@@ -128,9 +128,9 @@ const AROUND_GONE_M: f32 = 0.1;
 /// A point this close to a fused point lies on its surface, meters.
 const ON_SURFACE_M: f32 = 0.027;
 
-/// Returns the points that are still there. When a thing is removed, frames do not look through its
-/// lowest points: the floor is measured barely behind them. Therefore, a known point near removed
-/// points stays only where the fused surface is.
+/// Returns the points that still exist. When an object is removed, frames do not see through its
+/// lowest points, because the floor is barely behind them. Therefore a known point near removed
+/// points stays only if it lies on the fused surface.
 fn remaining_points(
     known: &PointCloud,
     looks: &[FreeSpaceVotes],
@@ -162,7 +162,7 @@ fn remaining_points(
         .collect()
 }
 
-/// A spatial index that tells whether any point is near.
+/// A spatial index that finds whether any point is near.
 struct NearbyPoints<'a> {
     points: &'a [Point3<f32>],
     within_m: f32,
@@ -231,20 +231,20 @@ mod tests {
     }
 
     #[test]
-    fn only_surfaces_that_nothing_is_near_are_new() {
+    fn only_points_far_from_known_points_are_new() {
         let known = cloud((0..100).map(|i| [i as f32 * 0.01, 0.0, 0.0]));
         let fused =
             cloud([[0.5, 0.03, 0.0], [0.5, 0.05, 0.0], [1.5, 0.0, 0.0], [-0.039, 0.0, 0.0]]);
         let all: Vec<u32> = (0..100).collect();
         let new = new_surface_points(&fused, &known, &all);
         assert_eq!(new.positions, [Point3::new(0.5, 0.05, 0.0), Point3::new(1.5, 0.0, 0.0)]);
-        // Where the known points are removed, what is measured now is new.
+        // Where known points were removed, the measured surface is new.
         assert_eq!(new_surface_points(&fused, &known, &all[..1]).len(), 3);
     }
 
     #[test]
-    fn the_foot_of_what_is_gone_goes_with_it() {
-        // A post on a floor. Frames look through it down to eight centimeters above the floor.
+    fn the_lowest_points_of_a_removed_object_are_removed_too() {
+        // A post on a floor. Frames see through it down to eight centimeters above the floor.
         let known = cloud(
             (0..50)
                 .map(|i| [0.0, 0.0, i as f32 * 0.01])
@@ -267,7 +267,7 @@ mod tests {
             .map(|&i| known.positions[i as usize])
             .collect();
         assert!(kept.iter().all(|p| p.z < 0.03) && kept.len() >= 50, "{kept:?}");
-        // A point that no frame has looked at stays, however near it is.
+        // A point that no frame has seen stays, however near it is.
         let hidden: Vec<FreeSpaceVotes> = looks
             .iter()
             .map(|looks| if looks.hits > 0 { FreeSpaceVotes::default() } else { *looks })
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn a_world_at_map_coordinates_leads_to_the_scene() {
+    fn map_coordinates_are_transformed_to_the_scene() {
         // A quarter turn about Z, centimeters, far away.
         let to_scene = SourceToScene {
             rotation: [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],

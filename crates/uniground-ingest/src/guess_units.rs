@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_room_is_a_room_in_any_unit() {
+    fn units_are_guessed_from_the_size_of_a_room() {
         for (scale, expected) in [(1.0, 1.0), (100.0, 0.01), (1000.0, 0.001), (0.3, 1.0)] {
             let room: Vec<_> = (0..1000)
                 .map(|i| {

@@ -1,5 +1,5 @@
-//! Readers with limits for untrusted input: a file's own claims never decide how much is held in
-//! memory or read.
+//! Readers with limits for untrusted input: the sizes that a file announces never decide how much
+//! is read or held in memory.
 
 use super::IngestError;
 use camino::Utf8Path;
@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, BufRead, Read, Seek, SeekFrom};
 use std::rc::Rc;
 
-/// Number of bytes that may still be read. Clones share it.
+/// Number of bytes that can still be read. Clones share it.
 #[derive(Debug, Clone)]
 pub(super) struct ReadLimit(Rc<Cell<u64>>);
 
@@ -22,7 +22,7 @@ impl ReadLimit {
         self.0.set(bytes);
     }
 
-    /// Returns whether a reader asked for more than the limit. From then on it gets nothing.
+    /// Returns whether a reader exceeded the limit. All later reads fail.
     pub fn is_spent(&self) -> bool {
         self.0.get() == 0
     }
@@ -44,7 +44,7 @@ impl<R: Read> Read for LimitedReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.inner.read(buffer)?;
         let left = self.allowance.0.get();
-        // The last byte is never handed out: a limit at 0 means that it was exceeded.
+        // The last byte is never returned, so 0 means that the limit was exceeded.
         if n as u64 >= left {
             self.allowance.0.set(0);
             return Err(io::Error::other("there is more than may be read"));
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_goes_on_ends_in_an_error() {
+    fn input_beyond_the_limit_is_an_error() {
         let allowance = ReadLimit::new(101);
         let mut all = Vec::new();
         assert!(

@@ -20,7 +20,7 @@ pub struct NeighborAgreement {
     /// Median difference between measured depths of the same place, meters. Includes both noise and
     /// drift.
     pub depth_error_m: f32,
-    /// How far a typical frame lies in front of or behind its neighbor as a whole, meters. Drift
+    /// Median over the frames of the offset in depth to the next frame, meters. Includes drift
     /// only.
     pub drift_m: f32,
     /// The largest drift, meters.
@@ -96,7 +96,7 @@ mod tests {
     use uniground_geometry::Isometry3;
     use uniground_geometry::scene::{Intrinsics, Optics};
 
-    /// A frame that looks along +Z at a wall, from `at_m` along the axis.
+    /// Creates a frame that looks along +Z at a wall, from `at_m` on that axis.
     fn frame(folder: &Utf8Path, index: u32, at_m: f32, depth_mm: u16) -> FrameRef {
         let depth = folder.join(format!("{index}.png"));
         ImageBuffer::<Luma<u16>, _>::from_pixel(64, 64, Luma([depth_mm])).save(&depth).unwrap();
@@ -115,10 +115,10 @@ mod tests {
     }
 
     #[test]
-    fn a_pose_that_drifts_is_told_and_where() {
+    fn the_frame_with_the_largest_pose_drift_is_reported() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
-        // Each is ten centimeters nearer. The last one claims so but has not moved that far.
+        // Each frame is ten centimeters nearer. The pose of the last one is four centimeters off.
         let frames = [
             frame(folder, 0, 0.0, 2000),
             frame(folder, 1, 0.1, 1900),
@@ -133,6 +133,10 @@ mod tests {
         );
         assert_eq!(compare_neighbors(&frames[..1]), None);
         let away = frame(folder, 7, 50.0, 2000);
-        assert_eq!(compare_neighbors(&[frames[0].clone(), away]), None, "nothing in common");
+        assert_eq!(
+            compare_neighbors(&[frames[0].clone(), away]),
+            None,
+            "the frames do not overlap"
+        );
     }
 }

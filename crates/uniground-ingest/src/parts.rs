@@ -66,6 +66,8 @@ impl GrownScan {
         }
     }
 
+    /// Writes the list of parts into a scan's folder.
+    ///
     /// # Errors
     /// Returns errors of the file system.
     pub fn write(&self, content: &Utf8Path) -> io::Result<()> {
@@ -88,7 +90,7 @@ pub fn part_folder(content: &Utf8Path, part: usize) -> Utf8PathBuf {
 /// that stored scans use for their own files.
 ///
 /// [`GROWN`] is reserved in a folder of the root as well, because archives are often made of one
-/// folder. Case does not matter: some file systems ignore it.
+/// folder. Ignores case, because some file systems do.
 #[must_use]
 pub fn is_reserved(path: &Utf8Path) -> bool {
     let names: Vec<String> = path.iter().map(fold_case).collect();
@@ -106,8 +108,8 @@ fn is_name(folded: &str, name: &str) -> bool {
     folded == fold_case(name)
 }
 
-/// A name as a file system that ignores case compares it. Both conversions are needed: some letters
-/// have the same lower case, some the same upper case.
+/// Returns a name in the form that a case-insensitive file system compares. Both conversions are
+/// needed: some letters share only their lower case, some only their upper case.
 fn fold_case(name: &str) -> String {
     name.to_lowercase().to_uppercase()
 }
@@ -117,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_written_is_read_and_an_upload_has_not_grown() {
+    fn written_parts_are_read_back_and_damaged_files_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         assert_eq!(GrownScan::read(folder).unwrap(), None);

@@ -19,10 +19,10 @@ const CLEARLY_RIGHT: f32 = 0.6;
 /// many times better than the declared one.
 const CLEARLY_BETTER: f32 = 0.45;
 const TIMES_BETTER: f32 = 1.5;
-/// Another unit of length must agree better than that by this factor: cameras that all stand in one
-/// place agree too easily.
+/// Another unit of length must agree better than the declared one by this factor: cameras at nearly
+/// the same position agree too easily.
 const TIMES_BETTER_UNITS: f32 = 2.5;
-/// Below this agreement, a scan gets a warning whatever the interpretation.
+/// Below this agreement, a scan gets a warning under any interpretation.
 const SUSPICIOUS: f32 = 0.4;
 /// Below this agreement, cloud, poses and depth do not belong together.
 const NOTHING_FITS: f32 = 0.03;
@@ -251,8 +251,8 @@ impl ReprojectionSample<'_> {
                 }
             }
         }
-        // A wrong interpretation may leave a few points in view by chance: they must be a fair
-        // share to count.
+        // A wrong interpretation can leave a few points in view by chance. Agreement counts only if
+        // at least 2 % of the points are in view.
         (seen * 50 >= points.len()).then(|| agree as f32 / seen.max(1) as f32)
     }
 

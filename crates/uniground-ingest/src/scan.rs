@@ -19,7 +19,7 @@ pub struct Scan {
     pub root: Utf8PathBuf,
     /// Layout of the files: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on.
     pub format: &'static str,
-    /// `name` in `scene.json`. `None` when it is missing, or when the layout has no names.
+    /// `name` in `scene.json`. `None` if it is missing, or if the layout has no names.
     pub name: Option<String>,
     /// The scan's own point cloud. `None`: a cloud is fused from the frames.
     pub cloud: Option<Utf8PathBuf>,

@@ -1,7 +1,7 @@
 //! Reads ScanNet's `.sens`: all frames of a scan in one file, with their poses and both cameras. It
 //! is unpacked into pictures and a `scene.json`.
 //!
-//! All values are little-endian. Everything that the file claims is checked before it is used.
+//! All values are little-endian. Sizes and counts in the file are checked before they are used.
 //! Frames are written one at a time.
 
 use super::IngestError;
@@ -80,7 +80,7 @@ struct Header {
 /// frames.
 ///
 /// # Errors
-/// Returns an [`IngestError`] that names the file. `target` may then hold some of the files.
+/// Returns an [`IngestError`] that names the file. `target` can then contain some of the files.
 pub(super) fn unpack(
     file: &Utf8Path,
     target: &Utf8Path,
@@ -260,7 +260,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A header with these sizes, and one black frame.
+    /// Creates a header that announces `frames` frames, and one black frame.
     pub(super) fn sens(frames: u64) -> Vec<u8> {
         let mut bytes = VERSION.to_le_bytes().to_vec();
         bytes.extend(4_u64.to_le_bytes());
@@ -301,12 +301,12 @@ mod tests {
     }
 
     #[test]
-    fn frames_become_files() {
+    fn frames_are_unpacked_into_files() {
         assert_eq!(unpack_bytes(&sens(1)).unwrap(), 1);
     }
 
     #[test]
-    fn lies_are_refused() {
+    fn invalid_headers_and_missing_frames_are_refused() {
         for (bytes, expected) in [
             (sens(2), "frame 1"),
             (sens(u64::MAX), "announces"),
@@ -320,7 +320,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_never_panics(at in 0_usize..600, with in prop::collection::vec(any::<u8>(), 1..8)) {
+        fn damaged_files_never_panic(at in 0_usize..600, with in prop::collection::vec(any::<u8>(), 1..8)) {
             let mut bytes = sens(1);
             for (i, byte) in with.iter().enumerate() {
                 if let Some(own) = bytes.get_mut(at + i) {

@@ -1,4 +1,4 @@
-//! A scan as a folder, whatever form it was given in.
+//! Opens a scan of any form as a folder.
 
 use super::IngestError;
 use super::archive::{ArchiveKind, UnpackLimits, unpack};
@@ -38,7 +38,7 @@ impl ScanFolder {
         match ArchiveFormat::detect(scan)
             .ok_or_else(|| IngestError::malformed(scan, describe_content(&read_head(scan))))?
         {
-            // Files that a mesh refers to lie next to it.
+            // Files that a mesh refers to are next to it.
             ArchiveFormat::Cloud("obj" | "gltf") => {
                 copy_sibling_files(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path)
                     .map_err(reading)?;
@@ -123,7 +123,7 @@ fn put(file: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
     linked.or_else(|_| fs::copy(file, target).map(drop))
 }
 
-/// Extensions of files that a mesh may refer to: its materials, buffers and pictures.
+/// Extensions of files that a mesh can refer to: its materials, buffers and pictures.
 const BESIDE_MESHES: [&str; 5] = ["mtl", "bin", "png", "jpg", "jpeg"];
 
 fn copy_sibling_files(

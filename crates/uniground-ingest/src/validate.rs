@@ -14,11 +14,11 @@ use uniground_geometry::scene::{DepthSensor, FrameIndex, Intrinsics, PoseConvent
 /// Maximum share of damaged frames that are left out. With more, the scan is refused.
 const MAX_DAMAGED: f32 = 0.1;
 
-/// Checks a scan, and drops the frames whose pose the tracker itself marked as lost and the few
-/// that are damaged.
+/// Checks a scan. Drops the frames whose pose the tracker marked as lost, and the damaged frames if
+/// they are few.
 ///
-/// A pose that consists of infinities only is that mark (ScanNet writes it): the frame is skipped
-/// and counted. Any other non-finite value is damage.
+/// A lost pose consists of infinities only (as ScanNet writes it). The frame is skipped and
+/// counted. Any other non-finite value is damage.
 pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     // Frames keep their index in the scan's own list when others are skipped.
     for (frame, i) in scan.frames.iter_mut().zip(0..) {
@@ -151,7 +151,7 @@ fn checked(
     Ok(frame)
 }
 
-/// Returns the intrinsics at the picture's own resolution. A picture of the same aspect ratio may
+/// Returns the intrinsics at the picture's own resolution. A picture of the same aspect ratio can
 /// be smaller or larger than the intrinsics say.
 fn fit(
     root: &Utf8Path,

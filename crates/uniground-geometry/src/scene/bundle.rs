@@ -11,7 +11,7 @@ pub struct SceneBundle {
     pub cloud: PointCloud,
     /// The usable frames, in the scan's order; empty for a bare cloud.
     pub frames: Vec<FrameRef>,
-    /// What the import found.
+    /// The import report.
     pub report: ImportReport,
     /// Additions to the scan, in order. The fields above do not include them, so that the original
     /// scan is imported only once.
@@ -22,11 +22,11 @@ pub struct SceneBundle {
 /// Frames added to a scan, and the changes they make to its cloud.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Addition {
-    /// Identifies the scan up to this addition: equal values mean equal imports.
+    /// Identifies the scan up to and including this addition: equal values mean equal imports.
     pub made_of: String,
     /// Numbered consecutively after the earlier frames.
     pub frames: Vec<FrameRef>,
-    /// Previous points that still exist, ascending. Frames looked through the others.
+    /// Previous points that still exist, ascending. The new frames saw through the others.
     pub kept: Vec<u32>,
     /// Points that did not exist before.
     pub new: PointCloud,
@@ -35,7 +35,7 @@ pub struct Addition {
     pub apart_m: f32,
     /// Number of frames that could not be used.
     pub frames_skipped: u32,
-    /// Oddities that were accepted.
+    /// Problems that were accepted.
     pub warnings: Vec<String>,
 }
 
@@ -75,13 +75,13 @@ impl SceneBundle {
         (report, frames)
     }
 
-    /// Number of points of the cloud including all additions.
+    /// Returns the number of points of the cloud, including all additions.
     #[must_use]
     pub fn points(&self) -> usize {
         self.additions.last().map_or(self.cloud.len(), |last| last.kept.len() + last.new.len())
     }
 
-    /// The index at which the frames of the next addition begin.
+    /// Returns the index at which the frames of the next addition begin.
     #[must_use]
     pub fn next_frame(&self) -> u32 {
         let frames = self.additions.last().map_or(&self.frames, |last| &last.frames);

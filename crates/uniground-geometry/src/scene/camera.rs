@@ -22,7 +22,7 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// The intrinsics of the same camera at another resolution.
+    /// Returns the intrinsics of the same camera at another resolution.
     #[must_use]
     pub fn scaled_to(&self, width: u32, height: u32) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
@@ -39,8 +39,8 @@ impl Intrinsics {
         }
     }
 
-    /// Pixel coordinates of a point in camera axes (meters); `None` behind the camera or outside
-    /// the image.
+    /// Returns the pixel coordinates of a point in camera axes (meters), or `None` behind the
+    /// camera or outside the image.
     #[must_use]
     #[inline]
     pub fn project(&self, p: &Point3<f32>) -> Option<Pixel> {
@@ -56,7 +56,7 @@ impl Intrinsics {
         inside.then_some(pixel)
     }
 
-    /// The point at depth `z_m` along the ray through pixel `(u, v)`, camera axes, meters.
+    /// Returns the point at depth `z_m` along the ray through pixel `(u, v)`, camera axes, meters.
     #[must_use]
     pub fn unproject(&self, u: f32, v: f32, z_m: f32) -> Point3<f32> {
         Point3::new((u - self.cx) / self.fx * z_m, (v - self.cy) / self.fy * z_m, z_m)
@@ -75,7 +75,7 @@ pub struct Pixel {
 }
 
 impl Pixel {
-    /// Column and row of the pixel that contains this position.
+    /// Returns the column and row of the pixel that contains this position.
     #[must_use]
     #[inline]
     pub fn cell(&self) -> (u32, u32) {
@@ -93,7 +93,8 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// `camera_to_world` is the pose: OpenCV camera axes to the world frame (Z up), meters.
+    /// Creates a camera. `camera_to_world` is the pose: OpenCV camera axes to the world frame (Z
+    /// up), meters.
     #[must_use]
     pub fn new(intrinsics: Intrinsics, camera_to_world: &Isometry3<f32>) -> Self {
         Self {
@@ -113,8 +114,8 @@ impl Camera {
         self.intrinsics.project(&(self.world_to_own * p))
     }
 
-    /// Whether part of a ball may [`project`](Self::project) into the image: `false` only if no
-    /// point of it does.
+    /// Returns whether part of a ball can [`project`](Self::project) into the image: `false` only
+    /// if no point of it does.
     ///
     /// `center` and `radius_m` are in meters, world frame (Z up).
     #[must_use]
@@ -134,13 +135,14 @@ impl Camera {
             && inside(fy, -c.y, height as f32 - 0.5 - cy)
     }
 
-    /// Transforms points of the world frame to OpenCV camera axes, meters; the inverse of the pose.
+    /// Returns the transform from the world frame to OpenCV camera axes, meters: the inverse of the
+    /// pose.
     #[must_use]
     pub fn world_to_camera(&self) -> &Isometry3<f32> {
         &self.world_to_own
     }
 
-    /// Optical center, meters, world frame.
+    /// Returns the optical center, meters, world frame.
     #[must_use]
     pub fn center(&self) -> Point3<f32> {
         self.center
@@ -157,7 +159,7 @@ mod tests {
         Intrinsics { width: 640, height: 480, fx: 577.87, fy: 577.87, cx: 319.5, cy: 239.5 };
 
     #[test]
-    fn a_point_to_the_right_and_below_lands_right_and_below_the_centre() {
+    fn points_in_view_project_to_their_pixel_and_others_to_none() {
         let pixel = VGA.project(&Point3::new(0.5, 0.25, 2.0)).unwrap();
         assert!(
             (pixel.u - (319.5 + 144.4675)).abs() < 1e-3
@@ -168,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_looks_along_world_y_sees_world_up_as_image_up() {
+    fn world_up_is_image_up_for_a_camera_facing_world_y() {
         // Columns of camera-to-world: image right = world +X, image down = world -Z, forward =
         // world +Y.
         let matrix = nalgebra::Matrix4::new(
@@ -185,7 +187,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_ball_that_is_passed_over_shows_nothing(
+        fn can_show_rejects_only_balls_without_visible_points(
             center in prop::array::uniform3(-4.0_f32..4.0),
             radius_m in 0.01_f32..1.0,
             within in prop::array::uniform3(-1.0_f32..1.0),
@@ -201,14 +203,14 @@ mod tests {
         }
 
         #[test]
-        fn unprojecting_a_projection_returns_the_point(u in 0.0_f32..639.0, v in 0.0_f32..479.0, z in 0.1_f32..10.0) {
+        fn projecting_an_unprojected_pixel_returns_the_pixel(u in 0.0_f32..639.0, v in 0.0_f32..479.0, z in 0.1_f32..10.0) {
             let pixel = VGA.project(&VGA.unproject(u, v, z)).unwrap();
             prop_assert!((pixel.u - u).abs() < 1e-2 && (pixel.v - v).abs() < 1e-2 && (pixel.z_m - z).abs() < 1e-5);
         }
 
         /// Halving the resolution halves pixel coordinates (about the pixel corner).
         #[test]
-        fn scaled_intrinsics_see_the_same_rays(u in 0.0_f32..639.0, v in 0.0_f32..479.0) {
+        fn scaled_intrinsics_project_along_the_same_rays(u in 0.0_f32..639.0, v in 0.0_f32..479.0) {
             let half = VGA.scaled_to(320, 240);
             let pixel = half.project(&VGA.unproject(u, v, 2.0));
             prop_assert!(pixel.is_none_or(|p| ((p.u + 0.5) * 2.0 - 0.5 - u).abs() < 1e-2 && ((p.v + 0.5) * 2.0 - 0.5 - v).abs() < 1e-2));

@@ -34,7 +34,7 @@ impl CellMask {
         mask
     }
 
-    /// Number of columns and rows.
+    /// Returns the number of columns and rows.
     #[must_use]
     pub fn size(&self) -> (u32, u32) {
         (self.columns, self.rows.len() as u32)
@@ -47,20 +47,20 @@ impl CellMask {
         self.rows[cell(y, rows) as usize] |= 1 << cell(x, columns);
     }
 
-    /// Whether a cell belongs to the mask.
+    /// Returns whether a cell belongs to the mask.
     #[must_use]
     pub fn is_set(&self, column: u32, row: u32) -> bool {
         column < self.columns
             && self.rows.get(row as usize).is_some_and(|bits| bits >> column & 1 == 1)
     }
 
-    /// Number of cells in the mask.
+    /// Returns the number of cells in the mask.
     #[must_use]
     pub fn count(&self) -> u32 {
         self.rows.iter().map(|bits| bits.count_ones()).sum()
     }
 
-    /// Share of the box that the mask covers, `0..=1`.
+    /// Returns the share of the box that the mask covers, `0..=1`.
     #[must_use]
     pub fn share(&self) -> f32 {
         self.count() as f32 / (self.columns * self.rows.len() as u32) as f32
@@ -75,8 +75,8 @@ impl CellMask {
         }
     }
 
-    /// Whether a position, given as shares of the box, belongs to the mask. Interpolates the
-    /// nearest cells, so that the outline has no steps.
+    /// Returns whether a position, given as shares of the box, belongs to the mask. Interpolates
+    /// the nearest cells, so that the outline has no steps.
     #[must_use]
     pub fn contains(&self, (x, y): (f32, f32)) -> bool {
         let (columns, rows) = self.size();
@@ -93,7 +93,8 @@ impl CellMask {
         upper * (1.0 - low_share) + lower * low_share >= 0.5
     }
 
-    /// Closes gaps of a cell or two: grows by one cell all round, then shrinks again.
+    /// Closes gaps of one or two cells: grows the mask by one cell on all sides, then shrinks it
+    /// again.
     #[must_use]
     pub fn close_gaps(&self) -> Self {
         let all = self.full_row();
@@ -121,7 +122,7 @@ impl CellMask {
         Self { columns: self.columns, rows: reached.iter().map(|bits| !bits & all).collect() }
     }
 
-    /// Removes pieces that have less than this share of the cells.
+    /// Returns the mask without pieces that have less than this share of the cells.
     #[must_use]
     pub fn without_small_pieces(&self, least: f32) -> Self {
         let least = self.count() as f32 * least;
@@ -169,7 +170,7 @@ impl CellMask {
         ViewMask { size: [rows, columns], counts }
     }
 
-    /// Reads what [`to_view_mask`](Self::to_view_mask) wrote; `None` for anything else.
+    /// Reads the output of [`to_view_mask`](Self::to_view_mask). Returns `None` for anything else.
     #[must_use]
     pub fn from_view_mask(written: &ViewMask) -> Option<Self> {
         let ViewMask { size: [rows, columns], counts } = written;
@@ -203,14 +204,14 @@ impl CellMask {
         Some(Self::from_fn(*columns, *rows, |column, row| cells[(column * rows + row) as usize]))
     }
 
-    /// A full row.
+    /// Returns the bits of a full row.
     fn full_row(&self) -> u64 {
         u64::MAX >> (Self::MAX_CELLS - self.columns)
     }
 }
 
-// The letters of COCO run-length strings: five bits each, differences to the run before the last,
-// and a sixth bit if more letters follow.
+// The characters of COCO run-length strings: five bits each. A sixth bit is set if more characters
+// of the same run follow. Runs are stored as the difference to the run before the previous one.
 const FIRST_CHAR: u8 = b'0';
 const DIGIT_BITS: u32 = 5;
 const DIGIT: i32 = 0x1f;
@@ -218,17 +219,17 @@ const SIGN: i32 = 0x10;
 const MORE: i32 = 0x20;
 /// Index of the last run that is written without a difference.
 const RAW_RUNS: usize = 2;
-/// A run of all cells takes three letters.
+/// A run of all cells takes three characters.
 const MAX_SHIFT: u32 = 3 * DIGIT_BITS;
 
-/// All cells of a piece and their eight neighbors, within `all`.
+/// Returns the cells of a piece and their eight neighbors, within `all`.
 fn grow(rows: &[u64], all: u64) -> Vec<u64> {
     let wide: Vec<u64> = rows.iter().map(|bits| (bits | bits << 1 | bits >> 1) & all).collect();
     let at = |row: Option<usize>| row.and_then(|row| wide.get(row)).copied().unwrap_or(0);
     (0..wide.len()).map(|row| at(row.checked_sub(1)) | wide[row] | at(row.checked_add(1))).collect()
 }
 
-/// The cells of `within` that are reachable from the seeds through their four neighbors.
+/// Returns the cells of `within` that are reachable from the seeds through their four neighbors.
 fn flood(mut reached: Vec<u64>, within: &[u64]) -> Vec<u64> {
     loop {
         let mut grew = false;
@@ -258,7 +259,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn drawn(rows: &[&str]) -> CellMask {
+    fn parse_mask(rows: &[&str]) -> CellMask {
         CellMask::from_fn(rows[0].len() as u32, rows.len() as u32, |column, row| {
             rows[row as usize].as_bytes()[column as usize] == b'#'
         })
@@ -275,12 +276,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_down_is_read_again(mask in any_mask()) {
+        fn serialized_masks_are_read_back_unchanged(mask in any_mask()) {
             prop_assert_eq!(CellMask::from_view_mask(&mask.to_view_mask()), Some(mask));
         }
 
         #[test]
-        fn closing_and_filling_take_nothing_away(mask in any_mask()) {
+        fn closing_gaps_and_filling_holes_remove_no_cells(mask in any_mask()) {
             let (closed, filled) = (mask.close_gaps(), mask.fill_holes());
             prop_assert_eq!(&closed.union(&mask), &closed);
             prop_assert_eq!(&filled.union(&mask), &filled);
@@ -288,43 +289,49 @@ mod tests {
         }
 
         #[test]
-        fn whatever_is_written_down_can_be_read_or_not(size in prop::array::uniform2(0..70_u32), counts in "[ -~]{0,40}") {
+        fn arbitrary_input_is_refused_or_read_with_its_stated_size(size in prop::array::uniform2(0..70_u32), counts in "[ -~]{0,40}") {
             if let Some(mask) = CellMask::from_view_mask(&ViewMask { size, counts }) {
                 prop_assert_eq!([mask.size().1, mask.size().0], size);
             }
         }
     }
 
-    /// COCO's own tools write a 4 x 5 mask of runs 5, 2, 2, 1, 4, 1, 5 in this way.
+    /// COCO's own tools write a 4 x 5 mask of runs 5, 2, 2, 1, 4, 1, 5 as this string.
     #[test]
-    fn the_letters_are_those_of_coco() {
-        let mask = drawn(&[".....", ".##..", ".#.#.", "....."]);
+    fn strings_match_the_coco_encoding() {
+        let mask = parse_mask(&[".....", ".##..", ".#.#.", "....."]);
         assert_eq!(mask.to_view_mask(), ViewMask { size: [4, 5], counts: "522O201".into() });
-        assert_eq!(drawn(&["#"]).to_view_mask().counts, "01");
+        assert_eq!(parse_mask(&["#"]).to_view_mask().counts, "01");
     }
 
     #[test]
-    fn gaps_close_holes_fill_and_crumbs_go() {
-        assert_eq!(drawn(&["#.##", "#..#", "####"]).close_gaps(), drawn(&["####", "####", "####"]));
+    fn gaps_are_closed_holes_filled_and_small_pieces_removed() {
         assert_eq!(
-            drawn(&["#####", "#...#", "#...#", "#...#", "##.##"]).close_gaps(),
-            drawn(&["#####", "#...#", "#...#", "#...#", "#####"])
-        );
-        assert_eq!(drawn(&["#####", "#...#", "#...#", "#####"]).fill_holes(), drawn(&["#####"; 4]));
-        assert_eq!(
-            drawn(&["###", "#.#", "#.#"]).fill_holes(),
-            drawn(&["###", "#.#", "#.#"]),
-            "open below"
+            parse_mask(&["#.##", "#..#", "####"]).close_gaps(),
+            parse_mask(&["####", "####", "####"])
         );
         assert_eq!(
-            drawn(&["###..", "###.#"]).without_small_pieces(0.2),
-            drawn(&["###..", "###.."])
+            parse_mask(&["#####", "#...#", "#...#", "#...#", "##.##"]).close_gaps(),
+            parse_mask(&["#####", "#...#", "#...#", "#...#", "#####"])
+        );
+        assert_eq!(
+            parse_mask(&["#####", "#...#", "#...#", "#####"]).fill_holes(),
+            parse_mask(&["#####"; 4])
+        );
+        assert_eq!(
+            parse_mask(&["###", "#.#", "#.#"]).fill_holes(),
+            parse_mask(&["###", "#.#", "#.#"]),
+            "open at the bottom, so not a hole"
+        );
+        assert_eq!(
+            parse_mask(&["###..", "###.#"]).without_small_pieces(0.2),
+            parse_mask(&["###..", "###.."])
         );
     }
 
     #[test]
-    fn the_rim_runs_through_the_middle_between_cells() {
-        let mask = drawn(&["##..", "##.."]);
+    fn the_outline_lies_halfway_between_cells() {
+        let mask = parse_mask(&["##..", "##.."]);
         assert!(
             mask.contains((0.01, 0.5))
                 && mask.contains((0.49, 0.5))

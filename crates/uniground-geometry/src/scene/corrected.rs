@@ -1,5 +1,5 @@
 //! Applies people's corrections to instances. The results of stage 1 never change: corrections are
-//! applied on top, in the order they were made, and can be undone.
+//! applied on top, in order of time, and can be undone.
 
 use super::{Instance, InstanceId, Level, View};
 use std::collections::BTreeMap;
@@ -57,8 +57,8 @@ pub fn parts_of(instances: &[Instance], thing: InstanceId) -> Vec<InstanceId> {
     instances.iter().filter(is_part).map(|i| i.id).collect()
 }
 
-/// Returns the best views of several instances together, best first. A frame that shows more than
-/// one of them appears once.
+/// Returns the best views of several instances together, at most `most`, best first. A frame that
+/// shows more than one of them appears once.
 #[must_use]
 pub fn merge_views(instances: &[&Instance], most: usize) -> Vec<View> {
     let mut by_frame: BTreeMap<_, View> = BTreeMap::new();
@@ -96,7 +96,7 @@ fn modify_instances<'a>(
     }
 }
 
-/// Moves the parts and wholes of `before` to `now`.
+/// Replaces the things `before` by `now` in all parts and wholes.
 fn reassign_members(instances: &mut [Instance], before: &[InstanceId], now: &[InstanceId]) {
     for compound in
         instances.iter_mut().filter(|i| i.things.iter().any(|thing| before.contains(thing)))
@@ -115,7 +115,7 @@ mod tests {
     use crate::scene::{FrameIndex, Support};
     use crate::{Point3, Vector3};
 
-    /// A box on the floor, half a meter deep and high.
+    /// Creates a box on the floor, half a meter deep and high.
     fn thing(id: u32, x: f32, width: f32) -> Instance {
         let aabb = Aabb { center: Point3::new(x, 0.0, 0.25), size: Vector3::new(width, 0.5, 0.5) };
         Instance {
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn names_and_junk_are_laid_over_and_taken_back() {
+    fn renaming_and_dismissing_can_be_undone() {
         let rename = Change::Rename { instance_id: InstanceId(2), name: "red mug".into() };
         let junk = Change::Dismiss { instance_ids: ids([3, 99]) };
         let instances =
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_one_thing_takes_its_members_as_parts() {
+    fn merged_instances_become_parts_of_the_merge_result() {
         let mut scene = room();
         scene.push(thing(6, 1.5, 1.5));
         let merge = Change::Merge { instance_ids: ids([1, 2]), name: Some("sofa".into()) };
@@ -183,14 +183,14 @@ mod tests {
                 .iter()
                 .all(|&i| instances[i].level == Level::Part && instances[i].things == ids([6]))
         );
-        assert_eq!(instances[4].things, ids([6]), "the whole is of what they are now");
+        assert_eq!(instances[4].things, ids([6]), "the whole consists of the merge result");
         let undone = corrected(scene.clone(), &[(merge, Some(6), true)]);
         assert!(undone[5].dismissed);
         assert_eq!(undone[..5], scene[..5]);
     }
 
     #[test]
-    fn what_is_not_one_thing_leaves_its_parts() {
+    fn splitting_a_thing_turns_its_parts_into_things() {
         let split = Change::Split { instance_id: InstanceId(1) };
         let instances = corrected(room(), &[(split, None, false)]);
         assert!(instances[0].dismissed);
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_shows_two_of_them_shows_both() {
+    fn views_in_the_same_frame_are_merged() {
         let seen = |frame, visible_points, box_px| View {
             frame: FrameIndex(frame),
             visible_points,

@@ -1,5 +1,5 @@
-//! Reads depth pictures: gray pictures (PNG, PGM, TIFF) of 16 bits, or of 8 bits with a unit that
-//! reaches across a room, and floats (EXR, TIFF; compressed with LZFSE: Record3D).
+//! Reads depth pictures: gray pictures (PNG, PGM, TIFF) of 16 bits, or of 8 bits with a unit large
+//! enough to cover a room, and floats (EXR, TIFF; compressed with LZFSE: Record3D).
 
 use super::float_pictures::{PixelValues, SingleChannelImage, read_grayscale};
 use super::{DepthImage, FrameError, FrameRef};
@@ -12,21 +12,21 @@ use std::io::{self, BufReader, Read};
 /// The first bytes of an LZFSE block.
 const LZFSE_MAGIC: &[u8; 3] = b"bvx";
 
-/// With this unit, 8 bits reach one meter. With a smaller unit they are a visualization, stretched
-/// over the range of the scene.
+/// Minimum unit of 8-bit depth: its largest value is then one meter. With a smaller unit, the
+/// picture is a visualization, stretched over the depth range of the scene.
 const LEAST_UNIT_OF_BYTES_M: f32 = 0.004;
 
-/// Whether a file is LZFSE. Its size in pixels is not in the file.
+/// Returns whether a file is LZFSE. Such a file does not contain its size in pixels.
 ///
 /// # Errors
-/// I/O errors.
+/// Returns I/O errors.
 pub fn is_compressed_floats(file: &Utf8Path) -> io::Result<bool> {
     let mut magic = [0; 3];
     Ok(File::open(file)?.read_exact(&mut magic).is_ok() && &magic == LZFSE_MAGIC)
 }
 
-/// Reads the picture as stored, meters; 0 where the file has no valid distance. `size` is used for
-/// floats without a size of their own.
+/// Reads the picture as stored, meters; 0 where the file has no valid distance. `size` applies to
+/// files that do not contain their size.
 pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, FrameError> {
     let SingleChannelImage { size: (width, height), numbers } = read_numeric_picture(frame, size)?;
     let scale_m = frame.depth_scale_m;
@@ -53,7 +53,8 @@ pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, Fra
     Ok(DepthImage { width, height, depth_m })
 }
 
-/// Renderers write huge numbers or infinity for empty space.
+/// Returns a distance in meters, or 0 for invalid ones. Renderers write huge numbers or infinity
+/// for empty space.
 fn distance_m(z: f32) -> f32 {
     if z > 0.0 && z <= MAX_COORDINATE_M { z } else { 0.0 }
 }
@@ -96,13 +97,13 @@ fn not_depth_error(frame: &FrameRef, found: String) -> FrameError {
     }
 }
 
-/// Reads row-major floats: exactly as many as the picture has pixels, whatever the file unpacks to.
+/// Reads row-major floats. The file must unpack to exactly as many as the picture has pixels.
 fn read_floats(file: &Utf8Path, width: u32, height: u32) -> io::Result<Vec<f32>> {
     let bytes = read_compressed(file, u64::from(width) * u64::from(height) * 4)?;
     Ok(bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
 }
 
-/// Reads an LZFSE file that must hold exactly `expected` bytes.
+/// Reads an LZFSE file that must unpack to exactly `expected` bytes.
 pub(super) fn read_compressed(file: &Utf8Path, expected: u64) -> io::Result<Vec<u8>> {
     let mut decoder = lzfse_rust::LzfseRingDecoder::default();
     let mut bytes = Vec::new();

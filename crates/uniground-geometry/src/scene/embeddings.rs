@@ -1,4 +1,4 @@
-//! Embeddings of instances: vectors that can be compared with those of words.
+//! Embeddings of instances: vectors that can be compared with embeddings of words.
 
 use super::npy;
 use half::f16;
@@ -12,7 +12,7 @@ use std::io::{self, Write};
 #[derive(Debug, Clone, PartialEq)]
 pub struct Embeddings {
     dim: usize,
-    /// Unit length, or zero for an instance that no frame shows.
+    /// Unit vectors, or zeros for an instance that no frame shows.
     rows: Vec<f16>,
     norms: Vec<Norms>,
 }
@@ -22,7 +22,7 @@ pub struct Embeddings {
 pub struct Norms {
     /// From appearance alone.
     pub appearance: f32,
-    /// From appearance and measures together.
+    /// From appearance and measurements together.
     pub joint: f32,
 }
 
@@ -44,7 +44,7 @@ impl Embeddings {
         Self { norms, ..self }
     }
 
-    /// Returns `count` rows; rows added at the end count as not seen.
+    /// Returns at least `count` rows. Added rows are zeros: no frame shows these instances.
     #[must_use]
     pub fn pad_to(mut self, count: usize) -> Self {
         let count = count.max(self.len());
@@ -53,8 +53,8 @@ impl Embeddings {
         self
     }
 
-    /// Returns a row for each of these indices; `None` gives the row of an instance that was not
-    /// seen.
+    /// Returns a row for each of these indices. `None` gives zeros, the row of an instance that no
+    /// frame shows.
     #[must_use]
     pub fn select_rows(&self, rows: impl Iterator<Item = Option<usize>>) -> Self {
         let (mut rearranged, unseen) = (
@@ -70,8 +70,8 @@ impl Embeddings {
         rearranged
     }
 
-    /// Sets the row at `at` to the mean of other rows: the appearance of several instances that
-    /// form one.
+    /// Sets the row at `at` to the normalized mean of other rows: the appearance of several
+    /// instances that form one.
     #[must_use]
     pub fn with_mean_row(mut self, of: impl IntoIterator<Item = usize>, at: usize) -> Self {
         let (mut sum, mut norms, mut seen) = (vec![0.0; self.dim], Norms::default(), 0.0);
@@ -92,37 +92,38 @@ impl Embeddings {
         self
     }
 
-    /// Length of a row.
+    /// Returns the length of a row.
     #[must_use]
     pub fn dim(&self) -> usize {
         self.dim
     }
 
-    /// Number of instances, including those that no frame shows.
+    /// Returns the number of instances, including those that no frame shows.
     #[must_use]
     pub fn len(&self) -> usize {
         self.rows.len() / self.dim
     }
 
-    /// Whether there are no instances.
+    /// Returns whether there are no instances.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
 
-    /// Whether any frame shows the instance at this index.
+    /// Returns whether any frame shows the instance at this index.
     #[must_use]
     pub fn is_seen(&self, index: usize) -> bool {
         self.rows[index * self.dim..(index + 1) * self.dim].iter().any(|v| *v != f16::ZERO)
     }
 
-    /// The vector of the instance at this index; zeros where it was not seen.
+    /// Returns the vector of the instance at this index; zeros if no frame shows it.
     #[must_use]
     pub fn row(&self, index: usize) -> Vec<f32> {
         self.rows[index * self.dim..(index + 1) * self.dim].iter().map(|v| v.to_f32()).collect()
     }
 
-    /// The calibration norms, sorted by instance id; all 0 until [`with_norms`](Self::with_norms).
+    /// Returns the calibration norms, sorted by instance id; all 0 until
+    /// [`with_norms`](Self::with_norms).
     #[must_use]
     pub fn norms(&self) -> &[Norms] {
         &self.norms
@@ -131,16 +132,17 @@ impl Embeddings {
     /// Writes the vectors as a numpy array of half floats, one row per instance.
     ///
     /// # Errors
-    /// I/O errors of `out`.
+    /// Returns I/O errors of `out`.
     pub fn write_rows(&self, out: impl Write) -> io::Result<()> {
         let bits: &[u16] = self.rows.reinterpret_cast();
         npy::write(out, "<f2", [self.len(), self.dim], bits.iter().flat_map(|v| v.to_le_bytes()))
     }
 
-    /// Writes the norms as a numpy array of floats: appearance alone, and with measures.
+    /// Writes the norms as a numpy array of floats with two columns: appearance alone, and with
+    /// measurements.
     ///
     /// # Errors
-    /// I/O errors of `out`.
+    /// Returns I/O errors of `out`.
     pub fn write_norms(&self, out: impl Write) -> io::Result<()> {
         let values = self.norms.iter().flat_map(|n| [n.appearance, n.joint]);
         npy::write(out, "<f4", [self.len(), 2], values.flat_map(f32::to_le_bytes))
@@ -150,7 +152,7 @@ impl Embeddings {
     /// [`write_norms`](Self::write_norms) wrote.
     ///
     /// # Errors
-    /// Files that are not such arrays, or do not belong together.
+    /// Returns an error for files that are not such arrays, or do not belong together.
     pub fn read(rows: &[u8], norms: &[u8]) -> io::Result<Self> {
         let ([count, dim], rows) = npy::read(rows, "<f2")?;
         let ([normed, two], norms) = npy::read(norms, "<f4")?;
@@ -171,17 +173,18 @@ impl Embeddings {
         Ok(Self { norms, ..Self::from_half_bytes(dim, rows) })
     }
 
-    /// Rows as bytes of half floats, little-endian.
+    /// Creates embeddings from the bytes of half floats, little-endian.
     pub(super) fn from_half_bytes(dim: usize, rows: &[u8]) -> Self {
         let rows: Vec<f16> =
             rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
         Self { dim, norms: vec![Norms::default(); rows.len() / dim], rows }
     }
 
-    /// Cosine of every instance with a unit vector, by index; exact, and the same on every machine.
+    /// Returns the cosine of every instance with a unit vector, by index. The bits are the same on
+    /// every machine.
     ///
     /// # Panics
-    /// When `query` has another dimension.
+    /// Panics when `query` has another dimension.
     #[must_use]
     pub fn cosines(&self, query: &[f32]) -> Vec<f32> {
         assert_eq!(query.len(), self.dim);
@@ -194,8 +197,8 @@ impl Embeddings {
     }
 }
 
-/// Dot products of rows with a query. Lanes are added in one fixed order on every machine, and
-/// nothing is contracted, so the bits are the same everywhere.
+/// Computes the dot products of rows with a query. Lanes are added in one fixed order and no
+/// operations are fused, so the bits are the same on every machine.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "aarch64+neon"))]
 fn dot_products(rows: &[u16], query: &[f32], sums: &mut [f32]) {
     const LANES: usize = 64;
@@ -226,7 +229,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn some(count: usize, dim: usize) -> Embeddings {
+    fn sample_embeddings(count: usize, dim: usize) -> Embeddings {
         let rows: Vec<f32> = (0..count * dim)
             .map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0) / (dim as f32).sqrt())
             .collect();
@@ -236,8 +239,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
-        let embeddings = some(7, 70);
+    fn written_embeddings_are_read_back_unchanged() {
+        let embeddings = sample_embeddings(7, 70);
         let (mut rows, mut norms) = (Vec::new(), Vec::new());
         embeddings.write_rows(&mut rows).unwrap();
         embeddings.write_norms(&mut norms).unwrap();
@@ -248,8 +251,8 @@ mod tests {
     }
 
     #[test]
-    fn cosines_are_those_of_the_halves() {
-        let embeddings = some(300, 130);
+    fn cosines_match_a_sum_in_double_precision() {
+        let embeddings = sample_embeddings(300, 130);
         let query: Vec<f32> = (0..130).map(|i| (i % 13) as f32 / 40.0).collect();
         for (i, cosine) in embeddings.cosines(&query).into_iter().enumerate() {
             let row = &embeddings.rows[i * 130..(i + 1) * 130];
@@ -262,7 +265,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_half_is_widened_exactly(value in -70000.0_f32..70000.0) {
+        fn half_to_float_is_exact(value in -70000.0_f32..70000.0) {
             let half = f16::from_f32(value);
             prop_assume!(half.is_finite());
             prop_assert_eq!(half_to_float(half.to_bits()), half.to_f32());

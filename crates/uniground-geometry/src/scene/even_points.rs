@@ -11,8 +11,8 @@
 //! 32  points   3 u16: position = origin + step * (x, y, z); 3 u8: red, green, blue;
 //!              u24: id of the thing it belongs to, 0 for none
 //! ```
-//! Little endian, world frame (Z up). The step is the longest side of the cloud's box over 65,535:
-//! a seventh of a millimeter in a room.
+//! Little-endian, world frame (Z up). The step is the longest side of the cloud's box divided by
+//! 65,535: about a seventh of a millimeter in a room of ten meters.
 
 use super::{InstanceId, PointCloud};
 use crate::Point3;
@@ -26,10 +26,10 @@ const BYTES_PER_POINT: u32 = 12;
 /// Step size if all points are in one place.
 const SMALLEST_STEP_M: f32 = 1e-6;
 
-/// Writes the cloud with the things its points belong to, by index.
+/// Writes the cloud with the thing that each point belongs to.
 ///
 /// # Errors
-/// I/O errors of `out`.
+/// Returns I/O errors of `out`.
 pub fn write_even_points(
     cloud: &PointCloud,
     instance_of_point: &[InstanceId],
@@ -88,8 +88,8 @@ impl GridStep {
     }
 }
 
-/// Position along a space-filling curve: neighbors on it are neighbors in space. Interleaves the
-/// bits of the three numbers.
+/// Returns the position along a space-filling curve: neighbors on it are neighbors in space.
+/// Interleaves the bits of the three numbers.
 fn morton_code(steps: [u16; 3]) -> u64 {
     let spread = |number: u16| {
         let mut bits = u64::from(number);
@@ -104,8 +104,8 @@ fn morton_code(steps: [u16; 3]) -> u64 {
     x | y << 1 | z << 2
 }
 
-/// Returns `0..count` in an order of which every prefix is spread evenly over the whole: the bits
-/// of a counter, reversed.
+/// Returns `0..count` in an order of which every prefix is spread evenly over the whole, by
+/// reversing the bits of a counter.
 fn bit_reversed_order(count: usize) -> impl Iterator<Item = usize> {
     let bits = usize::BITS - count.saturating_sub(1).leading_zeros();
     let reversed = move |counter: usize| {
@@ -138,20 +138,20 @@ mod tests {
         points.iter().map(read).collect()
     }
 
-    fn written(cloud: &PointCloud, ids: &[InstanceId]) -> Vec<u8> {
+    fn write_to_bytes(cloud: &PointCloud, ids: &[InstanceId]) -> Vec<u8> {
         let mut bytes = Vec::new();
         write_even_points(cloud, ids, &mut bytes).unwrap();
         bytes
     }
 
     #[test]
-    fn every_beginning_covers_the_whole_evenly() {
+    fn every_prefix_is_an_even_sample() {
         // A floor of 64 x 64 points, listed row by row.
         let positions: Vec<Point3<f32>> =
             (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
         let cloud = PointCloud { colors: vec![[1, 2, 3]; positions.len()], positions };
         let ids: Vec<InstanceId> = (0..4096).map(InstanceId).collect();
-        let points = read(&written(&cloud, &ids));
+        let points = read(&write_to_bytes(&cloud, &ids));
         for beginning in [64, 300, 1000] {
             let mut squares = [0; 16];
             for (p, ..) in &points[..beginning] {
@@ -170,13 +170,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_one_point_are_files_too() {
-        assert_eq!(read(&written(&PointCloud::default(), &[])), []);
+    fn empty_clouds_and_identical_points_are_written_and_read_back() {
+        assert_eq!(read(&write_to_bytes(&PointCloud::default(), &[])), []);
         let one = PointCloud {
             positions: vec![Point3::new(1.0, 2.0, 3.0); 3],
             colors: vec![[9, 8, 7]; 3],
         };
-        let points = read(&written(&one, &[InstanceId(0), InstanceId(70_000), InstanceId(2)]));
+        let points =
+            read(&write_to_bytes(&one, &[InstanceId(0), InstanceId(70_000), InstanceId(2)]));
         assert!(
             points
                 .iter()
@@ -187,11 +188,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn all_points_come_once_and_in_place(positions in prop::collection::vec(prop::array::uniform3(-50.0_f32..50.0), 1..200)) {
+        fn every_point_is_written_once_at_its_position(positions in prop::collection::vec(prop::array::uniform3(-50.0_f32..50.0), 1..200)) {
             let positions: Vec<Point3<f32>> = positions.into_iter().map(Point3::from).collect();
             let ids: Vec<InstanceId> = (0..positions.len() as u32).map(InstanceId).collect();
             let cloud = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
-            let mut points = read(&written(&cloud, &ids));
+            let mut points = read(&write_to_bytes(&cloud, &ids));
             points.sort_by_key(|(.., id)| *id);
             prop_assert_eq!(points.len(), cloud.len());
             for ((p, ..), original) in points.iter().zip(&cloud.positions) {

@@ -7,7 +7,7 @@ use std::io::{self, BufRead, Read, Write};
 /// Writes the cloud in its own colors.
 ///
 /// # Errors
-/// I/O errors of `out`.
+/// Returns I/O errors of `out`.
 pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
     write(&[], &cloud.positions, |i| (cloud.colors[i], None), out)
 }
@@ -15,7 +15,7 @@ pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
 /// Writes the cloud with one color per instance and the id as the property `instance`.
 ///
 /// # Errors
-/// I/O errors of `out`.
+/// Returns I/O errors of `out`.
 pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<()> {
     write(
         &[],
@@ -25,11 +25,11 @@ pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<(
     )
 }
 
-/// Writes points, with one header line for each comment. Comments must be short and ASCII, because
-/// programs read them as such.
+/// Writes points, with one header line for each comment. Comments must be short and ASCII, as
+/// programs expect.
 ///
 /// # Errors
-/// When `out` cannot be written.
+/// Returns I/O errors of `out`.
 pub fn write<'a>(
     comments: &[String],
     positions: impl IntoIterator<Item = &'a Point3<f32>, IntoIter: ExactSizeIterator>,
@@ -63,7 +63,7 @@ pub fn write<'a>(
 /// Reads the thing each point belongs to from the output of [`write_instances_ply`].
 ///
 /// # Errors
-/// I/O errors of `file`; a file that [`write_instances_ply`] did not write.
+/// Returns I/O errors of `file`, or an error for a file that [`write_instances_ply`] did not write.
 pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<InstanceId>> {
     let malformed = || io::Error::new(io::ErrorKind::InvalidData, "this is no cloud by instance");
     let (mut line, mut count) = (String::new(), None);
@@ -93,7 +93,8 @@ const LONGEST_LINE: u64 = 200;
 /// Bytes per point: three coordinates, three colors, an id.
 const LABELED_BYTES: usize = 19;
 
-/// A color per id: steps of the golden angle around the hue circle, so that consecutive ids differ.
+/// Returns a color for an id: steps of the golden angle around the hue circle, so that consecutive
+/// ids differ.
 #[must_use]
 pub fn id_color(id: u32) -> [u8; 3] {
     let hue = (id as f32 * 0.618_034).fract() * 6.0;
@@ -110,7 +111,7 @@ mod tests {
     use crate::Point3;
 
     #[test]
-    fn whose_points_they_are_can_be_read_back() {
+    fn instance_ids_are_read_back_from_ply() {
         let positions: Vec<Point3<f32>> = (0..3).map(|i| Point3::new(i as f32, 0.0, 1.0)).collect();
         let ids = [0, 70_000, 2].map(InstanceId);
         let mut bytes = Vec::new();

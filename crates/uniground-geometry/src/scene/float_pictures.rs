@@ -13,7 +13,8 @@ use tiff::tags::Tag;
 
 const EXR_MAGIC: &[u8; 4] = b"\x76\x2f\x31\x01";
 const TIFF_MAGICS: [&[u8; 4]; 4] = [b"II\x2a\0", b"MM\0\x2a", b"II\x2b\0", b"MM\0\x2b"];
-/// Names of the distance channel of an EXR, best first. If three channels are equal: red.
+/// Names of the distance channel of an EXR, best first. A file with three equal color channels uses
+/// red.
 const CHANNELS: [&str; 5] = ["z", "depth", "y", "v", "r"];
 /// Maximum memory for a picture's own numbers.
 const MAX_BYTES: u64 = 256 << 20;
@@ -39,10 +40,10 @@ enum FloatImageFormat {
     Tiff,
 }
 
-/// Returns width and height of an EXR or TIFF; `None`: the file is neither.
+/// Returns width and height of an EXR or TIFF, or `None` if the file is neither.
 ///
 /// # Errors
-/// I/O errors; a header that cannot be read.
+/// Returns I/O errors, or an error for a header that cannot be read.
 pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
     Ok(match detect_format(file)? {
         None => None,
@@ -55,11 +56,11 @@ pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
     })
 }
 
-/// Whether a file is an EXR, or a TIFF of floats. By convention those are meters, and integers are
-/// millimeters.
+/// Returns whether a file is an EXR, or a TIFF of floats. By convention, floats are meters and
+/// integers are millimeters.
 ///
 /// # Errors
-/// I/O errors; a header that cannot be read.
+/// Returns I/O errors, or an error for a header that cannot be read.
 pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
     Ok(match detect_format(file)? {
         None => false,
@@ -73,7 +74,7 @@ pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
     })
 }
 
-/// Reads the picture; `None`: the file is neither EXR nor TIFF.
+/// Reads the picture. Returns `None` if the file is neither EXR nor TIFF.
 pub(super) fn read_grayscale(file: &Utf8Path) -> io::Result<Option<SingleChannelImage>> {
     detect_format(file)?
         .map(|kind| if kind == FloatImageFormat::Exr { read_exr(file) } else { read_tiff(file) })

@@ -34,7 +34,7 @@ pub struct FrameRef {
 
 /// A frame that could not be read.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // Every message describes its variant.
 pub enum FrameError {
     #[error("frame {frame}: {file}: {source}")]
     Unreadable {
@@ -79,15 +79,14 @@ pub struct DepthImage {
 }
 
 impl DepthImage {
-    /// Depth at a pixel, meters; 0 where nothing was measured.
+    /// Returns the depth at a pixel, meters; 0 where nothing was measured.
     #[must_use]
     pub fn at(&self, (column, row): (u32, u32)) -> f32 {
         self.depth_m[(row * self.width + column) as usize]
     }
 }
 
-/// A decoded frame. Color and depth may have different resolutions; both are seen from the same
-/// pose.
+/// A decoded frame. Color and depth can have different resolutions; both have the same pose.
 #[derive(Debug, Clone)]
 pub struct Frame {
     /// Position in the scan's own list, from 0; skipped frames leave gaps.
@@ -114,13 +113,13 @@ impl FrameRef {
         self
     }
 
-    /// The camera that projects world points into pixels of the color picture.
+    /// Returns the camera that projects world points into pixels of the color picture.
     #[must_use]
     pub fn color_camera(&self) -> Camera {
         Camera::new(self.color_intrinsics, &self.camera_to_world)
     }
 
-    /// The camera that projects world points into pixels of the depth picture.
+    /// Returns the camera that projects world points into pixels of the depth picture.
     #[must_use]
     pub fn depth_camera(&self) -> Camera {
         Camera::new(self.depth_intrinsics, &self.camera_to_world)
@@ -129,7 +128,7 @@ impl FrameRef {
     /// Reads both pictures of this frame.
     ///
     /// # Errors
-    /// [`FrameError`] naming the frame and the file.
+    /// Returns a [`FrameError`] that names the frame and the file.
     pub fn decode(&self) -> Result<Frame, FrameError> {
         Ok(Frame {
             index: self.index,
@@ -143,7 +142,7 @@ impl FrameRef {
     /// Reads the color picture, rectified.
     ///
     /// # Errors
-    /// [`FrameError`] naming the frame and the file.
+    /// Returns a [`FrameError`] that names the frame and the file.
     pub fn decode_color(&self) -> Result<RgbImage, FrameError> {
         let image = self.read_picture(&self.color)?.into_rgb8();
         self.expect_size(&self.color, image.dimensions(), &self.color_intrinsics)?;
@@ -157,7 +156,7 @@ impl FrameRef {
     /// is left out.
     ///
     /// # Errors
-    /// [`FrameError`] naming the frame and the file.
+    /// Returns a [`FrameError`] that names the frame and the file.
     pub fn decode_depth(&self) -> Result<DepthImage, FrameError> {
         let Optics { color_lens: _, depth_lens, depth_sensor, confidence } = &self.optics;
         let camera = depth_sensor.map_or(self.depth_intrinsics, |sensor| sensor.intrinsics);
@@ -257,7 +256,8 @@ impl FrameRef {
 /// Maximum memory for decoding a picture: 40 megapixels plus a margin.
 const MAX_PICTURE_BYTES: u64 = 256 << 20;
 
-/// The last two path components: the name that the uploader knows, without the server's folders.
+/// Returns the last two path components: the name that the uploader knows, without the server's
+/// folders.
 pub(super) fn relative_name(file: &Utf8Path) -> Utf8PathBuf {
     let mut tail: Vec<_> = file.components().rev().take(2).collect();
     tail.reverse();
@@ -265,8 +265,8 @@ pub(super) fn relative_name(file: &Utf8Path) -> Utf8PathBuf {
 }
 
 impl Frame {
-    /// Where the ray through a depth pixel (column, row) meets the color picture, pixels; may lie
-    /// outside.
+    /// Returns the position in the color picture of the ray through a depth pixel (column, row), in
+    /// pixels. It can lie outside of the picture.
     #[must_use]
     pub fn color_position(&self, u: f32, v: f32) -> (f32, f32) {
         let (depth, color) = (&self.depth_camera.intrinsics, &self.color_camera.intrinsics);
@@ -302,11 +302,10 @@ impl Frame {
 
 /// Processes frames in parallel, a few at a time, and folds the results in frame order.
 ///
-/// At most as many frames as there are threads are in memory. The input of `fold` does not depend
-/// on that number.
+/// At most one frame per thread is in memory. The results do not depend on the number of threads.
 ///
 /// # Errors
-/// The first error of `work` or `fold`, in frame order.
+/// Returns the first error of `work` or `fold`, in frame order.
 pub fn stream_frames<T: Send, E: Send>(
     frames: &[FrameRef],
     work: impl Fn(&FrameRef) -> Result<T, E> + Sync,
@@ -326,7 +325,7 @@ pub fn stream_frames<T: Send, E: Send>(
 mod tests {
     use super::*;
 
-    /// Frames are stored as JSON with every parse: a renamed field would make stored parses
+    /// Frames are stored as JSON with every parse. A renamed field would make stored parses
     /// unreadable.
     #[test]
     fn stored_frames_keep_their_field_names() {

@@ -1,4 +1,5 @@
-//! Embeddings of whole frames, comparable with those of words: for objects that are in no instance.
+//! Embeddings of whole frames, comparable with embeddings of words. They find objects that are in
+//! no instance.
 
 use super::{Embeddings, FrameIndex, npy};
 use std::collections::BTreeMap;
@@ -19,11 +20,11 @@ impl FrameEmbeddings {
         Self { of_row, rows: Embeddings::new(dim, rows) }
     }
 
-    /// Returns the frames with the crops nearest to a unit vector, nearest first. Of consecutive
-    /// frames only the better one is returned, because they show the same.
+    /// Returns the frames with the crops nearest to a unit vector, at most `most`, nearest first.
+    /// Of consecutive frames it returns only the best, because they show the same.
     ///
     /// # Panics
-    /// When `query` has another dimension.
+    /// Panics when `query` has another dimension.
     #[must_use]
     pub fn nearest(&self, query: &[f32], most: usize) -> Vec<FrameIndex> {
         let mut of_frame: BTreeMap<FrameIndex, f32> = BTreeMap::new();
@@ -43,13 +44,13 @@ impl FrameEmbeddings {
         chosen.into_iter().map(|(_, frame)| frame).collect()
     }
 
-    /// Number of crops.
+    /// Returns the number of crops.
     #[must_use]
     pub fn len(&self) -> usize {
         self.of_row.len()
     }
 
-    /// Whether there are no crops.
+    /// Returns whether there are no crops.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.of_row.is_empty()
@@ -58,7 +59,7 @@ impl FrameEmbeddings {
     /// Writes the vectors as a numpy array of half floats, one row per crop.
     ///
     /// # Errors
-    /// I/O errors of `out`.
+    /// Returns I/O errors of `out`.
     pub fn write_rows(&self, out: impl Write) -> io::Result<()> {
         self.rows.write_rows(out)
     }
@@ -66,7 +67,7 @@ impl FrameEmbeddings {
     /// Writes the frame of every row as a numpy array of one column.
     ///
     /// # Errors
-    /// I/O errors of `out`.
+    /// Returns I/O errors of `out`.
     pub fn write_frames(&self, out: impl Write) -> io::Result<()> {
         npy::write(
             out,
@@ -80,7 +81,7 @@ impl FrameEmbeddings {
     /// [`write_frames`](Self::write_frames) wrote.
     ///
     /// # Errors
-    /// Files that are not such arrays, or do not belong together.
+    /// Returns an error for files that are not such arrays, or do not belong together.
     pub fn read(rows: &[u8], frames: &[u8]) -> io::Result<Self> {
         let ([count, dim], rows) = npy::read(rows, "<f2")?;
         let ([of, one], frames) = npy::read(frames, "<u4")?;
@@ -106,7 +107,7 @@ mod tests {
 
     /// Frames 0, 10, 20, 30, each with two crops. The second crop of frame 20 is nearest to x, then
     /// those of 30, 0 and 10.
-    fn some() -> FrameEmbeddings {
+    fn sample_embeddings() -> FrameEmbeddings {
         let of_row = [0, 0, 10, 10, 20, 20, 30, 30].map(FrameIndex).to_vec();
         let x = [0.5, 0.1, 0.0, 0.2, -1.0, 0.9, 0.8, 0.8];
         let rows: Vec<f32> = x.iter().flat_map(|&x: &f32| [x, (1.0 - x * x).sqrt()]).collect();
@@ -114,19 +115,23 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_crop_counts_and_neighbours_are_passed_over() {
+    fn nearest_ranks_frames_by_their_best_crop_and_skips_neighbors() {
         let nearest = |most| {
-            some().nearest(&[1.0, 0.0], most).into_iter().map(|frame| frame.0).collect::<Vec<_>>()
+            sample_embeddings()
+                .nearest(&[1.0, 0.0], most)
+                .into_iter()
+                .map(|frame| frame.0)
+                .collect::<Vec<_>>()
         };
         assert_eq!((nearest(1), nearest(2), nearest(9)), (vec![20], vec![20, 0], vec![20, 0]));
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn written_embeddings_are_read_back_unchanged() {
         let (mut rows, mut frames) = (Vec::new(), Vec::new());
-        some().write_rows(&mut rows).unwrap();
-        some().write_frames(&mut frames).unwrap();
-        assert_eq!(FrameEmbeddings::read(&rows, &frames).unwrap(), some());
+        sample_embeddings().write_rows(&mut rows).unwrap();
+        sample_embeddings().write_frames(&mut frames).unwrap();
+        assert_eq!(FrameEmbeddings::read(&rows, &frames).unwrap(), sample_embeddings());
         assert!(FrameEmbeddings::read(&frames, &rows).is_err());
         assert!(FrameEmbeddings::read(&rows[..rows.len() - 4], &frames).is_err());
     }

@@ -1,23 +1,24 @@
-//! Checks known points against new frames: a surface was measured there, or the frame looked
-//! through.
+//! Checks known points against new frames: a frame either measured a surface at the point or saw
+//! through it.
 
 use super::{DepthImage, FrameError, FrameRef, stream_frames};
 use crate::Point3;
 use rayon::prelude::*;
 
-/// Margin before and behind a point from which a measurement counts as in front of it or behind it:
-/// meters, and a share of the depth. Poses drift by centimeters, and noise grows with the distance.
+/// A measurement farther than this from a point counts as in front of it or behind it: meters, and
+/// a share of the depth; the larger one applies. Poses drift by centimeters, and noise grows with
+/// the distance.
 const MARGIN_M: f32 = 0.05;
 const MARGIN: f32 = 0.025;
-/// Radius in pixels in which no measurement may be near the point, for pictures of this width; more
-/// in larger ones. Silhouettes smear, and poses are off by a pixel or two.
+/// Radius in pixels in which no measurement may be near the point, for pictures of this width;
+/// larger in larger pictures. Silhouettes are blurred, and poses are off by a pixel or two.
 const AROUND_PX: u32 = 2;
 const AT_WIDTH_PX: u32 = 640;
-/// Minimum share of the surrounding pixels with a measurement: shiny or black surfaces leave holes
+/// Minimum share of the surrounding pixels with a measurement. Shiny or black surfaces leave holes
 /// and must not count as gone.
 const MEASURED: f32 = 0.75;
 
-/// How many frames measured something at a point, and how many looked through it.
+/// How many frames measured a surface at a point, and how many saw through it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FreeSpaceVotes {
     /// Number of frames that measured a surface there.
@@ -27,26 +28,26 @@ pub struct FreeSpaceVotes {
 }
 
 impl FreeSpaceVotes {
-    /// Whether the point no longer exists: at least `enough` frames looked through it, and many
-    /// more than measured a surface.
+    /// Returns whether the point no longer exists: at least `enough` frames saw through it, and
+    /// more than twice as many as measured a surface.
     #[must_use]
     pub fn is_gone(&self, enough: u32) -> bool {
         self.through >= enough && self.through > 2 * self.hits
     }
 
-    /// Whether any frame has evidence.
+    /// Returns whether any frame has evidence.
     #[must_use]
     pub fn is_known(&self) -> bool {
         self.hits + self.through > 0
     }
 }
 
-/// Counts the evidence of frames for points (meters, world frame, Z up); one result per point.
-/// Points behind a measured surface are hidden and get no evidence.
+/// Counts the evidence of frames for points (meters, world frame, Z up). Returns one result per
+/// point. Points behind a measured surface are hidden and get no evidence.
 ///
 /// # Errors
-/// [`FrameError`] for a depth picture that cannot be read, and those of `check`, which is called
-/// once per frame.
+/// Returns a [`FrameError`] for a depth picture that cannot be read, and the errors of `check`,
+/// which is called once per frame.
 pub fn count_free_space<E: From<FrameError> + Send>(
     positions: &[Point3<f32>],
     frames: &[FrameRef],
@@ -72,8 +73,8 @@ pub fn count_free_space<E: From<FrameError> + Send>(
     Ok(looks)
 }
 
-/// `true`: a surface was measured there; `false`: the frame looked through; `None`: hidden or not
-/// measured.
+/// Returns `true` if a surface was measured there, `false` if the frame saw through, and `None` if
+/// the point is hidden or not measured.
 fn classify_pixel(depth: &DepthImage, (column, row): (u32, u32), z_m: f32) -> Option<bool> {
     let measured_m = depth.at((column, row));
     if measured_m <= 0.0 {
@@ -114,30 +115,30 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_well_before_a_surface_is_looked_through() {
+    fn points_well_in_front_of_a_surface_count_as_seen_through() {
         let depth = wall(|_, _| 3.0);
         assert_eq!(classify_pixel(&depth, (16, 12), 3.05), Some(true));
         assert_eq!(
             classify_pixel(&depth, (16, 12), 2.93),
             Some(true),
-            "within the noise at three metres"
+            "within the noise at three meters"
         );
         assert_eq!(classify_pixel(&depth, (16, 12), 2.0), Some(false));
         assert_eq!(classify_pixel(&depth, (16, 12), 3.5), None, "hidden behind the wall");
         assert_eq!(
             classify_pixel(&depth, (0, 0), 2.0),
             Some(false),
-            "at the rim of the picture too"
+            "at the border of the picture"
         );
     }
 
     #[test]
-    fn beside_a_silhouette_or_in_holes_nothing_is_said() {
+    fn silhouettes_and_holes_give_no_evidence() {
         let edge = wall(|u, _| if u < 15 { 2.0 } else { 3.0 });
         assert_eq!(
             classify_pixel(&edge, (16, 12), 2.0),
             None,
-            "what stands two pixels beside may be it"
+            "a surface two pixels away can be the point"
         );
         assert_eq!(classify_pixel(&edge, (18, 12), 2.0), Some(false));
         let holes = wall(|u, _| if u % 2 == 0 { 3.0 } else { 0.0 });
@@ -146,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn gone_is_what_frames_agree_on() {
+    fn a_point_is_gone_only_if_enough_frames_see_through_it() {
         let looks = |hits, through| FreeSpaceVotes { hits, through };
         assert!(looks(0, 2).is_gone(2) && looks(1, 3).is_gone(2));
         assert!(!looks(0, 1).is_gone(2) && !looks(1, 2).is_gone(2) && !looks(0, 0).is_gone(1));

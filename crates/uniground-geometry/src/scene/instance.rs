@@ -8,13 +8,14 @@ use serde::{Deserialize, Serialize};
 /// One object candidate. Lengths in meters, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Instance {
-    /// Counted from 1: things in descending order of points, then parts and wholes, best shown
-    /// first.
+    /// Counted from 1: things in descending order of points, then parts and wholes, the most
+    /// visible first.
     pub id: InstanceId,
     /// A thing, a part of one, or a whole of several.
     #[serde(default)]
     pub level: Level,
-    /// For a part: the thing it lies in. For a whole: the things it consists of. Empty for things.
+    /// For a part: the thing it belongs to. For a whole: the things it consists of. Empty for
+    /// things.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub things: Vec<InstanceId>,
     /// Axis-aligned box of the robust bounds, without outliers.
@@ -46,24 +47,24 @@ pub struct Instance {
     /// encoder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub given_name: Option<String>,
-    /// The question it was found for, in a photograph; `None` for instances of stage 1.
+    /// The question for which it was found in a photograph; `None` for instances of stage 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found_for: Option<String>,
     /// The instances that a person merged into this one; empty for instances of stage 1.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub merged_from: Vec<InstanceId>,
-    /// Dismissed by a person as not being one object: it matches no question.
+    /// Whether a person dismissed it as not being one object. It then matches no question.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub dismissed: bool,
-    /// For a scene that has grown: the object no longer exists. It stays in the list, dismissed, so
-    /// that its id is never reused.
+    /// Whether the object no longer exists, in a scene that has grown. It stays in the list,
+    /// dismissed, so that its id is never reused.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub gone: bool,
 }
 
 impl Instance {
-    /// An object with this box and otherwise unknown: no points, views or names, black, supported
-    /// by nothing and lying at height 0.
+    /// Creates an object with this box and default values: no points, views or names, black,
+    /// supported by nothing, at height 0.
     #[must_use]
     pub fn from_box(id: InstanceId, aabb: Aabb) -> Self {
         Self {
@@ -90,19 +91,20 @@ impl Instance {
         }
     }
 
-    /// Whether it was created after the parse: for a question, or by merging others.
+    /// Returns whether it was created after the parse: for a question, or by merging others.
     #[must_use]
     pub fn is_added_after_parse(&self) -> bool {
         self.found_for.is_some() || !self.merged_from.is_empty()
     }
 
-    /// Whether it is a thing that was not dismissed.
+    /// Returns whether it is a thing that was not dismissed.
     #[must_use]
     pub fn is_shown(&self) -> bool {
         self.level == Level::Thing && !self.dismissed
     }
 
-    /// The name to show to people: its given name, its structure, its best name, or "object".
+    /// Returns the name to show to people: the given name, the structure, the best name, or
+    /// "object".
     #[must_use]
     pub fn label(&self) -> &str {
         match (&self.given_name, self.structure, self.names.first()) {

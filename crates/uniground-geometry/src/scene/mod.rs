@@ -1,8 +1,8 @@
 //! The vocabulary of a scan: clouds, cameras, frames, instances. All higher crates use these types.
 //!
 //! Canonical conventions: meters, right-handed world with Z up, OpenCV cameras (x right, y down, z
-//! forward), poses are camera-to-world. [`ingest`](uniground_ingest) converts once; no other code
-//! swaps axes.
+//! forward), camera-to-world poses. [`ingest`](uniground_ingest) converts once. No other code swaps
+//! axes.
 
 mod bundle;
 mod camera;

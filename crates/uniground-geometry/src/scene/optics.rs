@@ -1,6 +1,6 @@
-//! Converts the picture files of a frame to pinhole pictures seen from one place: lenses, depth
-//! cameras beside the color camera, confidence. Applied once, when a frame is decoded; other code
-//! does not need to know about them.
+//! Converts the picture files of a frame to pinhole pictures seen from one camera: removes lens
+//! distortion, reprojects separate depth cameras, applies confidence. Applied once, when a frame is
+//! decoded. Other code sees only pinhole pictures.
 
 use super::{DepthImage, Intrinsics};
 use crate::{Isometry3, Point3};
@@ -11,12 +11,12 @@ use serde::{Deserialize, Serialize};
 /// The corrections for a frame's pictures; empty for most scans.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
-    /// Lens of the color camera; `None`: the picture is rectified.
+    /// Lens of the color camera. `None`: the picture is rectified already.
     #[serde(rename = "colour_lens")]
     pub color_lens: Option<Lens>,
-    /// Lens of the depth camera; `None`: the picture is rectified.
+    /// Lens of the depth camera. `None`: the picture is rectified already.
     pub depth_lens: Option<Lens>,
-    /// A depth camera beside the color camera; `None`: both pictures are seen from one place.
+    /// A depth camera beside the color camera. `None`: both pictures have the same pose.
     pub depth_sensor: Option<DepthSensor>,
     /// Confidence of the depth, pixel by pixel.
     pub confidence: Option<Confidence>,
@@ -65,14 +65,14 @@ impl Lens {
         (self != Self::default()).then_some(self)
     }
 
-    /// Whether all coefficients are finite and in the range of real lenses.
+    /// Returns whether all coefficients are finite and in the range of real lenses.
     #[must_use]
     pub fn is_plausible(&self) -> bool {
         let Self { k1, k2, p1, p2, k3, k4, k5, k6 } = *self;
         [k1, k2, p1, p2, k3, k4, k5, k6].iter().all(|k| k.is_finite() && k.abs() < 1e3)
     }
 
-    /// Where the lens projects the ray through `(x, y)` on the plane at depth 1.
+    /// Returns where the lens projects the ray through `(x, y)`, both on the plane at depth 1.
     #[must_use]
     pub fn distort(&self, x: f32, y: f32) -> (f32, f32) {
         let Self { k1, k2, p1, p2, k3, k4, k5, k6 } = *self;
@@ -85,15 +85,16 @@ impl Lens {
         )
     }
 
-    /// Pixel of the distorted picture that corresponds to `(u, v)` of the pinhole picture.
+    /// Returns the pixel of the distorted picture that corresponds to `(u, v)` of the pinhole
+    /// picture.
     fn distorted_pixel(&self, camera: &Intrinsics, u: u32, v: u32) -> (f32, f32) {
         let (x, y) =
             self.distort((u as f32 - camera.cx) / camera.fx, (v as f32 - camera.cy) / camera.fy);
         (x * camera.fx + camera.cx, y * camera.fy + camera.cy)
     }
 
-    /// Rectifies a color picture with the same intrinsics, bilinear; black where the lens saw
-    /// nothing.
+    /// Rectifies a color picture with the same intrinsics, bilinear. Pixels outside of the original
+    /// are black.
     #[must_use]
     pub fn rectify(&self, picture: &RgbImage, camera: &Intrinsics) -> RgbImage {
         let (width, height) = picture.dimensions();
@@ -103,7 +104,8 @@ impl Lens {
         })
     }
 
-    /// Rectifies a depth picture, nearest pixel: depths of two surfaces must not be mixed.
+    /// Rectifies a depth picture by nearest pixel, because depths of two surfaces must not be
+    /// mixed.
     #[must_use]
     pub fn rectify_depth(&self, depth: &DepthImage, camera: &Intrinsics) -> DepthImage {
         let pixels = (0..depth.height).flat_map(|v| (0..depth.width).map(move |u| (u, v)));
@@ -122,8 +124,8 @@ impl Lens {
 }
 
 impl DepthSensor {
-    /// Intrinsics of a depth picture seen from the color camera: no finer than the sensor, so that
-    /// measurements leave no holes.
+    /// Returns the intrinsics of a depth picture seen from the color camera: no finer than the
+    /// sensor, so that measurements leave no holes.
     #[must_use]
     pub fn registered_intrinsics(&self, color: &Intrinsics) -> Intrinsics {
         let scale = (self.intrinsics.fx / color.fx).clamp(1e-3, 1.0);
@@ -131,8 +133,8 @@ impl DepthSensor {
         color.scaled_to(size(color.width), size(color.height))
     }
 
-    /// Reprojects the depth picture into the color camera. Of several surfaces in a pixel, the
-    /// nearest counts.
+    /// Reprojects the depth picture into the color camera. Of several surfaces in a pixel, keeps
+    /// the nearest.
     #[must_use]
     pub fn register(&self, depth: &DepthImage, target: &Intrinsics) -> DepthImage {
         let mut depth_m = vec![0.0_f32; (target.width * target.height) as usize];
@@ -168,9 +170,10 @@ mod tests {
         Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 31.5, cy: 23.5 };
 
     #[test]
-    fn a_lens_is_taken_off_a_picture() {
+    fn rectify_removes_lens_distortion() {
         let lens = Lens { k1: -0.2, k2: 0.03, p1: 0.001, ..Lens::default() };
-        // The picture that a lens shows of a pattern, which is a function of the ray.
+        // Brightness is a function of the ray, so the lens's picture of the pattern can be
+        // computed.
         let brightness = |x: f32, y: f32| ((x * 100.0 + 128.0) as u8, (y * 100.0 + 128.0) as u8);
         let straight = RgbImage::from_fn(64, 48, |u, v| {
             let (a, b) = brightness((u as f32 - 31.5) / 60.0, (v as f32 - 23.5) / 60.0);
@@ -178,7 +181,7 @@ mod tests {
         });
         let bent = RgbImage::from_fn(64, 48, |u, v| {
             let (x, y) = ((u as f32 - 31.5) / 60.0, (v as f32 - 23.5) / 60.0);
-            // The ray of this pixel: the inverse, by iteration.
+            // The ray of this pixel: inverts the distortion by iteration.
             let (mut a, mut b) = (x, y);
             for _ in 0..20 {
                 let (da, db) = lens.distort(a, b);
@@ -198,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_seen_from_beside_stays_a_wall() {
+    fn a_flat_wall_stays_flat_after_registration() {
         let sensor = DepthSensor {
             intrinsics: CAMERA,
             depth_to_color: Isometry3::translation(0.05, 0.0, 0.1),
@@ -217,7 +220,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_lens_that_does_nothing_moves_nothing(x in -1.0_f32..1.0, y in -1.0_f32..1.0) {
+        fn the_default_lens_has_no_distortion(x in -1.0_f32..1.0, y in -1.0_f32..1.0) {
             prop_assert_eq!(Lens::default().distort(x, y), (x, y));
             prop_assert_eq!(Lens::default().reject_identity(), None);
         }

@@ -1,6 +1,6 @@
 //! Determines which instance owns a point after people's corrections. Points of a merged instance
-//! belong to the merge result, those of a dismissed one to nothing. Points of a split one belong to
-//! the part whose box contains them, because points of parts are not stored.
+//! belong to the merge result. Points of a dismissed instance have no owner. Points of a split
+//! instance belong to the part whose box contains them, because points of parts are not stored.
 
 use super::{Instance, InstanceId};
 use crate::Point3;
@@ -11,13 +11,14 @@ pub struct Owners<'a> {
     instances: &'a [Instance],
     /// The merge result that an instance is a member of.
     merged: BTreeMap<InstanceId, InstanceId>,
-    /// Instances that may own points without having any in the parse: parts that are now things,
+    /// Instances that can own points without having any in the parse: parts that are now things,
     /// smallest first.
     parts: Vec<&'a Instance>,
 }
 
 impl<'a> Owners<'a> {
-    /// `instance_of_point` is the result of stage 1; `instances` are the corrected ones.
+    /// Creates the lookup. `instance_of_point` is the result of stage 1; `instances` are the
+    /// corrected instances.
     #[must_use]
     pub fn new(instance_of_point: &[InstanceId], instances: &'a [Instance]) -> Self {
         let with_members = instances.iter().filter(|instance| !instance.dismissed);
@@ -37,7 +38,7 @@ impl<'a> Owners<'a> {
         Self { instances, merged, parts }
     }
 
-    /// The current owner of a point that stage 1 assigned to a thing; 0: none.
+    /// Returns the current owner of a point that stage 1 assigned to `found`, or 0 if it has none.
     #[must_use]
     pub fn owner_of(&self, found: InstanceId, position: &Point3<f32>) -> InstanceId {
         let mut id = found;

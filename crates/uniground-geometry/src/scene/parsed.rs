@@ -9,7 +9,7 @@ use crate::boxes::Aabb;
 pub struct ParsedScene {
     /// The points of the import, in its order.
     pub cloud: PointCloud,
-    /// The thing each point of `cloud` belongs to; 0: none, for points that no mask shows.
+    /// The thing that each point of `cloud` belongs to; 0 for points that no mask contains.
     pub instance_of_point: Vec<InstanceId>,
     /// Superpoint of each point, numbered from 0.
     pub superpoint_of_point: Vec<u32>,
@@ -21,6 +21,6 @@ pub struct ParsedScene {
     pub frame_embeddings: Option<FrameEmbeddings>,
     /// Axis-aligned box of all points, meters, world frame.
     pub extent: Aabb,
-    /// What each step did and took, and warnings.
+    /// The result and duration of each step, and warnings.
     pub report: ParseReport,
 }

@@ -1,5 +1,5 @@
-//! Iterates over the entries of an archive of any kind. Names and extension headers are read within
-//! limits.
+//! Iterates over the entries of an archive of any kind. Limits the size of names and extension
+//! headers.
 
 use super::{ArchiveKind, UnpackLimits};
 use crate::IngestError;
@@ -35,8 +35,8 @@ const MAX_EXTENDED_HEADER_BYTES: u64 = 64 << 10;
 /// Maximum window of a compressed tar, as a power of two: 64 MiB of memory.
 const MAX_WINDOW_LOG: u32 = 26;
 
-/// Passes every entry to `visitor`. `with_content` says whether content is needed: a zip's entries
-/// are only decompressed then.
+/// Passes every entry to `visitor`. The entries of a zip are decompressed only if `with_content` is
+/// true.
 pub(super) fn walk(
     archive: &Utf8Path,
     kind: ArchiveKind,
@@ -49,7 +49,7 @@ pub(super) fn walk(
     let packed_bytes = file.metadata().map_or(0, |m| m.len());
     match kind {
         ArchiveKind::Zip => walk_zip(file, limits, with_content, visitor),
-        // If only names are needed, it is enough to go from header to header.
+        // If only names are needed, seeks from header to header.
         ArchiveKind::Tar if !with_content => {
             let mut tar = tar::Archive::new(file);
             walk_tar_entries(
@@ -116,8 +116,8 @@ fn walk_zip(
 }
 
 /// Returns the number of entries from the record at the end of a zip, or `None` if there is none.
-/// It is checked before the directory is read, because the directory is held in memory as a whole.
-/// Afterwards the file is at its start again.
+/// The caller checks it before it reads the directory, which is held in memory as a whole. Rewinds
+/// the file to its start.
 fn declared_entry_count(file: &mut File) -> io::Result<Option<u64>> {
     // The record, the longest comment after it, and the record of large archives (zip64) before it.
     const RECORD: usize = 22;
@@ -157,7 +157,7 @@ fn walk_tar(
     limits: &UnpackLimits,
     visitor: &mut dyn EntryVisitor,
 ) -> Result<(), IngestError> {
-    // Headers count too: otherwise, a tar could consist of any number of headers.
+    // Headers count too. Otherwise a tar could consist of any number of headers.
     let allowance =
         ReadLimit::new(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
     let mut tar = tar::Archive::new(LimitedReader::new(source, &allowance));
@@ -168,7 +168,7 @@ fn walk_tar(
     if allowance.is_spent() { Err(limits.too_many_bytes()) } else { walked }
 }
 
-/// Handles extended headers as entries of their own. By itself, the tar reader would load them into
+/// Handles extended headers as separate entries. By default, the tar reader would load them into
 /// memory whatever their size.
 fn walk_tar_entries(
     entries: tar::Entries<'_, impl Read>,

@@ -12,7 +12,7 @@ use sink::{ArchiveCheck, ArchiveExtractor};
 /// Archive format of a scan's files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArchiveKind {
-    /// `.zip`; its entries may be compressed.
+    /// `.zip`, with compressed or stored entries.
     Zip,
     /// `.tar`, not compressed.
     Tar,
@@ -21,7 +21,7 @@ pub enum ArchiveKind {
 }
 
 impl ArchiveKind {
-    /// Returns the kind by file name.
+    /// Detects the kind by file name.
     #[must_use]
     pub fn from_file_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
@@ -36,7 +36,7 @@ impl ArchiveKind {
         .find_map(|(ending, kind)| name.ends_with(ending).then_some(kind))
     }
 
-    /// Returns the kind by the first bytes of a file.
+    /// Detects the kind by the first bytes of a file.
     #[must_use]
     pub fn from_head(head: &[u8]) -> Option<Self> {
         match head {
@@ -47,7 +47,7 @@ impl ArchiveKind {
         }
     }
 
-    /// Returns its content type. An upload is recognized by its bytes.
+    /// Returns the content type. Uploads are recognized by their bytes, not by this.
     #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
@@ -67,7 +67,7 @@ impl ArchiveKind {
 
     fn unreadable(self, reason: impl ToString) -> IngestError {
         let reason = reason.to_string();
-        // The zip crate's words for a file whose directory, at its end, is missing.
+        // The zip crate's message for a file without the directory at its end.
         let reason = match reason.contains("EOCD") {
             true => "the file ends early. It is cut off, or no zip: transfer it again".into(),
             false => reason,
@@ -76,7 +76,7 @@ impl ArchiveKind {
     }
 }
 
-/// Limits on what an archive may unpack to.
+/// Limits on the content of an archive.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct UnpackLimits {
     /// Maximum number of entries: files, folders and everything else.
@@ -108,9 +108,9 @@ impl Default for UnpackLimits {
 }
 
 impl UnpackLimits {
-    /// Returns the number of bytes that an archive of this size may unpack to.
+    /// Returns the maximum unpacked size of an archive of this packed size, bytes.
     fn max_unpacked_bytes(&self, packed_bytes: u64) -> u64 {
-        // Small archives may compress very well. The ratio only matters above a minimum size.
+        // Small archives can compress very well. The ratio only matters above a minimum size.
         self.max_bytes.min(packed_bytes.max(1 << 20).saturating_mul(self.max_ratio))
     }
 
@@ -129,8 +129,8 @@ impl UnpackLimits {
 /// anything is written.
 ///
 /// # Errors
-/// Returns an [`IngestError`] that names the entry. `target` may then hold some of the files, and
-/// the caller removes it.
+/// Returns an [`IngestError`] that names the entry. `target` can then contain some of the files,
+/// and the caller must remove it.
 pub fn unpack(
     archive: &Utf8Path,
     kind: ArchiveKind,
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn zip_tar_and_tar_zst_unpack_alike() {
+    fn zip_tar_and_tar_zst_unpack_to_the_same_files() {
         let mut tar = tar::Builder::new(Vec::new());
         for name in ["a.txt", "b/c.txt"] {
             let mut header = tar::Header::new_gnu();
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_truncated_archive_is_named_as_such() {
+    fn truncated_and_invalid_archives_are_refused() {
         let zip = zip_of(&[("a.txt", &[7; 5000])]);
         let cut = unpack_bytes(&zip[..zip.len() - 30], ArchiveKind::Zip, &UnpackLimits::default());
         let cut = cut.unwrap_err();
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn bombs_stop_at_the_limit() {
+    fn archive_bombs_are_refused_at_the_limits() {
         let zeros = vec![0; 40 << 20];
         let limits = UnpackLimits { max_ratio: 20, ..UnpackLimits::default() };
         assert!(matches!(
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn entries_that_leave_the_folder_are_refused_by_name() {
+    fn entries_outside_the_folder_are_refused() {
         for name in ["../evil", "a/../../evil", "/etc/passwd", "a\\..\\evil", "a\nb"] {
             let refused =
                 unpack_bytes(&zip_of(&[(name, b"x")]), ArchiveKind::Zip, &UnpackLimits::default());
@@ -244,8 +244,9 @@ mod tests {
         }
     }
 
-    /// Spells a path in a different way that leads to the same file, at least on some file systems.
-    fn spelt(path: &str, upper: &[bool], dots: &[bool], doubled: &[bool]) -> String {
+    /// Returns another spelling of a path that leads to the same file, at least on some file
+    /// systems.
+    fn respell(path: &str, upper: &[bool], dots: &[bool], doubled: &[bool]) -> String {
         let cased: String = path
             .chars()
             .zip(upper.iter().cycle())
@@ -269,7 +270,7 @@ mod tests {
             dots in prop::collection::vec(any::<bool>(), 1..4),
             doubled in prop::collection::vec(any::<bool>(), 1..4),
         ) {
-            let name = spelt(path, &upper, &dots, &doubled);
+            let name = respell(path, &upper, &dots, &doubled);
             let folder = tempfile::tempdir().unwrap();
             let folder = Utf8Path::from_path(folder.path()).unwrap();
             let mut tar = tar::Builder::new(Vec::new());
@@ -297,7 +298,7 @@ mod tests {
         }
 
         #[test]
-        fn a_safe_path_never_climbs(name in "[a-z./\\\\]{0,20}") {
+        fn safe_paths_never_leave_the_folder(name in "[a-z./\\\\]{0,20}") {
             if let Ok(path) = safe_path(&name) {
                 prop_assert!(path.is_relative() && path.components().all(|c| matches!(c, Utf8Component::Normal(_))));
             }

@@ -100,8 +100,8 @@ impl EntryVisitor for ArchiveExtractor<'_> {
     }
 }
 
-/// Converts an error of writing an entry. Some names fit an archive but not a disk. A full disk is
-/// an error of the server.
+/// Converts an error of writing an entry. Some names are valid in an archive but not on a disk. A
+/// full disk is an error of the server.
 fn cannot_store(name: &str, source: io::Error) -> IngestError {
     use io::ErrorKind::{
         AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory,

@@ -12,8 +12,8 @@ use std::panic::AssertUnwindSafe;
 
 /// Minimum size of a point. A count that does not fit into the file is refused.
 const LEAST_BYTES_PER_POINT: u64 = 2;
-/// Maximum size of the XML that describes a file. Parsed, it takes many times its size. The XML of
-/// a campaign with a thousand scans has two megabytes.
+/// Maximum size of the XML that describes a file. Parsed, it takes many times its size. A file with
+/// a thousand scans has two megabytes of XML.
 const MAX_XML_BYTES: u64 = 8 << 20;
 /// Offset of the XML's length in the header (ASTM E2807, table 1).
 const XML_LENGTH_AT: usize = 32;

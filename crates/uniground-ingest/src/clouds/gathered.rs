@@ -13,7 +13,7 @@ pub struct LoadedCloud {
     pub cloud: PointCloud,
     /// Offset that was subtracted from all coordinates, in the file's units.
     pub offset: [f64; 3],
-    /// Points left out because their coordinates are not finite.
+    /// Number of points left out because their coordinates are not finite.
     pub dropped: usize,
     /// Number of points whose color is not a number and was replaced by gray.
     pub without_color: usize,
@@ -22,7 +22,7 @@ pub struct LoadedCloud {
     pub thinned: usize,
 }
 
-/// Limits on how many points a file may announce and how many are kept.
+/// Limits on the number of points that a file announces and that are kept.
 #[derive(Debug, Clone, Copy)]
 pub struct CloudBounds {
     /// Files that announce more points are refused.

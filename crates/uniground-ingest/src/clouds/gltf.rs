@@ -83,7 +83,7 @@ pub(super) fn read(
 /// Range of the binary part of a GLB within its file, bytes.
 type BinaryPart = Option<Range<u64>>;
 
-/// Returns the description, and the binary part of a GLB.
+/// Returns the document, and the range of the binary part of a GLB.
 fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let reading = |source| IngestError::reading(file, source);
@@ -110,9 +110,9 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), Inge
     Ok((document, binary))
 }
 
-/// Reads the JSON of a GLB of `bytes` bytes, which has been read up to its magic, and the range of
-/// its binary chunk. Lengths are compared with the file's size before anything is read. `None`: the
-/// file is incomplete.
+/// Reads the JSON of a GLB and the range of its binary chunk. `bytes` is the file's size; `source`
+/// is positioned after the magic. Compares lengths with the file's size before it reads. Returns
+/// `None` if the file is incomplete.
 fn read_chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPart)>> {
     let mut head = [0; 16];
     source.read_exact(&mut head)?;
@@ -314,7 +314,7 @@ mod tests {
         )
     }
 
-    /// A triangle of half a square meter, moved up by two, with a color for each corner.
+    /// Creates a triangle of half a square meter, moved up by two, with a color for each corner.
     fn triangle() -> (String, Vec<u8>) {
         let mut blob = Vec::new();
         [0.0_f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_triangle_is_sampled_where_its_node_puts_it() {
+    fn triangles_are_sampled_with_the_transform_of_their_node() {
         let (json, blob) = triangle();
         let loaded = read_bytes(&glb(&json, &blob)).unwrap();
         assert_eq!(loaded.cloud.len(), 5000);
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_file_claims_is_checked() {
+    fn invalid_counts_offsets_and_references_are_refused() {
         let (json, blob) = triangle();
         for (from, to, expected) in [
             (
@@ -373,7 +373,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_never_panics(at in 0_usize..900, with in prop::collection::vec(any::<u8>(), 1..6)) {
+        fn damaged_files_never_panic(at in 0_usize..900, with in prop::collection::vec(any::<u8>(), 1..6)) {
             let (json, blob) = triangle();
             let mut bytes = glb(&json, &blob);
             for (i, byte) in with.iter().enumerate() {

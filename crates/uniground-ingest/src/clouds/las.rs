@@ -1,5 +1,5 @@
 //! LAS and LAZ: surveying clouds, with Z up and often in map coordinates. The `las` crate unpacks
-//! LAZ. LAS records are read here, five times as fast.
+//! LAZ. This module reads LAS records, five times as fast.
 
 mod lengths;
 mod records;
@@ -74,7 +74,7 @@ fn read_compressed(
 }
 
 /// Sets the colors. The standard requires 16 bits, but many writers store 8-bit values unscaled.
-/// The largest value tells which it is.
+/// The largest value distinguishes them.
 fn set_colors(gathered: &mut CloudBuilder, wide: &[[u16; 3]]) {
     let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
     gathered.set_colors(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));

@@ -69,8 +69,8 @@ impl Triangle {
 }
 
 impl Mesh {
-    /// Passes points of the surface on. `metres_per_unit` may be approximate: it only determines
-    /// the density of the points.
+    /// Passes points of the surface to `gathered`. `metres_per_unit` can be approximate: it only
+    /// determines the density of the points.
     pub fn sample(
         &self,
         file: &Utf8Path,
@@ -115,7 +115,7 @@ impl MeshSampler {
         })
     }
 
-    /// Returns the points of the next triangle, with their colors.
+    /// Passes the points of the next triangle, with their colors, to `hand`.
     pub fn sample_triangle(
         &mut self,
         triangle: &Triangle,
@@ -132,7 +132,8 @@ impl MeshSampler {
     }
 }
 
-/// Returns the next item of a sequence that fills a triangle evenly (Roberts' R2, folded).
+/// Returns the item at an index of a sequence that fills a triangle evenly (Roberts' R2, folded),
+/// as weights of the corners.
 fn nth_weights(drawn: u32) -> [f64; 3] {
     const A: f64 = 0.754_877_666_246_692_7;
     const B: f64 = 0.569_840_290_998_053_2;

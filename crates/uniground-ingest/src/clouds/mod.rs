@@ -48,7 +48,7 @@ impl CloudKind {
         Self::from_head(&head, file.extension().unwrap_or_default())
     }
 
-    /// Detects the format by first bytes. If those are only numbers, the extension decides.
+    /// Detects the format by the first bytes. If those are only numbers, the extension decides.
     pub fn from_head(head: &[u8], extension: &str) -> Option<Self> {
         if head.starts_with(b"ply") {
             return Some(Self::Ply);

@@ -227,7 +227,7 @@ mod tests {
     const SQUARE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n";
 
     #[test]
-    fn a_square_metre_is_ten_thousand_points_evenly_spread() {
+    fn a_square_meter_is_sampled_with_ten_thousand_even_points() {
         let loaded = read_files(&[("a.obj", format!("{SQUARE}f 1 2 3 4\n").as_bytes())]).unwrap();
         assert_eq!((loaded.cloud.len(), loaded.has_color), (10_000, false));
         for corner in 0..4 {
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn textures_give_color() {
+    fn textures_color_the_sampled_points() {
         let mut png = std::io::Cursor::new(Vec::new());
         let picture = image::RgbImage::from_fn(2, 2, |x, y| {
             if (x, y) == (0, 0) { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 0, 255]) }
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_by_line() {
+    fn invalid_files_are_refused_with_the_reason() {
         for (text, expected) in [
             ("v 1 2\n", "line 1"),
             ("v 1 2 3\nf 1 2 3\n", "line 2"),
@@ -273,12 +273,12 @@ mod tests {
         let outside =
             read_files(&[("a.obj", format!("mtllib ../../etc/passwd\n{SQUARE}").as_bytes())])
                 .unwrap();
-        assert_eq!(outside.cloud.len(), 4, "materials outside are not looked for");
+        assert_eq!(outside.cloud.len(), 4, "material files outside the upload are ignored");
     }
 
     proptest! {
         #[test]
-        fn noise_never_panics(text in "(v|vt|f|usemtl|mtllib)?[-0-9 ./a\\n]{0,200}") {
+        fn random_text_never_panics(text in "(v|vt|f|usemtl|mtllib)?[-0-9 ./a\\n]{0,200}") {
             let _ = read_files(&[("a.obj", text.as_bytes())]);
         }
     }

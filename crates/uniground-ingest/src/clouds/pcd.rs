@@ -137,7 +137,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
         PcdEncoding::Binary => header.points as u64 * header.row_bytes as u64,
         PcdEncoding::Compressed => header.points as u64 * header.row_bytes as u64 / BEST_RATIO,
     };
-    // A count that does not fit into the file must not cause an allocation. The last line may lack
+    // A count that does not fit into the file must not cause an allocation. The last line can lack
     // its line end.
     if least > bytes.saturating_add(1) {
         return Err(IngestError::malformed(
@@ -244,7 +244,7 @@ fn read_ascii(
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some((xyz, packed)) = header.position_and_color() else { return Ok(()) };
-    // Column numbers. Fields of several numbers may precede them.
+    // Column numbers. Fields of several numbers can precede them.
     let column = |field: &Field| {
         header.fields.iter().take_while(|f| f.name != field.name).map(|f| f.count).sum::<usize>()
     };
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn the_three_encodings_read_alike() {
+    fn all_encodings_give_the_same_cloud() {
         let points =
             [([10_u8, 20, 30], [1.0_f32, 2.0, 3.0]), ([40, 50, 60], [-1.0, 0.5, f32::NAN])];
         let packed = |[r, g, b]: [u8; 3]| u32::from_le_bytes([b, g, r, 0]);
@@ -445,7 +445,7 @@ mod tests {
     }
 
     #[test]
-    fn copies_repeat_what_came_before() {
+    fn lzf_copies_repeat_earlier_output() {
         // "ab", then nine bytes copied from two bytes back.
         assert_eq!(
             decompress_lzf(&[1, b'a', b'b', 0b111_00000, 0, 1], 11).unwrap(),
@@ -459,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn lies_are_refused_before_they_are_held() {
+    fn false_counts_and_invalid_rows_are_refused() {
         for (bytes, expected) in [
             (header(1_000_000_000, "binary"), "announces 1000000000 points"),
             (header(1_000_000_000, "binary_compressed"), "announces 1000000000 points"),
@@ -475,7 +475,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..300), count in 0_usize..9) {
+        fn random_data_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..300), count in 0_usize..9) {
             for data in ["ascii", "binary", "binary_compressed"] {
                 let _ = read_bytes(&[header(count, data), bytes.clone()].concat());
             }

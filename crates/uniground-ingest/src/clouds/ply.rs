@@ -1,4 +1,4 @@
-//! PLY: ascii, little and big endian; properties by name in any order. Meshes of scans are read by
+//! PLY: ascii, little and big endian; properties by name in any order. Dense meshes are read as
 //! their vertices. Coarse meshes are sampled.
 //!
 //! The `ply-rs-bw` crate parses the header. Rows are read here, one block or line at a time: this
@@ -228,7 +228,7 @@ mod tests {
     const XYZ_RGB: &str = "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n";
 
     #[test]
-    fn the_three_encodings_read_alike() {
+    fn all_encodings_give_the_same_cloud() {
         let mut ascii = header("ascii", 2, XYZ_RGB);
         ascii.extend(b"1 2 3 10 20 30\n-1 0.5 2 40 50 60\n");
         let points = [([1.0_f32, 2.0, 3.0], [10_u8, 20, 30]), ([-1.0, 0.5, 2.0], [40, 50, 60])];
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn property_order_doubles_and_extra_properties_are_fine() {
+    fn any_property_order_doubles_and_extra_properties_are_supported() {
         let mut bytes = header(
             "binary_little_endian",
             1,
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn colors_that_are_not_numbers_are_grey_and_counted() {
+    fn colors_that_are_not_numbers_become_gray_and_are_counted() {
         let mut bytes = header(
             "ascii",
             2,
@@ -325,9 +325,9 @@ mod tests {
         }
     }
 
-    /// Claims of a header or a line are checked against the file.
+    /// Limits apply before memory is allocated.
     #[test]
-    fn bombs_are_refused_before_they_are_held() {
+    fn oversized_headers_lines_and_counts_are_refused() {
         let columns: String = (0..300).map(|i| format!("property double c{i}\n")).collect();
         let endless_line = [header("ascii", 1, XYZ_RGB), vec![b'1'; 1 << 20]].concat();
         let endless_header = [&b"ply\ncomment "[..], &vec![b'x'; 1 << 20]].concat();
@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn broken_files_are_named() {
+    fn invalid_files_are_refused_with_the_reason() {
         for (bytes, expected) in [
             (b"hello".to_vec(), "not a PLY file"),
             (header("binary_little_endian", 1_000_000_000, XYZ_RGB), "announces 1000000000 vertices"),
@@ -369,7 +369,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..300), count in 0_usize..9) {
+        fn random_data_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..300), count in 0_usize..9) {
             let _ = read_bytes(&[header("binary_little_endian", count, XYZ_RGB), bytes.clone()].concat());
             let _ = read_bytes(&[header("ascii", count, XYZ_RGB), bytes].concat());
         }

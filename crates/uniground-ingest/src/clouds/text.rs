@@ -166,7 +166,7 @@ fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestErr
     })
 }
 
-/// Finds columns by names as CloudCompare and most tables write them.
+/// Finds columns by the names that CloudCompare and most tables use.
 fn columns_from_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
     let line = line.trim_start_matches(['#', '/', '\u{feff}']).to_ascii_lowercase();
     let names: Vec<&str> = split_words(&line).map(|word| word.trim_matches('"')).collect();
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_told_apart() {
+    fn columns_are_detected_by_heading_count_and_values() {
         let (p, c) = (Point3::new(1.0, 2.0, 3.0), [10, 20, 255]);
         for (name, text, color) in [
             ("a.xyz", "1 2 3\n", GREY),
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn map_coordinates_keep_their_place_in_double_precision() {
+    fn map_coordinates_keep_their_precision() {
         let loaded =
             read_text("a.xyz", b"500000.123 5400000.456 101.5\n500001.123 5400001.456 102.5\n")
                 .unwrap();
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn prose_is_no_cloud() {
+    fn text_without_rows_of_three_numbers_is_refused() {
         for text in ["Dear diary,\ntoday 1 2 3\n", "", "1 2\n3 4\n"] {
             assert!(read_text("a.txt", text.as_bytes()).is_err(), "{text}");
         }
@@ -265,7 +265,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_never_panics(text in "[0-9 .,;a-f\\n-]{0,200}") {
+        fn random_text_never_panics(text in "[0-9 .,;a-f\\n-]{0,200}") {
             let _ = read_text("a.txt", text.as_bytes());
         }
     }

@@ -1,6 +1,6 @@
 //! ARKitScenes: `lowres_wide/ lowres_depth/ lowres_wide_intrinsics/ lowres_wide.traj`, and
 //! `confidence/`, named `<video>_<seconds>`. Poses are world-to-camera in a world that ARKit made
-//! level, Z up. The mesh `*_3dod_mesh.ply` lies one folder up.
+//! level, Z up. The mesh `*_3dod_mesh.ply` is one folder up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
@@ -22,7 +22,7 @@ const CAMERAS: &str = "lowres_wide_intrinsics";
 const MAX_TRAJECTORY_BYTES: u64 = 32 << 20;
 /// Pictures are at 60 Hz, poses at 10 Hz.
 const POSE_WITHIN_S: f64 = 0.005;
-/// File names of the same moment may differ by a rounded millisecond.
+/// File names of the same moment can differ by a rounded millisecond.
 const NAME_WITHIN_S: f64 = 0.0015;
 
 /// Returns the folder of the frames: this one, or the only one named `*_frames`.

@@ -1,5 +1,5 @@
 //! COLMAP: poses of pictures without depth, without a unit of length and without an up direction.
-//! Its dense cloud can be read once the caller states the unit's length.
+//! Its dense cloud can be read if the caller states the unit's length.
 
 use super::files::FolderListing;
 use super::incomplete;

@@ -1,5 +1,5 @@
 //! The plain layout: `color/ depth/ pose/ intrinsic.txt` and, optionally, a cloud. Folders are
-//! found by their usual names. Files are matched by name, number or time. All poses may be in one
+//! found by their usual names. Files are matched by name, number or time. All poses can be in one
 //! file. Order is by number, so `10` follows `9`.
 
 use super::files::{DEPTHS, FolderListing, PICTURES};

@@ -127,7 +127,7 @@ impl FolderListing {
     }
 }
 
-/// Whether a file name is that of a photograph.
+/// Returns whether a file name is that of a photograph.
 fn is_picture(name: &str) -> bool {
     let extension = Utf8Path::new(name).extension().unwrap_or_default().to_lowercase();
     ["jpg", "jpeg", "png", "heic", "webp"].contains(&extension.as_str())

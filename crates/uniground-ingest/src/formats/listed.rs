@@ -51,18 +51,18 @@ mod tests {
     }
 
     #[test]
-    fn as_many_as_are_read_are_read() {
+    fn lists_up_to_the_maximum_are_read() {
         assert_eq!(listing(MAX_FRAMES, "").unwrap().frames.len(), MAX_FRAMES);
     }
 
     #[test]
-    fn one_more_is_refused_before_what_follows_is_looked_at() {
+    fn a_longer_list_is_refused_before_the_rest_is_parsed() {
         let error = listing(MAX_FRAMES, ",2,this is no JSON").err().unwrap().to_string();
         assert!(error.starts_with("more than 54000 frames"), "{error}");
     }
 
     #[test]
-    fn what_is_no_list_is_told() {
+    fn a_value_that_is_not_a_list_is_refused() {
         let error = serde_json::from_str::<Listing>(r#"{"frames": 3}"#).err().unwrap().to_string();
         assert!(error.contains("expected a list of frames"), "{error}");
     }

@@ -65,7 +65,7 @@ const MAX_STEPS: usize = 6;
 /// Reads the layout below `folder` without checking it.
 ///
 /// # Errors
-/// Returns an [`IngestError`] that names the file, or what the folder holds instead of a scan.
+/// Returns an [`IngestError`] that names the file, or the content of a folder that is not a scan.
 pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let mut folder = FolderListing::open(folder)?;
     for _ in 0..MAX_STEPS {

@@ -195,7 +195,7 @@ fn to_raw_frame(
     })
 }
 
-/// Finds a picture. Paths may lack their extension and begin with `./`.
+/// Finds a picture. Paths can lack their extension and begin with `./`.
 fn find_picture(root: &Utf8Path, path: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
     check_inside(path, NAMED)?;
     let with_ending = ["png", "jpg"].map(|ending| Utf8PathBuf::from(format!("{path}.{ending}")));

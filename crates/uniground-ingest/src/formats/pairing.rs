@@ -9,7 +9,7 @@ pub(super) const SAME_MOMENT_S: f64 = 0.02;
 const ROLES: [&str; 10] =
     ["color", "colour", "rgb", "depth", "pose", "image", "img", "conf", "confidence", "cam"];
 
-/// Sort key that puts `10` after `9`: the number first, then the name.
+/// Returns a sort key that puts `10` after `9`: the number first, then the name.
 pub(super) fn natural_sort_key(file: &Utf8Path) -> (Option<u64>, String) {
     let stem = file.file_stem().unwrap_or_default();
     let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn names_numbers_and_times_find_their_partners() {
+    fn files_are_matched_by_name_number_or_time() {
         for (first, second, expected) in [
             (["color/1.jpg", "color/10.jpg"], ["depth/10.png", "depth/1.png"], [Some(1), Some(0)]),
             (
@@ -166,7 +166,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nobody_has_two_partners(a in prop::collection::vec(0.0_f64..3.0, 0..30), b in prop::collection::vec(0.0_f64..3.0, 0..30)) {
+        fn no_time_is_matched_twice(a in prop::collection::vec(0.0_f64..3.0, 0..30), b in prop::collection::vec(0.0_f64..3.0, 0..30)) {
             let some = |times: &[f64]| times.iter().copied().map(Some).collect::<Vec<_>>();
             let found = match_nearest_times(&some(&a), &some(&b), 0.1);
             let mut partners: Vec<usize> = found.iter().flatten().copied().collect();

@@ -83,7 +83,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-/// Returns `axisAlignment` of the scene's own text file, unless it is the identity.
+/// Returns `axisAlignment` of the scene's text file, and that file, unless it is the identity.
 fn read_alignment(
     folder: &FolderListing,
 ) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {

@@ -29,7 +29,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         }
         match parse(line) {
             Ok(row) => rows.push(row),
-            // A heading may name the columns. Any later line without numbers is damage.
+            // A heading can name the columns. Any later line without numbers is damage.
             Err(_) if rows.is_empty() => {}
             Err(word) => {
                 return Err(IngestError::malformed(
@@ -92,8 +92,7 @@ fn parse_log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
         .collect()
 }
 
-/// Returns the pose at a time: interpolated between the two around it if they are close enough,
-/// otherwise the nearest one within reach.
+/// Returns the pose nearest to a time, at most `within_s` away. Does not interpolate.
 pub(super) fn pose_at(
     poses: &[(f64, Matrix4<f64>)],
     time: f64,
@@ -124,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_list_reads_alike() {
+    fn all_pose_list_formats_give_the_same_pose() {
         let expected = Matrix4::new_translation(&nalgebra::Vector3::new(1.0, 2.0, 3.0));
         for text in [
             "1 0 0 1 0 1 0 2 0 0 1 3 0 0 0 1\n",
@@ -144,7 +143,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_never_panics(text in "[-0-9. e\\n#,]{0,300}") {
+        fn random_text_never_panics(text in "[-0-9. e\\n#,]{0,300}") {
             let _ = read_text_as(&text);
         }
     }

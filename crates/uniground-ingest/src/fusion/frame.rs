@@ -90,8 +90,8 @@ impl FusionFrame {
         inside.then(|| &self.pixels[(row * i64::from(self.width) + column) as usize])
     }
 
-    /// Returns whether a sphere, in camera axes, may be visible or have something visible behind
-    /// it. False if it is outside of the picture or fully hidden.
+    /// Returns whether a sphere, in camera axes, can be visible or in front of a visible surface.
+    /// False if it is outside of the picture or fully hidden.
     pub fn may_reach(&self, center: &Point3<f32>, radius_m: f32) -> bool {
         let near_m = center.z - radius_m;
         if near_m <= 0.05 {

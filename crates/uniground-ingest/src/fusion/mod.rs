@@ -115,8 +115,8 @@ mod tests {
 
     const SIZE: u32 = 64;
 
-    /// A frame that looks along +Y at a wall two meters ahead, from this position. Its depth has
-    /// uniform noise of `noise_mm` to either side.
+    /// Creates a frame that looks along +Y from this position. Its depth has uniform noise of up to
+    /// `noise_mm` in both directions.
     fn frame(
         folder: &Utf8Path,
         index: u32,
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_along_the_view_is_averaged_away() {
+    fn averaging_removes_noise_along_the_view() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let mut frames: Vec<_> = (0..12)
@@ -167,14 +167,14 @@ mod tests {
         assert!(cloud.len() > 1000, "{} points", cloud.len());
         let off = |p: &uniground_geometry::Point3<f32>| (p.y - 2.0).abs();
         let mean = cloud.positions.iter().map(off).sum::<f32>() / cloud.len() as f32;
-        assert!(mean < 0.01, "{mean} m from the wall on average, each measurement 0.02");
+        assert!(mean < 0.01, "{mean} m from the wall on average; a measurement is 0.02 m off");
         assert!(cloud.colors.iter().all(|c| *c == [10, 200, 30]));
         let again = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
         assert_eq!(cloud, again);
     }
 
     #[test]
-    fn what_others_look_through_is_carved() {
+    fn a_surface_that_other_frames_see_through_is_removed() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         // A person walks through one of eight pictures, a meter in front of the wall.
@@ -187,11 +187,11 @@ mod tests {
             })
             .collect();
         let cloud = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
-        assert!(cloud.positions.iter().all(|p| p.y > 1.5), "what stood there once is gone");
+        assert!(cloud.positions.iter().all(|p| p.y > 1.5), "the person must not be in the cloud");
     }
 
     #[test]
-    fn a_scan_too_large_for_its_voxels_is_told() {
+    fn a_scan_that_exceeds_the_block_limit_is_not_fused() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let frames = [frame(folder, 0, Vector3::zeros(), 5, |_, _| 2000)];

@@ -54,8 +54,8 @@ impl Volume {
         }
     }
 
-    /// Allocates blocks where the frame measured something, and integrates the frame into all
-    /// blocks it looks at or through.
+    /// Allocates blocks where the frame measured a surface, and integrates the frame into all
+    /// blocks that it sees or sees through.
     pub fn integrate(&mut self, look: &FusionFrame) -> Result<(), VolumeFull> {
         for &key in &look.blocks {
             if !self.number_of.contains_key(&key) {
@@ -190,8 +190,8 @@ impl Voxel {
     /// Adds a measurement. `distance` is in truncation distances, at least `-1`. `step` is one
     /// voxel in that unit.
     fn add_measurement(&mut self, seen: &PixelSample, distance: f32, step: f32) {
-        // Behind a surface nothing was measured, so the weight fades out. Otherwise the back of a
-        // thin object would push its front away.
+        // Nothing was measured behind a surface, so the weight decreases to zero there. Otherwise
+        // the back of a thin object would push its front away.
         let weight =
             seen.weight * if distance < -step { (1.0 + distance) / (1.0 - step) } else { 1.0 };
         self.weight += weight;

@@ -1,4 +1,4 @@
-//! Estimates up from the cameras: people hold them level, whatever they look at.
+//! Estimates up from the cameras: people hold them without roll, wherever they point.
 
 use nalgebra::SymmetricEigen;
 use uniground_geometry::{Isometry3, Matrix3, Vector3};
@@ -52,7 +52,8 @@ mod tests {
     use super::*;
     use nalgebra::UnitQuaternion;
 
-    /// An OpenCV camera with this yaw, tilted down by `down`, in a world with Z up.
+    /// Creates an OpenCV camera with this yaw, tilted down by `down` (radians), in a world with Z
+    /// up.
     fn camera(yaw: f32, down: f32) -> Isometry3<f32> {
         let (right, forward) =
             (Vector3::new(yaw.sin(), -yaw.cos(), 0.0), Vector3::new(yaw.cos(), yaw.sin(), 0.0));
@@ -67,14 +68,14 @@ mod tests {
     }
 
     #[test]
-    fn cameras_that_look_down_in_a_corner_still_tell_up() {
+    fn cameras_without_roll_determine_up_even_if_they_look_down() {
         let poses: Vec<_> = (0..20).map(|i| camera(i as f32 * 0.1, 0.7)).collect();
         let found = up_from_cameras(&poses).unwrap();
         assert!(found.by_roll && found.up.dot(&Vector3::z()) > 0.999, "{found:?}");
     }
 
     #[test]
-    fn cameras_that_tumble_tell_nothing() {
+    fn tumbling_cameras_do_not_determine_up() {
         let poses: Vec<_> =
             (0..20).map(|i| camera(0.3, i as f32 * std::f32::consts::TAU / 20.0)).collect();
         assert!(up_from_cameras(&poses).is_none());

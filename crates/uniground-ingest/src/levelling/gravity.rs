@@ -36,7 +36,7 @@ pub(super) const CLOSE_DEG: f32 = 7.0;
 const CONES_DEG: [f32; 4] = [40.0, 20.0, 10.0, 5.0];
 const ROUNDS: usize = 6;
 
-/// Returns the direction nearest to a guess that the surfaces agree on. It keeps the guess's sign.
+/// Returns the direction nearest to a guess that best explains the surfaces, with the guess's sign.
 /// `widest_deg` is the maximum error of the guess.
 pub(super) fn refine(surfaces: &[SurfacePatch], guess: &Vector3<f32>, widest_deg: f32) -> UpFit {
     let mut up = *guess;
@@ -118,7 +118,7 @@ mod tests {
     use proptest::prelude::*;
     use uniground_geometry::Point3;
 
-    /// A floor, two walls, and things that face in any direction.
+    /// Creates a floor, two walls, and surfaces that face in any direction.
     fn room(turn: &nalgebra::UnitQuaternion<f32>) -> Vec<SurfacePatch> {
         let mut surfaces = Vec::new();
         let mut push = |normal: Vector3<f32>, weight| {
@@ -137,7 +137,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_tilted_room_is_levelled_from_the_axis_it_was_called(axis in prop::array::uniform2(-1.0_f32..1.0), tilt_deg in 0.0_f32..38.0) {
+        fn up_of_a_room_tilted_by_less_than_38_degrees_is_found(axis in prop::array::uniform2(-1.0_f32..1.0), tilt_deg in 0.0_f32..38.0) {
             let axis = Vector3::new(axis[0], axis[1], 0.0);
             prop_assume!(axis.norm() > 0.1);
             let turn = nalgebra::UnitQuaternion::new(axis.normalize() * tilt_deg.to_radians());
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_wall_does_not_say_what_is_up() {
+    fn up_is_ambiguous_for_a_single_wall() {
         let wall: Vec<SurfacePatch> = (0..100)
             .map(|_| SurfacePatch { normal: Vector3::x(), at: Point3::origin(), weight: 1.0 })
             .collect();

@@ -1,7 +1,7 @@
 //! Finds up in a cloud without cameras.
 //!
 //! Rooms are boxes: judged by the walls alone, any side could be the floor. These clues separate
-//! the sides: floors are wide and rooms are low; things stand on the floor and not on the ceiling;
+//! the sides: floors are wide and rooms are low; objects stand on the floor and not on the ceiling;
 //! chairs and open doors are rotated about up and about no other axis.
 
 use super::gravity::{UpFit, measure, refine};
@@ -64,10 +64,10 @@ const MAX_POINTS: usize = 200_000;
 const CELL_M: f32 = 0.1;
 /// Maximum distance of a floor or a ceiling from the end of the cloud, meters.
 const END_M: f32 = 0.25;
-/// Height range above a floor in which standing things are found, meters.
+/// Height range above a floor in which standing objects are expected, meters.
 const STANDING_M: std::ops::Range<f32> = 0.15..1.1;
 
-/// Returns the directions that may be up, the best first.
+/// Returns the possible up directions, the best first.
 pub(super) fn up_candidates(cloud: &PointCloud, surfaces: &[SurfacePatch]) -> Vec<UpCandidate> {
     let points: Vec<Point3<f32>> =
         cloud.positions.iter().step_by(cloud.len().div_ceil(MAX_POINTS).max(1)).copied().collect();
@@ -154,7 +154,7 @@ impl CloudShape<'_> {
         quantile(&mut heights, 0.995).unwrap_or(0.0) - quantile(&mut heights, 0.005).unwrap_or(0.0)
     }
 
-    /// Returns the smallest width in a few directions across, meters.
+    /// Returns the smallest width over a few horizontal directions, meters.
     fn width(&self, up: &Vector3<f32>) -> f32 {
         let (a, b) = perpendicular_axes(up);
         let sides = (0..8).map(|k| {
@@ -164,8 +164,8 @@ impl CloudShape<'_> {
         sides.fold(f32::INFINITY, f32::min)
     }
 
-    /// Returns how much of the footprint is covered by a level surface at the lower end, minus the
-    /// same for the upper end when there is no floor; `-1..=1`.
+    /// Returns the share of the footprint that level surfaces at the lower end cover, minus half of
+    /// the same share for the upper end when there is no floor; `-0.5..=1`.
     fn floor_score(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
         let (low, high) = (
@@ -181,15 +181,15 @@ impl CloudShape<'_> {
             let on = self.surfaces.iter().filter(|s| {
                 s.normal.dot(up).abs() > 0.97 && (s.at.coords.dot(up) - level).abs() < END_M
             });
-            // A surface cell may be wider than a footprint cell: compare areas, not counts.
+            // A surface cell can be wider than a footprint cell, so compares areas, not counts.
             (on.map(|s| s.weight).sum::<f32>() / (footprint * CELL_M * CELL_M)).min(1.0)
         };
         let (floor, ceiling) = (sheet(low), sheet(high));
         floor - if floor < 0.2 { 0.5 * ceiling } else { 0.0 }
     }
 
-    /// Things stand on floors. Returns how much more there is just above the lower end than just
-    /// below the upper end; `-1..=1`.
+    /// Returns how many more level surfaces and points are just above the lower end than just below
+    /// the upper end, because objects stand on floors; `-1.4..=1.4`.
     fn standing_score(&self, up: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(up);
         let (low, high) = (
@@ -200,8 +200,8 @@ impl CloudShape<'_> {
             return 0.0;
         }
         let band = STANDING_M.start..STANDING_M.end.min((high - low) / 2.0);
-        // Level surfaces that face between the ends are seats, tables or shelves. Such things do
-        // not hang from ceilings.
+        // Level surfaces between the ends are seats, tables or shelves. Such objects do not hang
+        // from ceilings.
         let (mut standing, mut hanging) = (0.0, 0.0);
         for s in self.surfaces.iter().filter(|s| s.normal.dot(up).abs() > 0.9) {
             let h = s.at.coords.dot(up);
@@ -243,8 +243,8 @@ mod tests {
     use proptest::prelude::*;
     use uniground_geometry::Isometry3;
 
-    /// The sides of a block, with a point every four centimeters. Top and bottom are included only
-    /// if requested.
+    /// Adds the sides of a block, with a point every four centimeters. `ends` selects whether to
+    /// add bottom and top.
     fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], ends: [bool; 2]) {
         let steps = |axis: usize| ((high[axis] - low[axis]) / 0.04).round().max(1.0) as u32;
         for x in 0..=steps(0) {
@@ -275,7 +275,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(12))]
         #[test]
-        fn a_room_is_set_upright_however_it_lies(angles in prop::array::uniform3(-3.0_f32..3.0)) {
+        fn up_of_a_room_is_found_at_any_rotation(angles in prop::array::uniform3(-3.0_f32..3.0)) {
             let turn = Isometry3::rotation(Vector3::from(angles));
             let mut cloud = room();
             cloud.positions.iter_mut().for_each(|p| *p = turn * *p);
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_alone_is_not_taken_for_a_floor() {
+    fn a_single_wall_is_not_mistaken_for_a_floor() {
         let mut cloud = PointCloud::default();
         block(&mut cloud, [0.0, 0.0, 0.0], [2.4, 0.02, 2.0], [false, false]);
         block(&mut cloud, [0.5, 0.0, 0.5], [0.8, 0.3, 0.7], [true, true]);

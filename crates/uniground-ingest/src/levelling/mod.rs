@@ -2,8 +2,8 @@
 //!
 //! Floors are level and walls are upright: the direction that explains most surfaces is up
 //! ([`gravity`]). The search starts at the axis stated in the files, at the cameras' up
-//! ([`cameras`]), or, for a cloud alone, at the direction chosen by what stands on what
-//! ([`lone_cloud`]). Worlds that are level within [`LEVEL_DEG`] stay unchanged, bit by bit.
+//! ([`cameras`]), or, for a cloud alone, at the direction chosen by its shape ([`lone_cloud`]).
+//! Worlds that are level within [`LEVEL_DEG`] stay bit-identical.
 
 mod cameras;
 mod gravity;

@@ -77,7 +77,7 @@ fn patches_of_frame(frame: &FrameRef) -> Result<Vec<SurfacePatch>, FrameError> {
             let (Some(over), Some(under)) = (point(u, v - reach), point(u, v + reach)) else {
                 continue;
             };
-            // On a flat surface the middle lies between its neighbors.
+            // On a flat surface, a point is the midpoint of its neighbors.
             let slack = 0.004 + 0.004 * p.z * p.z;
             let bent = |a: &Point3<f32>, b: &Point3<f32>| {
                 ((a.coords + b.coords) / 2.0 - p.coords).norm() > 4.0 * slack

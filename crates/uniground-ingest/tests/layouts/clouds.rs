@@ -117,7 +117,8 @@ fn read(name: &str, bytes: &[u8]) -> InspectedScan {
     )
 }
 
-/// Compares the room's box to a centimeter. Except for sampling and rounding it is the same cloud.
+/// Checks that the cloud is the room up to sampling and rounding: its box to a centimeter, its red
+/// points, and the floor below.
 fn check(what: &str, found: &InspectedScan) {
     let cloud = found.cloud.as_ref().unwrap();
     let extent = Aabb::around(&cloud.positions).unwrap();
@@ -158,7 +159,7 @@ fn every_format_gives_the_same_cloud() {
     }
 }
 
-/// A mesh of vertices only is as good a scan as a cloud with a point every few centimeters.
+/// A mesh with few vertices is sampled, so it gives the same cloud as a dense one.
 #[test]
 fn meshes_with_few_vertices_give_the_same_cloud() {
     let (corners, squares) = mesh();
@@ -211,7 +212,7 @@ fn rotated_and_scaled_clouds_are_leveled_and_converted_to_meters() {
     for (what, turned) in [
         ("Y up", with(y_up)),
         ("seen from a camera", with(camera)),
-        ("millimetres", transform_points(&points, |p| p * 1000.0)),
+        ("millimeters", transform_points(&points, |p| p * 1000.0)),
     ] {
         let found = read("room.ply", &ply(&turned));
         let cloud = found.cloud.as_ref().unwrap();
@@ -252,7 +253,7 @@ fn map_coordinates_are_recovered_to_the_millimeter() {
     }
 }
 
-/// Half a room, a wall, a table top: the up axis cannot be determined, so the error asks for it.
+/// The up axis of half a room cannot be determined, so the error asks for it.
 #[test]
 fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
     let wall: Points = cloud()
@@ -269,8 +270,8 @@ fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
     );
 }
 
-/// A cloud without walls is assumed to be Z up if objects stand on it that way. Lying on its side,
-/// it is refused and asks for the up axis.
+/// A cloud without walls is assumed to be Z up if its objects stand that way. Rotated onto its
+/// side, it is refused.
 #[test]
 fn a_floor_with_objects_is_assumed_to_be_z_up() {
     let floor: Points = cloud()

@@ -1,4 +1,4 @@
-//! One small room in every layout: each is read as the same canonical scene.
+//! Writes one small room in every layout. Each must be read as the same canonical scene.
 
 // A helper that fails aborts its test.
 #![allow(clippy::unwrap_used)]
@@ -64,7 +64,7 @@ const LAYOUTS: [(&str, Write, &str); 18] = [
     ("plain, depth as EXR", writers::plain_exr, "color-depth-pose"),
     ("plain, depth as EXR of half floats", writers::plain_exr_halves, "color-depth-pose"),
     ("plain, depth as TIFF of floats", writers::plain_tiff, "color-depth-pose"),
-    ("plain, depth as TIFF in millimetres", writers::plain_tiff_millimetres, "color-depth-pose"),
+    ("plain, depth as TIFF in millimeters", writers::plain_tiff_millimeters, "color-depth-pose"),
     ("ScanNet export", writers::scannet, "scannet-export"),
     ("TUM RGB-D", writers::tum, "tum-rgbd"),
     ("7-Scenes", writers::seven_scenes, "7-scenes"),
@@ -103,7 +103,7 @@ fn every_layout_gives_the_same_scene() {
     }
 }
 
-/// Eight-bit images are depth only if their unit is given. Without a unit they are pictures.
+/// Eight-bit images are read as depth only if their unit is given.
 #[test]
 fn eight_bit_depth_requires_a_unit() {
     let write = |unit_m: Option<f32>| {
@@ -218,7 +218,7 @@ fn the_pose_convention_that_fits_is_used() {
         ("world-to-camera", |m| m.try_inverse().unwrap(), "world_to_camera"),
         ("OpenGL cameras", |m| m * room::opengl(), "opengl"),
         (
-            "millimetres",
+            "millimeters",
             |mut m| {
                 (0..3).for_each(|i| m[(i, 3)] *= 1000.0);
                 m
@@ -270,7 +270,7 @@ fn a_tilted_world_is_leveled_and_a_level_one_is_unchanged() {
     });
 }
 
-/// One frame of twelve is more than a tenth, so the scan is made longer.
+/// One frame of twelve is more than a tenth, so the test doubles the number of frames.
 #[test]
 fn one_damaged_frame_in_ten_is_skipped_and_reported() {
     let longer = |out: &Out| {

@@ -1,4 +1,4 @@
-//! A small ray-cast room, the content of every layout.
+//! Renders a small room by ray casting: the content of every layout.
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage};
 use nalgebra::{

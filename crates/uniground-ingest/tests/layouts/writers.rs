@@ -52,7 +52,7 @@ fn camera_matrix(c: &Intrinsics) -> String {
     format!("{} 0 {} 0\n0 {} {} 0\n0 0 1 0\n0 0 0 1\n", c.fx, c.cx, c.fy, c.cy)
 }
 
-/// Formats position and quaternion as `x y z w`.
+/// Returns the position and the quaternion `x y z w`.
 fn position_and_quaternion(m: &Matrix4<f64>) -> [f64; 7] {
     let rotation = UnitQuaternion::from_matrix(&m.fixed_view::<3, 3>(0, 0).into_owned());
     let q = rotation.coords;
@@ -73,7 +73,8 @@ pub fn plain(out: &Out) {
     }
 }
 
-/// Other folder names, padded numbers on one side only, poses in one file.
+/// Writes the plain layout with other folder names, padded numbers on one side only, and all poses
+/// in one file.
 pub fn plain_paired(out: &Out) {
     out.put("intrinsics.txt", camera_matrix(&CAMERA));
     let mut list = String::new();
@@ -90,7 +91,7 @@ pub fn plain_paired(out: &Out) {
     out.put("poses.txt", list);
 }
 
-/// Writes the plain layout with other depth files. `encode` gets meters, row-major.
+/// Writes the plain layout with other depth files. `encode` receives meters, row-major.
 fn plain_with_depth(out: &Out, ending: &str, encode: impl Fn(&Intrinsics, Vec<f32>) -> Vec<u8>) {
     plain(out);
     for i in 0..FRAMES {
@@ -99,7 +100,7 @@ fn plain_with_depth(out: &Out, ending: &str, encode: impl Fn(&Intrinsics, Vec<f3
     }
 }
 
-/// As renderers write it: next to color channels, and without values in one corner.
+/// Writes EXR depth as renderers do: next to color channels, and without values in one corner.
 pub fn plain_exr(out: &Out) {
     plain_with_depth(out, "exr", |camera, mut depth| {
         (depth[0], depth[1], depth[2]) = (f32::INFINITY, 1e10, f32::NAN);
@@ -142,7 +143,7 @@ pub fn plain_tiff(out: &Out) {
     });
 }
 
-pub fn plain_tiff_millimetres(out: &Out) {
+pub fn plain_tiff_millimeters(out: &Out) {
     plain_with_depth(out, "tif", |camera, depth| {
         let units: Vec<u16> = depth.into_iter().map(|z| (z * 1000.0).round() as u16).collect();
         tiff_of::<tiff::encoder::colortype::Gray16>(camera, &units)
@@ -340,7 +341,7 @@ pub fn polycam(out: &Out) {
     }
 }
 
-/// In the world of the first camera, as the app writes it.
+/// Writes a Record3D scan in the world of the first camera, as the app does.
 pub fn record3d(out: &Out) {
     let first = (matrix(&pose(0)) * opengl()).try_inverse().unwrap();
     let mut poses = Vec::new();

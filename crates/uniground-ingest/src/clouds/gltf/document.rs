@@ -137,7 +137,7 @@ impl Document {
     }
 }
 
-/// Bytes of all buffers, and the files that may contain images.
+/// Bytes of all buffers, and the location of image files.
 pub(super) struct Buffers<'a> {
     bytes: Vec<Vec<u8>>,
     root: &'a Utf8Path,
@@ -174,7 +174,7 @@ impl<'a> Buffers<'a> {
         Ok(own)
     }
 
-    /// Returns bytes from a data URI, or of a file next to the document.
+    /// Returns the bytes of a data URI, or of a file next to the document.
     fn read_uri(&self, uri: &str) -> Result<Vec<u8>, IngestError> {
         if let Some(data) = uri.strip_prefix("data:") {
             let text = data.split_once(";base64,").map(|(_, text)| text);

@@ -10,7 +10,7 @@ const EVLR_HEADER_BYTES: u64 = 60;
 /// Minimum size of a chunk. It begins with an uncompressed point.
 const LEAST_CHUNK_BYTES: u64 = 20;
 
-/// Checks that the announced lengths fit into the file. The inner `Err` holds the reason if they do
+/// Checks that the announced lengths fit into the file. The inner `Err` is the reason if they do
 /// not. The position of `source` is undefined afterwards.
 pub(super) fn check(source: &mut File) -> io::Result<Result<(), &'static str>> {
     let bytes = source.metadata()?.len();
@@ -91,7 +91,8 @@ mod tests {
     use super::*;
     use std::io::Write;
 
-    /// A version 1.4 header with points at its end, and the bytes after it.
+    /// Creates a file with a version 1.4 header, followed by `rest`. Points start directly after
+    /// the header.
     fn file(first_evlr: u64, evlrs: u32, rest: &[u8]) -> File {
         let mut bytes = vec![0; HEADER_1_4];
         bytes[..4].copy_from_slice(b"LASF");
@@ -112,7 +113,7 @@ mod tests {
         record
     }
 
-    /// The position of the chunk table, some points, and the table.
+    /// Creates point data: the position of the chunk table, some points, and the table.
     fn points(table: i64, chunks: u32) -> Vec<u8> {
         let mut bytes = table.to_le_bytes().to_vec();
         bytes.extend([0; 32]);
@@ -122,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_not_be_in_the_file_is_refused() {
+    fn lengths_beyond_the_file_are_refused() {
         let end = HEADER_1_4 as u64 + 48;
         let table = HEADER_1_4 as i64 + 40;
         for (evlrs, records, chunks, is_fine) in [
@@ -146,11 +147,11 @@ mod tests {
         assert!(check(&mut file(u64::MAX, 1, &points(table, 2))).unwrap().is_err());
         assert!(
             check(&mut file(0, 0, &points(1 << 50, 2))).unwrap().is_err(),
-            "a table behind the end"
+            "chunk table beyond the end of the file"
         );
         assert!(
             check(&mut file(0, 0, b"")).unwrap().is_ok(),
-            "no points: its reader says what is wrong"
+            "without points, the reader reports the error"
         );
     }
 }

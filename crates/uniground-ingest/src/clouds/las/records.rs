@@ -143,7 +143,7 @@ mod tests {
     use camino::Utf8Path;
     use proptest::prelude::*;
 
-    /// Version 1.2, format 2, two points.
+    /// Creates a file of version 1.2, format 2, with two points.
     fn las() -> Vec<u8> {
         let mut bytes = vec![0; 227];
         bytes[..4].copy_from_slice(b"LASF");
@@ -173,13 +173,13 @@ mod tests {
     }
 
     #[test]
-    fn colors_of_eight_bits_are_taken_as_such() {
+    fn eight_bit_colors_are_not_scaled() {
         let loaded = read(&las()).unwrap();
         assert_eq!((loaded.cloud.positions[1].z, loaded.cloud.colors[0]), (3.5, [10, 20, 200]));
     }
 
     #[test]
-    fn counts_that_lie_are_told_by_the_header() {
+    fn false_point_counts_are_refused() {
         let mut many = las();
         many[107..111].copy_from_slice(&900_u32.to_le_bytes());
         assert!(
@@ -200,7 +200,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn noise_never_panics(at in 0_usize..280, with in prop::collection::vec(any::<u8>(), 1..8)) {
+        fn damaged_files_never_panic(at in 0_usize..280, with in prop::collection::vec(any::<u8>(), 1..8)) {
             let mut bytes = las();
             for (i, byte) in with.iter().enumerate() {
                 if let Some(own) = bytes.get_mut(at + i) {

@@ -103,8 +103,8 @@ mod tests {
         )
     }
 
-    /// A square meter divided into `steps` squares per side, half red, half blue. Faces are squares
-    /// or triangles, in ascii or binary.
+    /// Creates a square meter divided into `steps` squares per side, in one color, in ascii or
+    /// binary, with or without faces.
     fn square(steps: usize, ascii: bool, faces: bool) -> Vec<u8> {
         let (corners, squares) = ((steps + 1) * (steps + 1), if faces { steps * steps } else { 0 });
         let encoding = if ascii { "ascii" } else { "binary_little_endian" };
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scans_mesh_is_its_vertices_to_the_bit() {
+    fn dense_meshes_are_read_as_their_vertices_unchanged() {
         for steps in [20, 50] {
             let (mesh, points) = (
                 read_bytes(&square(steps, false, true)).unwrap(),
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_of_few_corners_is_sampled_a_centimetre_apart() {
+    fn coarse_meshes_are_sampled_every_centimeter() {
         let [ascii, binary] =
             [true, false].map(|ascii| read_bytes(&square(2, ascii, true)).unwrap());
         assert_eq!((ascii.cloud.positions.len(), ascii.has_color), (10_000, true));
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn faces_that_lie_are_named() {
+    fn invalid_indices_and_truncated_faces_are_refused() {
         let whole = square(2, false, true);
         let mut stray = whole.clone();
         let last = stray.len() - 4;

@@ -15,7 +15,7 @@ const BLOCK_BYTES: usize = 64 << 10;
 /// A property of a row.
 enum PlyColumn {
     Scalar(ScalarType, Option<Field>),
-    /// A list: the type of its count, the type of its items, and whether it holds a face's
+    /// A list: the type of its count, the type of its items, and whether it contains a face's
     /// vertices.
     List(ScalarType, ScalarType, ListOf),
 }
