@@ -433,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn every_thing_is_a_node_with_its_points_and_what_is_known_of_it() {
+    fn every_thing_is_a_node_with_its_points_and_properties() {
         let document = document(&written(&room(), usize::MAX));
         let nodes = document["nodes"].as_array().unwrap();
         let children: Vec<&Value> = nodes[0]["children"]
@@ -480,7 +480,7 @@ mod tests {
 
     /// Read with the importer of uploads: up stays up, nothing is mirrored, colors are unchanged.
     #[test]
-    fn what_is_written_can_be_uploaded() {
+    fn exported_file_can_be_imported_unchanged() {
         let room = room();
         let folder = tempfile::tempdir().unwrap();
         let file = Utf8Path::from_path(folder.path()).unwrap().join("room.glb");
@@ -498,7 +498,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_without_points_is_a_file_too() {
+    fn scene_without_points_is_a_valid_file() {
         let room = room();
         let document = document(&written(&room, 0));
         assert_eq!(document["bufferViews"].as_array().unwrap().len(), 2);

@@ -180,8 +180,8 @@ mod tests {
         pub instances: Vec<Instance>,
     }
 
-    /// A floor (1) with a coffee table (2), a mug on it (3), the table's top (4, a part), and two
-    /// points that belong to no thing.
+    /// Returns a room: a floor (1) with a coffee table (2), a mug on it (3), the table's top (4, a
+    /// part), and two points that belong to no thing.
     pub(super) fn room() -> Room {
         let named = |instance: Instance, name: &str| Instance {
             names: vec![NameGuess { name: name.into(), score: 0.75 }],
@@ -227,9 +227,9 @@ mod tests {
         Room { cloud, of_point: points.iter().map(|(id, ..)| InstanceId(*id)).collect(), instances }
     }
 
-    /// Returns ids of exported things with their number of points after corrections. Points of no
-    /// thing come last.
-    fn counted(changes: &[(Change, Option<u32>, bool)]) -> Vec<(u32, usize)> {
+    /// Returns the ids of exported things with their numbers of points after corrections. Points of
+    /// no thing come last.
+    fn point_counts(changes: &[(Change, Option<u32>, bool)]) -> Vec<(u32, usize)> {
         let Room { cloud, of_point, mut instances } = room();
         let corrections: Vec<Correction> = changes
             .iter()
@@ -268,17 +268,17 @@ mod tests {
     }
 
     #[test]
-    fn what_people_have_said_counts() {
+    fn export_applies_corrections() {
         let merge = |of: Vec<InstanceId>| Change::Merge { instance_ids: of, name: None };
         let dismiss = |id: u32| Change::Dismiss { instance_ids: ids([id]) };
         let split = || Change::Split { instance_id: InstanceId(2) };
         for (said, changes, expected) in [
-            ("nothing", vec![], vec![(1, 4), (2, 3), (3, 1), (0, 2)]),
+            ("no corrections", vec![], vec![(1, 4), (2, 3), (3, 1), (0, 2)]),
             ("dismissed", vec![(dismiss(2), None, false)], vec![(1, 4), (3, 1), (0, 5)]),
-            ("taken back", vec![(dismiss(2), None, true)], vec![(1, 4), (2, 3), (3, 1), (0, 2)]),
+            ("undone", vec![(dismiss(2), None, true)], vec![(1, 4), (2, 3), (3, 1), (0, 2)]),
             ("merged", vec![(merge(ids([2, 3])), Some(5), false)], vec![(1, 4), (5, 4), (0, 2)]),
             (
-                "merge taken back",
+                "merge undone",
                 vec![(merge(ids([2, 3])), Some(5), true)],
                 vec![(1, 4), (2, 3), (3, 1), (0, 2)],
             ),
@@ -299,12 +299,12 @@ mod tests {
                 vec![(1, 4), (5, 3), (0, 3)],
             ),
         ] {
-            assert_eq!(counted(&changes), expected, "{said}");
+            assert_eq!(point_counts(&changes), expected, "{said}");
         }
     }
 
     #[test]
-    fn what_is_too_much_is_thinned_evenly_and_always_the_same() {
+    fn points_are_thinned_evenly_and_reproducibly() {
         // A floor of 64 x 64 points, listed row by row.
         let positions: Vec<Point3<f32>> =
             (0..4096).map(|i| Point3::new((i % 64) as f32, (i / 64) as f32, 0.0)).collect();
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_of_a_turned_box_lie_where_it_is() {
+    fn box_corners_follow_the_rotation() {
         let turned = OrientedBox {
             center: Point3::new(1.0, 2.0, 3.0),
             size: Vector3::new(2.0, 4.0, 6.0),

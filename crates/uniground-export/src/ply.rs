@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_stays_within_what_is_read() {
+    fn header_stays_within_the_size_that_readers_accept() {
         let Room { cloud, of_point, instances } = room();
         let name = Some("\u{1f6cb}".repeat(100));
         let many: Vec<Instance> = (1..=2000)

@@ -173,7 +173,8 @@ fn write_list<T: Display>(
     writeln!(out)
 }
 
-/// Like [`write_list`], for data with one value per point (`vertex`) or one for all (`constant`).
+/// Writes a list like [`write_list`] does, for data with one value per point (`vertex`) or one for
+/// all (`constant`).
 fn write_spread<T: Display>(
     name: &str,
     values: impl IntoIterator<Item = T>,
@@ -279,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_layer_says_what_its_numbers_mean_and_names_things() {
+    fn layer_contains_units_names_and_properties() {
         let mut room = room();
         room.instances[2].given_name = Some("3rd \"best\" m\u{fc}g".into());
         let text = layer(&room);
@@ -308,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn identifiers_are_valid_whatever_things_are_called() {
+    fn identifiers_are_valid_for_any_name() {
         for (name, expected) in [
             ("mug", "mug"),
             ("coffee table", "coffee_table"),

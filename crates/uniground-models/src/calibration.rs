@@ -101,7 +101,7 @@ fn best_names(vocabulary: &[Word], logits: &[f32], norm: f32) -> Vec<NameGuess> 
         .collect()
 }
 
-/// Logarithm of the sum of exponentials.
+/// Returns the logarithm of the sum of exponentials.
 fn log_sum_exp(logits: &[f32]) -> f32 {
     let most = logits.iter().copied().fold(f32::MIN, f32::max);
     most + logits.iter().map(|logit| (logit - most).exp()).sum::<f32>().ln()
@@ -116,7 +116,7 @@ mod tests {
     use uniground_testing::thing;
 
     #[test]
-    fn shares_add_up_and_what_was_not_seen_keeps_its_names() {
+    fn scores_sum_to_at_most_one_and_unseen_instances_keep_their_names() {
         let encoder = tiny_encoder();
         let mut instances: Vec<Instance> = (1..=2)
             .map(|id| thing(id, [0.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [120; 3]))
@@ -129,24 +129,24 @@ mod tests {
         assert_eq!(instances[1].names, before);
         assert!(instances[0].names.iter().map(|guess| guess.score).sum::<f32>() <= 1.001);
         let norms = embeddings.norms()[0];
-        assert!(norms.joint <= norms.appearance, "a misfit only takes away");
+        assert!(norms.joint <= norms.appearance, "measures only lower the norm");
         assert_eq!(fit(1.0, 100.0, Some(1.0), Norms { appearance: 0.0, joint: 10.0 }), 1.0);
         assert!(fit(0.2, 100.0, Some(0.1), norms) < fit(0.2, 100.0, Some(0.9), norms));
     }
 
     #[track_caller]
     fn assert_near(found: f32, expected: f32, what: &str) {
-        assert!((found - expected).abs() < 1e-4, "{what}: {found} and not {expected}");
+        assert!((found - expected).abs() < 1e-4, "{what}: {found}, expected {expected}");
     }
 
     #[test]
-    fn measures_speak_by_twice_their_logarithm_and_a_misfit_not_too_loud() {
+    fn measures_add_twice_their_logarithm_with_a_lower_bound() {
         let e = std::f32::consts::E;
-        assert_near(measures_logit(Some(1.0)), 0.0, "a perfect fit takes nothing away");
+        assert_near(measures_logit(Some(1.0)), 0.0, "a perfect fit adds nothing");
         assert_near(measures_logit(Some(1.0 / e)), -2.0, "2 ln (1/e)");
         assert_near(measures_logit(Some(0.5)), -1.386_294, "2 ln 0.5");
-        assert_near(measures_logit(None), -2.407_946, "2 ln 0.3: nothing is known");
-        // 2 ln 0.02 at the least.
+        assert_near(measures_logit(None), -2.407_946, "2 ln 0.3: measures unknown");
+        // 2 ln 0.02 is the lower bound.
         for fit in [0.02, 0.019, 1e-6, 0.0] {
             assert_near(measures_logit(Some(fit)), -7.824_046, &format!("{fit}"));
         }
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fit_is_the_quarter_power_of_its_share() {
+    fn fit_is_the_fourth_root_of_the_likelihood_share() {
         let norms = Norms { appearance: 1000.0, joint: 38.0 };
         // exp((100 * 0.3 + 0 - 38) / 4) = exp(-2).
         assert_near(fit(0.3, 100.0, Some(1.0), norms), (-2.0_f32).exp(), "appearance alone");
@@ -165,15 +165,15 @@ mod tests {
         assert_near(fit(0.3, 100.0, None, norms), (-2.601_986_5_f32).exp(), "measures unknown");
         // A cosine below zero: exp((-1 + 0 - 3) / 4) = exp(-1).
         let norms = Norms { appearance: 0.0, joint: 3.0 };
-        assert_near(fit(-0.1, 10.0, Some(1.0), norms), (-1.0_f32).exp(), "turned away");
-        // As good as all the vocabulary together, and better: not above 1.
+        assert_near(fit(-0.1, 10.0, Some(1.0), norms), (-1.0_f32).exp(), "negative cosine");
+        // As good as the whole vocabulary together, or better: the fit is capped at 1.
         assert_eq!(fit(0.3, 10.0, Some(1.0), norms), 1.0);
         assert_eq!(fit(0.9, 10.0, Some(1.0), norms), 1.0);
         assert!(fit(0.29, 10.0, Some(1.0), norms) < 1.0);
     }
 
     #[test]
-    fn log_sum_is_the_logarithm_of_the_sum_of_exponentials() {
+    fn log_sum_exp_is_the_logarithm_of_the_sum_of_exponentials() {
         let of_shares = |shares: &[f32]| {
             log_sum_exp(&shares.iter().map(|share| share.ln()).collect::<Vec<_>>())
         };
@@ -187,13 +187,13 @@ mod tests {
         assert_near(log_sum_exp(&[-200.0, 100.0]), 100.0, "far apart");
     }
 
-    /// The first nouns of the lexicon; what vector they have does not matter here.
+    /// Returns the first nouns of the lexicon with zero vectors, which the tests do not use.
     fn words(count: usize) -> Vec<Word> {
         Lexicon::get().nouns()[..count].iter().map(|noun| (noun, Arc::from([0.0; 2]))).collect()
     }
 
     #[test]
-    fn the_best_five_names_are_kept_with_their_shares() {
+    fn best_five_names_are_returned_with_their_shares() {
         let vocabulary = words(8);
         let name = |i: usize| vocabulary[i].0.name.clone();
         let told = |shares: [f32; 8], norm: f32| {
@@ -202,7 +202,7 @@ mod tests {
             names.into_iter().map(|guess| (guess.name, guess.score)).collect::<Vec<_>>()
         };
         let found = told([0.1, 0.3, 0.05, 0.2, 0.04, 0.15, 0.1, 0.06], 3.0);
-        // Of the two with 0.1 the first comes first; the other three are too many.
+        // Of the two with 0.1, the first comes first. Only five names are returned.
         let expected = [(1, 0.3), (3, 0.2), (5, 0.15), (0, 0.1), (6, 0.1)];
         assert_eq!(found.len(), expected.len(), "{found:?}");
         for ((word, score), (i, share)) in found.iter().zip(expected) {
@@ -213,16 +213,16 @@ mod tests {
         let found = told([0.019, 0.5, 0.021, 0.01, 0.4, 1e-3, 1e-4, 0.018], 3.0);
         let found: Vec<String> = found.into_iter().map(|(word, _)| word).collect();
         assert_eq!(found, [name(1), name(4), name(2)]);
-        // A share never is above 1.
+        // A share never exceeds 1.
         let found = told([0.5, 4.0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3], 3.0);
         assert_eq!(found[0], (name(1), 1.0));
-        assert_near(found[1].1, 0.5, "the other one");
+        assert_near(found[1].1, 0.5, "the second name");
         assert!(told([1e-3; 8], 3.0).is_empty());
         assert!(best_names(&[], &[], 0.0).is_empty());
     }
 
     #[test]
-    fn parts_of_the_building_keep_their_names_and_have_norms_like_others() {
+    fn structure_keeps_its_names_and_has_norms_like_things() {
         let encoder = tiny_encoder();
         let mut instances: Vec<Instance> = (1..=3)
             .map(|id| thing(id, [0.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [120; 3]))
@@ -238,7 +238,7 @@ mod tests {
         assert_eq!(instances[1].names, given, "seen, and a wall");
         assert_eq!(instances[2].names, given, "not seen");
 
-        // What the norms are, in double precision and from each noun's own vector.
+        // Computes the norms in double precision from each noun's own vector.
         let nouns = Lexicon::get().nouns();
         let words: Vec<_> = nouns
             .iter()
@@ -260,16 +260,16 @@ mod tests {
             let Norms { appearance, joint } = embeddings.norms()[i];
             let expected = norms_of(i).map(|norm| norm as f32);
             for (found, expected) in [appearance, joint].into_iter().zip(expected) {
-                assert!((found - expected).abs() < 1e-2, "{i}: {found} and not {expected}");
+                assert!((found - expected).abs() < 1e-2, "{i}: {found}, expected {expected}");
             }
         }
-        // Where nothing was seen every cosine is 0: the number of nouns.
+        // Every cosine of an unseen instance is 0, so the sum is the number of nouns.
         assert_near(embeddings.norms()[2].appearance, (nouns.len() as f32).ln(), "not seen");
     }
 
     proptest! {
         #[test]
-        fn a_better_cosine_and_a_better_measure_never_fit_worse(
+        fn better_cosine_or_measures_never_lower_the_fit(
             cosines in prop::array::uniform2(-1.0_f32..1.0),
             fits in prop::array::uniform2(0.0_f32..=1.0),
             joint in -10.0_f32..120.0,
@@ -284,7 +284,7 @@ mod tests {
         }
 
         #[test]
-        fn log_sum_moves_along_and_lies_between_the_most_and_all_the_most(
+        fn log_sum_exp_shifts_with_its_logits_and_is_bounded_by_their_maximum(
             logits in prop::collection::vec(-30.0_f32..30.0, 1..20),
             by in -50.0_f32..50.0,
         ) {

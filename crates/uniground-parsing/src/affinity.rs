@@ -5,9 +5,9 @@
 //! of the superpoint graph, in 0..=1, which [`merging`](super::merging) grows regions along.
 //!
 //! The printed equation averages `visibility * consistency` and so never exceeds the mean
-//! mean visibility; [`Normalisation::Normalised`] divides by the summed visibility instead and is
-//! the default. Where no camera sees both, the weight comes from geometry alone: neighbors of one
-//! color on one flat surface get a high weight.
+//! visibility; [`Normalisation::Normalised`] divides by the summed visibility instead and is the
+//! default. Where no camera sees both, the weight comes from geometry alone: neighbors of one color
+//! on one flat surface get a high weight.
 
 use super::lifting::{FrameVisibility, VisibleSuperpoint};
 use super::superpoints::Patch;
@@ -34,8 +34,8 @@ pub struct Edge {
 /// floor would make everything a neighbor of everything.
 const HUB: usize = 64;
 
-/// The edges `(a, b, hop)` of a graph over `0..count`: all pairs up to `max_hop` borders apart, `a
-/// < b`, sorted.
+/// Returns the edges `(a, b, hop)` of a graph over `0..count`: all pairs up to `max_hop` borders
+/// apart, `a < b`, sorted.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -134,8 +134,8 @@ pub fn compute(
         .collect()
 }
 
-/// Cosine of two mask histograms. `None` when one of them has no masked point, since then there is
-/// no evidence.
+/// Returns the cosine of two mask histograms. `None` when one of them has no masked point, since
+/// then there is no evidence.
 fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
     let norm = |row: &VisibleSuperpoint| {
         row.masks.iter().map(|&(_, n)| (n as f32).powi(2)).sum::<f32>().sqrt()
@@ -164,7 +164,8 @@ fn cosine(a: &VisibleSuperpoint, b: &VisibleSuperpoint) -> Option<f32> {
 const HALF_COLOR: f32 = 18.0;
 const HALF_ANGLE_RAD: f32 = 0.6;
 
-/// Affinity of two patches that no camera sees together: high for one color on one flat surface.
+/// Returns the affinity of two patches that no camera sees together: high for one color on one flat
+/// surface.
 fn geometric_affinity(a: &Patch, b: &Patch) -> f32 {
     let color = (a.lab - b.lab).norm() / HALF_COLOR;
     let bend = a.normal.dot(&b.normal).abs().min(1.0).acos() / HALF_ANGLE_RAD;
@@ -198,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn equation_one_by_hand() {
+    fn affinities_match_equation_one_computed_by_hand() {
         // Frame 1 sees half of 0 and all of 1, in one mask; frame 2 sees all of both, in different
         // masks.
         let tables = [
@@ -224,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_without_masks_say_nothing() {
+    fn frames_where_a_superpoint_has_no_mask_are_ignored() {
         let tables = [
             table(&[(0, 10, &[(1, 10)]), (1, 10, &[(1, 10)])]),
             table(&[(0, 10, &[]), (1, 10, &[(2, 10)])]),
@@ -244,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn no_way_leads_through_a_hub() {
+    fn paths_do_not_pass_through_hubs() {
         let star = |spokes: u32| (1..=spokes).map(|i| (0, i)).collect::<Vec<_>>();
         let two_hops = |spokes: u32| {
             let pairs =
@@ -252,7 +253,7 @@ mod tests {
             assert_eq!(
                 pairs.iter().filter(|p| p.2 == 1).count(),
                 spokes as usize,
-                "the hub keeps its own neighbours"
+                "the hub keeps its own neighbors"
             );
             pairs.iter().filter(|p| p.2 == 2).count()
         };
@@ -260,12 +261,12 @@ mod tests {
     }
 
     #[test]
-    fn hops_count_borders() {
+    fn hop_count_is_the_number_of_borders_crossed() {
         let pairs = pairs_within(&[(0, 1), (1, 2), (2, 3)], 4, 2, &Progress::silent()).unwrap();
         assert_eq!(pairs, [(0, 1, 1), (0, 2, 2), (1, 2, 1), (1, 3, 2), (2, 3, 1)]);
     }
 
-    /// The affinity of superpoints 0 and 1.
+    /// Returns the affinity of superpoints 0 and 1.
     fn affinity(points: [u32; 2], tables: &[FrameVisibility], by: Normalisation) -> f32 {
         compute(&[(0, 1, 1)], &points.map(patch), tables, by, &Progress::silent()).unwrap()[0]
             .affinity
@@ -273,7 +274,7 @@ mod tests {
 
     #[track_caller]
     fn assert_near(found: f32, expected: f32, what: &str) {
-        assert!((found - expected).abs() < 1e-5, "{what}: {found} and not {expected}");
+        assert!((found - expected).abs() < 1e-5, "{what}: {found}, expected {expected}");
     }
 
     #[test]
@@ -283,15 +284,16 @@ mod tests {
         // without the second 3 / 4.
         let tables = [table(&[(0, 3, &[(1, 3)]), (1, 5, &[(1, 5)])])];
         assert_near(affinity([4, 20], &tables, Normalisation::Literal), 3.0 / 16.0, "3/4 of 5/20");
-        // Now 0 is seen little and 1 almost whole: (1 / 4) (18 / 20) 1 = 9 / 40.
+        // Now few points of 0 are visible and almost all of 1: (1 / 4) (18 / 20) 1 = 9 / 40.
         let tables = [table(&[(0, 1, &[(1, 1)]), (1, 18, &[(1, 18)])])];
         assert_near(affinity([4, 20], &tables, Normalisation::Literal), 9.0 / 40.0, "1/4 of 18/20");
-        // Of one frame alone the normalized affinity is the similarity, however little it sees.
+        // For a single frame, the normalized affinity is the similarity, however few points are
+        // visible.
         assert_near(affinity([4, 20], &tables, Normalisation::Normalised), 1.0, "one mask");
     }
 
     #[test]
-    fn a_frame_weighs_by_the_visibilities_of_both() {
+    fn frames_are_weighted_by_both_visibilities() {
         // Frame 1: w = (3 / 4) (5 / 20) = 3 / 16, s = (3, 0) . (3, 4) / (3 * 5) = 3 / 5.
         // Frame 2: w = (4 / 4) (2 / 20) = 1 / 10, s = 1.
         // Normalized: (3/16 * 3/5 + 1/10) / (3/16 + 1/10) = (9/80 + 8/80) / (23/80) = 17 / 23.
@@ -305,16 +307,16 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_sees_one_of_the_two_says_nothing() {
+    fn frames_that_see_only_one_superpoint_are_ignored() {
         let both = table(&[(0, 2, &[(1, 2)]), (1, 4, &[(1, 4)])]);
         let alone = [
             table(&[(0, 4, &[(1, 4)])]),
             table(&[(1, 4, &[(1, 4)])]),
-            // Another superpoint is none of the two.
+            // Superpoint 2 is not part of the pair.
             table(&[(0, 4, &[(1, 4)]), (2, 4, &[(1, 4)])]),
             table(&[]),
         ];
-        // (2 / 4) (4 / 4) 1 in one frame, whatever others see of one alone.
+        // (2 / 4) (4 / 4) 1 in one frame. Frames that see only one superpoint do not count.
         for other in alone {
             let tables = [other.clone(), both.clone(), other];
             let patches = [patch(4), patch(4), patch(4)];
@@ -334,7 +336,7 @@ mod tests {
         let tables = [table(&[
             (0, 4, &[(1, 4)]),
             (1, 4, &[(1, 3), (2, 4)]),
-            // Seen whole, in a mask of its own.
+            // Completely visible, in its own mask.
             (2, 4, &[(3, 4)]),
         ])];
         let edges = compute(
@@ -373,10 +375,10 @@ mod tests {
             // Masks 3 and 5 are common: (3 * 2 + 6 * 10) / (7 * 11) = 66 / 77; 7 is the root of
             // 4 + 9 + 36, 11 that of 1 + 4 + 16 + 100.
             (&[(1, 2), (3, 3), (5, 6)], &[(2, 1), (3, 2), (4, 4), (5, 10)], 66.0 / 77.0),
-            // Nothing in common, whichever ends first.
+            // No common mask, whichever list ends first.
             (&[(1, 3)], &[(2, 3)], 0.0),
             (&[(1, 3), (9, 1)], &[(2, 3)], 0.0),
-            // However many points, the share per mask counts.
+            // Only the share per mask counts, not the number of points.
             (&[(4, 1), (6, 2)], &[(4, 100), (6, 200)], 1.0),
             (&[(4, 1)], &[(4, 70_000)], 1.0),
         ];
@@ -391,13 +393,13 @@ mod tests {
         }
     }
 
-    /// One plane and one color, but for what is told.
+    /// Returns a patch with this normal and color.
     fn geometry(normal: Vector3<f32>, lab: Lab) -> Patch {
         Patch { normal, lab, ..patch(1) }
     }
 
     #[test]
-    fn where_no_frame_sees_both_color_and_bend_decide() {
+    fn geometric_affinity_depends_on_color_distance_and_angle() {
         let lab = Lab::new(50.0, 10.0, -20.0);
         let tilted = |angle: f32| Vector3::new(angle.sin(), 0.0, angle.cos());
         let from = geometry(Vector3::z(), lab);
@@ -418,7 +420,7 @@ mod tests {
             // Along (2, 2, 1) / 3, so that each axis counts.
             let lab = lab + Lab::new(2.0, 2.0, 1.0) * (distance / 3.0);
             let to = geometry(tilted(angle), lab);
-            let what = format!("{distance} apart, bent by {angle}");
+            let what = format!("color distance {distance}, angle {angle}");
             assert!((geometric_affinity(&from, &to) - expected).abs() < 1e-3, "{what}");
             assert_eq!(geometric_affinity(&from, &to), geometric_affinity(&to, &from), "{what}");
             let other_side = Patch { normal: -to.normal, ..to };
@@ -431,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn geometry_decides_only_where_no_frame_sees_both_in_masks() {
+    fn geometric_affinity_is_used_only_without_a_common_masked_frame() {
         // 18 apart on one plane: 1 / 2 by geometry.
         let patches = [patch(4), Patch { lab: Lab::new(18.0, 0.0, 0.0), ..patch(4) }];
         let found = |tables: &[FrameVisibility], by| {
@@ -443,13 +445,13 @@ mod tests {
         for by in [Normalisation::Normalised, Normalisation::Literal] {
             assert_near(found(&[], by), 0.5, "no frame at all");
             assert_near(found(&apart, by), 0.5, "never in one frame");
-            assert_near(found(&without_masks, by), 0.5, "one of them under no mask");
+            assert_near(found(&without_masks, by), 0.5, "one of them in no mask");
             assert_near(found(&seen, by), 0.0, "seen together, in different masks");
         }
     }
 
     #[test]
-    fn affinities_and_pairs_stop_when_they_are_cancelled() {
+    fn cancellation_stops_pairs_and_affinities() {
         let cancelled = Progress::new(|_, _| {}, || true);
         assert_eq!(pairs_within(&[(0, 1)], 2, 1, &cancelled), Err(Cancelled));
         let patches = [patch(1), patch(1)];
@@ -458,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_may_begin_and_end_at_a_hub_but_not_pass_through_it() {
+    fn hubs_are_path_ends_but_never_intermediate_stops() {
         // 65 neighbors around the last superpoint, and a tail at neighbor 0: 0 .. 64, hub 65, tail
         // 66.
         let mut adjacent: Vec<(u32, u32)> = (0..65).map(|i| (i, 65)).collect();
@@ -466,19 +468,19 @@ mod tests {
         let pairs = pairs_within(&adjacent, 67, 2, &Progress::silent()).unwrap();
         let hops = |hop: u32| pairs.iter().filter(move |pair| pair.2 == hop).copied();
         assert_eq!(hops(1).count(), 66, "{pairs:?}");
-        // The hub reaches the tail through 0, and nobody another neighbor through the hub.
+        // The hub reaches the tail through 0. No neighbor reaches another through the hub.
         assert_eq!(hops(2).collect::<Vec<_>>(), [(65, 66, 2)]);
     }
 
     #[test]
-    fn without_hops_and_without_borders_there_are_no_pairs() {
+    fn no_hops_or_no_borders_give_no_pairs() {
         assert_eq!(pairs_within(&[(0, 1)], 2, 0, &Progress::silent()), Ok(vec![]));
         assert_eq!(pairs_within(&[], 3, 2, &Progress::silent()), Ok(vec![]));
         assert_eq!(pairs_within(&[], 0, 2, &Progress::silent()), Ok(vec![]));
     }
 
-    /// What frames see of two superpoints of 40 points each, in four masks: at most 8 points in
-    /// each of them and up to 8 in none.
+    /// Generates frames that see two superpoints of 40 points each, in four masks: at most 8 points
+    /// in each mask and up to 8 in none.
     fn frames() -> impl Strategy<Value = Vec<FrameVisibility>> {
         let row = || (prop::array::uniform4(0_u32..=8), 0_u32..=8);
         prop::collection::vec((row(), row()), 1..6).prop_map(|frames| {
@@ -496,8 +498,8 @@ mod tests {
         })
     }
 
-    /// Superpoint 0 called 1, and 1 called 0.
-    fn exchanged(tables: &[FrameVisibility]) -> Vec<FrameVisibility> {
+    /// Swaps the ids of superpoints 0 and 1.
+    fn swap_superpoints(tables: &[FrameVisibility]) -> Vec<FrameVisibility> {
         let other = |row: &VisibleSuperpoint| VisibleSuperpoint {
             superpoint: 1 - row.superpoint,
             ..row.clone()
@@ -511,7 +513,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn affinity_is_a_share_and_the_printed_one_is_never_larger(tables in frames()) {
+        fn affinity_is_at_most_one_and_literal_never_exceeds_normalized(tables in frames()) {
             let normalized = affinity([40, 40], &tables, Normalisation::Normalised);
             let literal = affinity([40, 40], &tables, Normalisation::Literal);
             prop_assert!((0.0..=1.0 + 1e-5).contains(&normalized), "{normalized}");
@@ -519,15 +521,15 @@ mod tests {
         }
 
         #[test]
-        fn affinity_is_the_same_both_ways(tables in frames()) {
+        fn affinity_is_symmetric(tables in frames()) {
             for by in [Normalisation::Normalised, Normalisation::Literal] {
                 let there = affinity([40, 40], &tables, by);
-                prop_assert_eq!(there, affinity([40, 40], &exchanged(&tables), by));
+                prop_assert_eq!(there, affinity([40, 40], &swap_superpoints(&tables), by));
             }
         }
 
         #[test]
-        fn the_order_of_the_frames_does_not_matter(tables in frames()) {
+        fn affinity_does_not_depend_on_frame_order(tables in frames()) {
             let reversed: Vec<FrameVisibility> = tables.iter().rev().cloned().collect();
             for by in [Normalisation::Normalised, Normalisation::Literal] {
                 let (one, other) =
@@ -536,9 +538,10 @@ mod tests {
             }
         }
 
-        /// The printed affinity halves when one of the two has twice the points, unseen.
+        /// The literal affinity halves when one superpoint has twice the points and the rest is
+        /// unseen.
         #[test]
-        fn unseen_points_of_either_lower_the_printed_affinity(tables in frames()) {
+        fn unseen_points_lower_the_literal_affinity(tables in frames()) {
             let all = affinity([40, 40], &tables, Normalisation::Literal);
             let is_seen = tables.iter().any(|table| {
                 table.rows.len() == 2 && table.rows.iter().all(|row| !row.masks.is_empty())
@@ -547,7 +550,7 @@ mod tests {
             for points in [[80, 40], [40, 80]] {
                 let fewer = affinity(points, &tables, Normalisation::Literal);
                 prop_assert!((fewer - all / 2.0).abs() < 1e-5, "{fewer} of {all}: {points:?}");
-                // The factor is the same in every frame: it drops out of a weighted mean.
+                // The factor is the same in every frame, so it cancels in a weighted mean.
                 let (one, other) = (
                     affinity([40, 40], &tables, Normalisation::Normalised),
                     affinity(points, &tables, Normalisation::Normalised),
@@ -556,9 +559,9 @@ mod tests {
             }
         }
 
-        /// Against shortest ways found by trying every stop in between.
+        /// Compares with shortest paths found by trying every intermediate stop.
         #[test]
-        fn pairs_are_those_within_so_many_borders(
+        fn pairs_match_shortest_paths_within_max_hop(
             borders in prop::collection::btree_set((0_usize..9, 0_usize..9), 0..16),
             max_hop in 0_u32..4,
         ) {
@@ -590,7 +593,7 @@ mod tests {
             prop_assert_eq!(&found, &expected);
             adjacent.reverse();
             let found = pairs_within(&adjacent, 9, max_hop, &Progress::silent()).unwrap();
-            prop_assert_eq!(&found, &expected, "in another order of borders");
+            prop_assert_eq!(&found, &expected, "with the borders reversed");
         }
     }
 }

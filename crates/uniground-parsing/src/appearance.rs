@@ -135,7 +135,7 @@ pub fn embed_known(
     .0)
 }
 
-/// For instances with projected boxes, returns the masks that agree with the projection.
+/// Returns the masks that agree with the projection, for instances with projected boxes.
 fn correct_outlines(
     frame: &FrameRef,
     picture: &RgbImage,
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn views_that_show_enough_are_looked_at_and_the_best_always() {
+    fn frames_are_chosen_by_visible_points_and_include_the_best() {
         let instances: Vec<Instance> = (1..=2)
             .map(|id| thing(id, [0.0, 0.0], [1.0, 1.0, 1.0], 0.0, Support::Floor, [90; 3]))
             .collect();
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn crops_grow_level_by_level_and_stay_inside() {
+    fn crops_grow_per_level_and_stay_inside_the_picture() {
         let picture = RgbImage::new(100, 80);
         let settings = AppearanceSettings { levels: 3, ..AppearanceSettings::default() };
         let sizes: Vec<_> =
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn an_embedding_is_the_mean_of_its_crops() {
+    fn embeddings_do_not_depend_on_other_boxes_and_are_normalized() {
         let encoder = tiny_encoder();
         let picture =
             RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));

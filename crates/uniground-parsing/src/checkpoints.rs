@@ -45,8 +45,8 @@ impl Checkpoints {
         }
     }
 
-    /// The folder of the logs, if they are stored. It is on the disk that has room for what a parse
-    /// needs.
+    /// Returns the folder of the logs, if they are stored. It is on the disk that has room for what
+    /// a parse needs.
     #[must_use]
     pub fn folder(&self) -> Option<&Utf8Path> {
         self.location.as_ref().map(|location| location.folder.as_path())
@@ -207,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_are_kept_for_the_same_settings_only() {
+    fn records_are_loaded_only_for_the_same_settings() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap();
         let checkpoints = Checkpoints::in_folder(path, "scan");
@@ -229,11 +229,11 @@ mod tests {
                 .take_records()
                 .is_empty()
         );
-        assert_eq!(fs::read_dir(path).unwrap().count(), 1, "one log a stage");
+        assert_eq!(fs::read_dir(path).unwrap().count(), 1, "one log per stage");
     }
 
     #[test]
-    fn what_a_crash_left_half_written_is_cut_off() {
+    fn incomplete_records_are_truncated() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap();
         let checkpoints = Checkpoints::in_folder(path, "scan");
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_can_not_be_written_costs_only_time() {
+    fn unwritable_folder_means_recomputation_without_errors() {
         let checkpoints = Checkpoints::in_folder(Utf8Path::new("/proc/no/such/place"), "scan");
         let first = checkpoints.load_or_compute("stage", &0, || Ok::<_, ()>(1));
         assert_eq!(

@@ -1,4 +1,4 @@
-//! Defect correction: the projection of an instance into a picture may miss parts of it and include
+//! Defect correction: the projection of an instance into a picture can miss parts of it and include
 //! parts of others. A promptable segmenter finds its true outline (paper: 10 rounds of 5 random
 //! visible pixels). If the frame already has a mask that agrees well with the projection, that mask
 //! is used.
@@ -137,7 +137,7 @@ impl KnownMasks {
         Self { ids }
     }
 
-    /// The mask that most of these cells lie in.
+    /// Returns the mask that most of these cells lie in.
     fn most_common_mask(&self, cells: &[usize]) -> Option<u16> {
         let mut ids: Vec<u16> =
             cells.iter().map(|cell| self.ids[*cell]).filter(|id| *id != 0).collect();
@@ -171,8 +171,8 @@ impl MaskCoverage {
         Self { hit, near }
     }
 
-    /// F-score of a mask: the share of the projection inside the mask, and the share of the mask at
-    /// the projection.
+    /// Returns the F-score of a mask: the share of the projection inside the mask, and the share of
+    /// the mask at the projection.
     fn agreement(&self, inside: impl Fn(usize) -> bool) -> f32 {
         let held =
             self.hit.iter().filter(|cell| inside(**cell)).count() as f32 / self.hit.len() as f32;
@@ -266,13 +266,13 @@ mod tests {
 
     const SIZE: usize = 64;
 
-    /// A mask of `SIZE` cells each way, by column and row.
+    /// Returns a mask of `SIZE` cells each way, by column and row.
     fn mask(inside: impl Fn(usize, usize) -> bool) -> impl Fn(usize) -> bool {
         move |cell| inside(cell % SIZE, cell / SIZE)
     }
 
     #[test]
-    fn a_mask_agrees_when_it_holds_the_projection_and_not_much_else() {
+    fn agreement_is_high_only_for_masks_that_match_the_projection() {
         let pixels: Vec<(f32, f32)> = (20..40)
             .flat_map(|x| (10..30).map(move |y| (x as f32 * 10.0, y as f32 * 10.0)))
             .collect();
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn the_box_is_tight_and_crumbs_are_left_out() {
+    fn box_is_tight_and_ignores_small_fragments() {
         let crumbed =
             mask(|u, v| (16..32).contains(&u) && (8..40).contains(&v) || (u, v) == (63, 63));
         assert_eq!(tight_box(crumbed, SIZE, (0.1, 0.2), (640, 320)), Some([160, 40, 320, 200]));
@@ -295,7 +295,7 @@ mod tests {
     /// An existing mask over columns 20 to 60 and rows 10 to 40 of a picture twice as large as its
     /// depth image.
     #[test]
-    fn a_mask_from_before_is_believed_where_it_agrees() {
+    fn known_mask_is_used_only_where_it_agrees_with_the_projection() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
         let believing = |known_agreement| {
             let settings = CorrectionSettings { known_agreement, ..CorrectionSettings::default() };
@@ -334,14 +334,18 @@ mod tests {
                 && top.abs_diff(20) <= 1
                 && bottom.abs_diff(60) <= 1
         );
-        assert!(mask.share() > 0.95, "it fills its box: {mask:?}");
-        assert_eq!(found(&seen(42..128), Some(0.8)), None, "half of it lies elsewhere");
-        assert_eq!(found(&seen(42..78), None), None, "always asked");
-        assert_eq!(found(&seen(90..120), Some(0.0)), None, "under no mask");
+        assert!(mask.share() > 0.95, "the mask fills its box: {mask:?}");
+        assert_eq!(
+            found(&seen(42..128), Some(0.8)),
+            None,
+            "half of the projection is outside the mask"
+        );
+        assert_eq!(found(&seen(42..78), None), None, "known masks are disabled");
+        assert_eq!(found(&seen(90..120), Some(0.0)), None, "no mask at the projection");
     }
 
     #[test]
-    fn the_same_projection_gives_the_same_box() {
+    fn outlines_are_reproducible_and_need_the_minimum_agreement() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
         let settings =
             CorrectionSettings { rounds: 3, min_agreement: 0.0, ..CorrectionSettings::default() };

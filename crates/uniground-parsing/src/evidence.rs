@@ -77,7 +77,7 @@ mod tests {
     use uniground_geometry::scene::FrameIndex;
 
     #[test]
-    fn the_frame_has_a_red_box_around_the_object_and_the_crop_an_outline() {
+    fn frame_has_a_red_box_and_both_pictures_outline_the_object() {
         let color = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
         let mask = CellMask::from_fn(8, 8, |column, row| column + row < 8).to_view_mask();
         let seen = View {
@@ -101,11 +101,14 @@ mod tests {
             frame.pixels().filter(yellowish).count() > 80
                 && crop.pixels().filter(yellowish).count() > 80
         );
-        assert!(crop.pixels().all(|p| !reddish(p)) && crop.get_pixel(2, 2).0[0] < 70, "dimmed");
+        assert!(
+            crop.pixels().all(|p| !reddish(p)) && crop.get_pixel(2, 2).0[0] < 70,
+            "surroundings are dimmed"
+        );
     }
 
     #[test]
-    fn a_box_at_the_rim_stays_visible() {
+    fn box_at_the_picture_border_stays_visible() {
         let mut image = RgbImage::new(20, 20);
         draw_box(&mut image, [0, 0, 20, 20]);
         assert_eq!((*image.get_pixel(0, 10), *image.get_pixel(19, 10)), (RED, RED));

@@ -21,7 +21,7 @@ fn spread_along_path(frames: &[FrameRef], budget: usize) -> Vec<FrameRef> {
     let mut travelled = vec![0.0_f32];
     for pair in frames.windows(2) {
         let step = pair[0].camera_to_world.inverse() * pair[1].camera_to_world;
-        // A turn shows new things as much as a step does: one radian counts as one meter.
+        // A rotation shows new things as much as a step does: one radian counts as one meter.
         let last = travelled[travelled.len() - 1];
         travelled.push(last + step.translation.vector.norm() + step.rotation.angle());
     }
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn the_paper_s_stride() {
+    fn stride_follows_the_paper() {
         let settings = FrameSamplingSettings { max_frames: None, ..Default::default() };
         for (frames, used) in [(1, 1), (999, 999), (1999, 1999), (2000, 1000), (3500, 1167)] {
             assert_eq!(
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_stands_still_does_not_eat_the_budget() {
+    fn stationary_camera_does_not_use_up_the_budget() {
         // 90 frames at the start, then ten steps of one meter.
         let frames = path((0..90).map(|_| 0.0).chain((1..=10).map(|i| i as f32)));
         let chosen = sample_frames(

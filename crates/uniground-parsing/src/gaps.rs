@@ -158,8 +158,8 @@ mod tests {
         Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
     const VOXEL_M: f32 = 0.025;
 
-    /// Two squares of 20 cm, one meter before a camera at the origin, `apart_m` apart, marked as
-    /// neighbors.
+    /// Returns two squares of 20 cm, one meter before a camera at the origin, `apart_m` apart,
+    /// marked as neighbors.
     fn two_squares(apart_m: f32) -> (PointCloud, Superpoints) {
         let square = |left: f32| {
             (0..400_u16).map(move |i| {
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn only_neighbours_that_do_not_touch_have_a_gap_between_them() {
+    fn gaps_exist_only_between_near_neighbors_that_do_not_touch() {
         let gaps_of = |apart_m| {
             let (cloud, superpoints) = two_squares(apart_m);
             gaps(&cloud, &superpoints, VOXEL_M)
@@ -197,14 +197,11 @@ mod tests {
             "{:?}",
             found[0].middle
         );
-        assert!(gaps_of(0.01).is_empty(), "they touch");
-        assert!(
-            gaps_of(0.5).is_empty(),
-            "nothing of one is near the other: nothing is known of the way between"
-        );
+        assert!(gaps_of(0.01).is_empty(), "the squares touch");
+        assert!(gaps_of(0.5).is_empty(), "too far apart for a gap");
     }
 
-    /// A frame that measured `depth_m` everywhere, meters.
+    /// Returns a frame that measured `depth_m` everywhere, meters.
     fn frame(folder: &Utf8Path, index: u32, depth_m: f32) -> FrameRef {
         let depth = folder.join(format!("{index}.png"));
         let millimetres = Luma([(depth_m * 1e3) as u16]);
@@ -224,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_are_parted_where_more_frames_see_through_than_not() {
+    fn pairs_are_removed_where_most_frames_see_through_the_gap() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let neighbors = |apart_m: f32, depths_m: &[f32]| {
@@ -243,13 +240,13 @@ mod tests {
         };
         let (wall, closed) = (2.0, 1.0);
         assert_eq!(neighbors(0.07, &[wall, closed, wall]), []);
-        assert_eq!(neighbors(0.07, &[wall, closed]), [(0, 1)], "as many as not");
-        assert_eq!(neighbors(0.07, &[]), [(0, 1)], "nobody looked");
-        assert_eq!(neighbors(0.01, &[wall, wall]), [(0, 1)], "they touch");
+        assert_eq!(neighbors(0.07, &[wall, closed]), [(0, 1)], "a tie keeps the pair");
+        assert_eq!(neighbors(0.07, &[]), [(0, 1)], "no frames");
+        assert_eq!(neighbors(0.01, &[wall, wall]), [(0, 1)], "the squares touch");
     }
 
     #[test]
-    fn a_frame_sees_through_a_gap_or_something_in_it_or_does_not_know() {
+    fn vote_depends_on_the_depth_measured_at_the_gap() {
         let camera = Camera::new(CAMERA, &Isometry3::identity());
         let seen = |depth_m: f32, at: Point3<f32>| {
             let depth_m = vec![depth_m; (CAMERA.width * CAMERA.height) as usize];
@@ -262,10 +259,10 @@ mod tests {
         };
         let middle = Point3::new(0.0, 0.1, 1.0);
         let table = [
-            (2.0, 1, "a wall behind"),
-            (1.01, -1, "it is closed"),
-            (0.6, 0, "hidden"),
-            (0.0, 0, "nothing was measured"),
+            (2.0, 1, "a surface behind the gap"),
+            (1.01, -1, "a surface in the gap"),
+            (0.6, 0, "a surface in front of the gap"),
+            (0.0, 0, "no depth"),
         ];
         for (depth_m, expected, what) in table {
             assert_eq!(seen(depth_m, middle), expected, "{what}");

@@ -1,7 +1,7 @@
-//! Parts and wholes: what masks show besides the things that a scene is segmented into. Not in the
+//! Parts and wholes: regions that masks show in addition to the things of a scene. Not in the
 //! paper.
 //!
-//! No single segmentation suits every question: a bed may be found as blanket and headboard, or a
+//! No single segmentation suits every question: a bed can be found as blanket and headboard, or a
 //! dresser without its drawers. Intermediate regions of merging are candidates for parts. Things
 //! inside one mask, and pairs of neighbors, are candidates for wholes. The candidates that masks
 //! show best are added beside the things, ranked by the same measure that separates things from
@@ -94,7 +94,7 @@ pub fn propose(
     Ok(kept)
 }
 
-/// The superpoints of each region, ascending.
+/// Returns the superpoints of each region, ascending.
 fn superpoints_by_region(region_of: &[u32]) -> Vec<Vec<u32>> {
     let mut members = vec![Vec::new(); region_of.iter().max().map_or(0, |&r| r as usize + 1)];
     (0..)
@@ -103,13 +103,13 @@ fn superpoints_by_region(region_of: &[u32]) -> Vec<Vec<u32>> {
     members
 }
 
-/// The intersection of two ascending lists.
+/// Returns the intersection of two ascending lists.
 fn intersection(a: &[u32], b: &[u32]) -> Vec<u32> {
     a.iter().copied().filter(|s| b.binary_search(s).is_ok()).collect()
 }
 
 /// Returns intermediate regions that lie inside one region of `region_of`. Not all do: things that
-/// stood on a piece of furniture may have been split off it since.
+/// stood on a piece of furniture can be split off later.
 fn find_parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
     let mut found: BTreeMap<Vec<u32>, f32> = BTreeMap::new();
     for level in &levels.levels {
@@ -153,7 +153,7 @@ fn find_wholes(
     unions.into_iter().zip(agreements).map(whole).collect()
 }
 
-/// For each mask, the regions it holds, if they fill it.
+/// Returns, for each mask, the regions it holds, if they fill it.
 fn regions_held_by_masks(table: &FrameVisibility) -> Vec<Vec<u32>> {
     // Per mask: its points, the points of the regions it holds, and these regions.
     let mut of_mask: BTreeMap<u16, (u32, u32, Vec<u32>)> = BTreeMap::new();
@@ -175,7 +175,7 @@ fn regions_held_by_masks(table: &FrameVisibility) -> Vec<Vec<u32>> {
         .collect()
 }
 
-/// How well masks show each union of rows of the tables.
+/// Returns how well masks show each union of rows of the tables, `0..=1`.
 fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
     let frames: Vec<FrameMasks> =
         tables.chunk_by(|a, b| a.frame == b.frame).map(FrameMasks::of).collect();
@@ -244,7 +244,7 @@ mod tests {
     /// A chest of two superpoints with a lamp on it. One mask shows the drawer, superpoint 1;
     /// another shows chest and lamp together.
     #[test]
-    fn what_masks_show_beside_the_cut_is_proposed() {
+    fn parts_and_wholes_shown_by_masks_are_proposed() {
         let patch = Patch {
             points: 100,
             center: Point3::origin(),

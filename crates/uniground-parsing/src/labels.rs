@@ -35,7 +35,7 @@ pub struct Labels<'a> {
 }
 
 impl<'a> Labels<'a> {
-    /// Labels with things only, one id per point; 0: none.
+    /// Creates labels with things only, one id per point; 0: none.
     #[must_use]
     pub fn from_things(thing_of_point: &'a [InstanceId]) -> Self {
         Self::new(Cow::Borrowed(thing_of_point), &[], Vec::new())
@@ -91,7 +91,7 @@ impl<'a> Labels<'a> {
         let mut ids = vec![InstanceId(0); count];
         (1..).zip(order).for_each(|(id, region)| ids[region] = InstanceId(id));
         let compound = |Proposal { level, superpoints, regions, .. }: Proposal| {
-            // A region may have lost its last point to others since the proposal.
+            // A region can lose its last point to others after the proposal.
             let id = |&r: &u32| ids.get(r as usize).copied().filter(|id| id.0 != 0);
             let mut things: Vec<InstanceId> = regions.iter().map(id).collect::<Option<_>>()?;
             things.sort_unstable();
@@ -106,8 +106,8 @@ impl<'a> Labels<'a> {
         )
     }
 
-    /// The instances a point belongs to: its thing, the wholes of that thing, its parts at this
-    /// point.
+    /// Returns the instances a point belongs to: its thing, the wholes of that thing, its parts at
+    /// this point.
     pub fn instances_of_point(&self, point: usize) -> impl Iterator<Item = InstanceId> + '_ {
         let thing = self.thing_of_point[point];
         let wholes = self.wholes_of.get(thing.0 as usize).into_iter().flatten().copied();
@@ -117,7 +117,7 @@ impl<'a> Labels<'a> {
         (thing.0 != 0).then_some(thing).into_iter().chain(wholes).chain(parts)
     }
 
-    /// Number of the chosen points that each instance has, by id minus 1.
+    /// Returns the number of the chosen points that each instance has, by id minus 1.
     #[must_use]
     pub fn counts(&self, chosen: impl Fn(u32) -> bool) -> Vec<u32> {
         let mut counts = vec![0; self.len()];
@@ -127,13 +127,13 @@ impl<'a> Labels<'a> {
         counts
     }
 
-    /// Number of instances.
+    /// Returns the number of instances.
     #[must_use]
     pub fn len(&self) -> usize {
         self.things as usize + self.compounds.len()
     }
 
-    /// Whether there are none.
+    /// Returns whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn regions_are_numbered_by_points_and_ties_by_their_first() {
+    fn regions_are_numbered_by_size_then_by_first_point() {
         let superpoints = Superpoints {
             of_point: vec![0; 7],
             patches: Vec::new(),
@@ -180,7 +180,7 @@ mod tests {
     /// Three regions over four superpoints: a whole of the first two, a part of the last, and a
     /// part of a region that no longer exists.
     #[test]
-    fn a_point_belongs_to_its_thing_the_wholes_of_that_and_its_parts() {
+    fn point_belongs_to_its_thing_with_its_wholes_and_parts() {
         let superpoints = Superpoints {
             of_point: vec![0, 0, 0, 1, 1, 2, 3],
             patches: Vec::new(),

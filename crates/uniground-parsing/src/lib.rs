@@ -405,7 +405,7 @@ fn group_superpoints(
     Ok(RegionGrouping { planes, region_of, proposals })
 }
 
-/// Camera positions, meters, world frame.
+/// Returns the camera positions, meters, world frame.
 fn camera_centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
     frames.iter().map(|frame| frame.camera_to_world.translation.vector.into()).collect()
 }
@@ -432,7 +432,7 @@ fn shorten_list(names: &[String]) -> String {
     if names.len() > SHOWN { format!("{shown}, ...") } else { shown }
 }
 
-/// Number of labels `0..n`.
+/// Returns the number of labels `0..n`.
 fn count_labels(labels: &[u32]) -> usize {
     labels.iter().max().map_or(0, |&l| l as usize + 1)
 }

@@ -28,7 +28,7 @@ pub(super) struct LiftedFrames {
     pub checkpoints: Checkpoints,
 }
 
-/// The inputs that lifted masks depend on.
+/// Returns the inputs that lifted masks depend on.
 pub(super) fn lifting_dependencies<'a>(
     masks: &'a dyn MaskSource,
     settings: &'a ParsingSettings,

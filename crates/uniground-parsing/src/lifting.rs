@@ -209,8 +209,8 @@ mod tests {
     use uniground_geometry::scene::{Camera, DepthImage, Intrinsics, Optics, PointCloud};
     use uniground_geometry::{Isometry3, Point3};
 
-    /// A 4x4 camera at the origin looking along +Z at a wall two metres away, with a hole in the
-    /// last row.
+    /// Returns a frame of a 4x4 camera at the origin that looks along +Z at a wall two meters away,
+    /// with a hole in the last row.
     fn frame() -> Frame {
         let intrinsics = Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, cx: 1.5, cy: 1.5 };
         let camera = Camera::new(intrinsics, &Isometry3::identity());
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn coarsening_adds_up() {
+    fn coarsening_sums_visible_points_and_masks() {
         let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint {
             superpoint,
             visible,
@@ -279,7 +279,7 @@ mod tests {
         FrameVisibility { frame: FrameIndex(frame), layer, masks, rows }
     }
 
-    /// One point on the wall in each of these pixels.
+    /// Returns a cloud with one point on the wall per pixel.
     fn on_wall(frame: &Frame, pixels: &[(f32, f32)]) -> PointCloud {
         let intrinsics = frame.depth_camera.intrinsics;
         let positions: Vec<Point3<f32>> =
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_sees_nothing_has_an_empty_table_for_each_id_image() {
+    fn frame_without_visible_points_has_an_empty_table_per_id_image() {
         let frame = frame();
         let cloud = on_wall(&frame, &[(0.0, 3.0)]);
         let masks = IdImage { width: 4, height: 4, ids: (0..16).map(|i| i % 4).collect() };
@@ -329,14 +329,14 @@ mod tests {
     }
 
     #[test]
-    fn coarsening_keeps_what_is_said_of_the_frame() {
+    fn coarsening_keeps_frame_layer_and_mask_count() {
         let fine = table(7, 2, 4, vec![row(1, 3, &[(4, 2), (6, 1)]), row(2, 5, &[(3, 1), (6, 2)])]);
         // Both become region 0: masks 3, 4 and 6 with 1, 2 and 1 + 2 points; 3 + 5 are visible.
         assert_eq!(
             coarsen(&fine, &[5, 0, 0]),
             table(7, 2, 4, vec![row(0, 8, &[(3, 1), (4, 2), (6, 3)])])
         );
-        // Each for itself: the same, in the order of the new numbers.
+        // No two are merged: the same rows, ordered by their new numbers.
         assert_eq!(
             coarsen(&fine, &[0, 9, 4]),
             table(7, 2, 4, vec![row(4, 5, &[(3, 1), (6, 2)]), row(9, 3, &[(4, 2), (6, 1)])])
@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lifted_comes_apart_into_tables_masks_and_sharpness() {
+    fn lifted_frames_split_into_tables_masks_and_sharpness() {
         let one = lifted(
             3,
             vec![table(3, 0, 1, vec![row(0, 2, &[(1, 2)])]), table(3, 1, 1, vec![])],
@@ -379,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn renumbering_leaves_out_what_is_gone_in_every_id_image() {
+    fn renumbering_removes_deleted_superpoints_from_every_id_image() {
         let before = |layer| {
             table(6, layer, 2, vec![row(0, 1, &[(1, 1)]), row(1, 2, &[]), row(3, 4, &[(2, 3)])])
         };
@@ -393,7 +393,7 @@ mod tests {
         assert_eq!(none.tables, [table(6, 0, 2, vec![])]);
     }
 
-    /// Cuts every frame into a left and a right half, and counts how often it is asked.
+    /// Cuts every frame into a left and a right half, and counts its calls.
     #[derive(Default)]
     struct Halves(AtomicU32);
 
@@ -409,7 +409,8 @@ mod tests {
         }
     }
 
-    /// The frame of above on the disk, under these numbers.
+    /// Writes the picture files of [`frame`] and returns a reference to them for each of these
+    /// numbers.
     fn frames_on_disk(folder: &Utf8Path, numbers: &[u32]) -> Vec<FrameRef> {
         let (color, depth) = (folder.join("color.png"), folder.join("depth.png"));
         image::RgbImage::new(4, 4).save(&color).unwrap();
@@ -433,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_are_kept_are_not_looked_at_again() {
+    fn frames_with_checkpoints_are_not_processed_again() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let frames = frames_on_disk(folder, &[0, 2, 4, 6]);
@@ -441,8 +442,8 @@ mod tests {
         let superpoint_of_point = [0, 1, 1];
         let visibility = Visibility::new(&cloud, &superpoint_of_point, 0.02);
         let checkpoints = Checkpoints::in_folder(folder, "scan");
-        // Of each call: what is lifted, whether that was all kept, how many frames were looked at,
-        // and what was reported.
+        // Per call: the lifted frames, whether all came from checkpoints, the number of processed
+        // frames, and the reported progress.
         let all = |frames: &[FrameRef]| {
             let (halves, told) = (Halves::default(), Arc::new(Mutex::new(Vec::new())));
             let lifting = LiftingInput {
@@ -474,7 +475,7 @@ mod tests {
         assert_eq!(told, [(stage, 0.5), (stage, 1.0)]);
         assert_eq!(first[1].frame, FrameIndex(2));
         assert_eq!(tables_of(first), [seen(0), seen(2)]);
-        // Two of four are there: the third is 3/4 of all, the fourth the last.
+        // Two of four have checkpoints: the third ends at 3/4, the fourth at 1.
         let (more, all_kept, asked, told) = all(&frames);
         assert_eq!((all_kept, asked), (false, 2));
         assert_eq!(told, [(stage, 0.75), (stage, 1.0)]);
@@ -482,16 +483,16 @@ mod tests {
         assert_eq!(more[3].masks, [IdRuns::from_image(&halves_of_a_frame())]);
         let (again, all_kept, asked, told) = all(&frames);
         assert_eq!((again, all_kept, asked, told), (more, true, 0, vec![]));
-        // Another second frame: what is kept counts up to there, and what came after is forgotten.
+        // A different second frame: checkpoints before it are used, later ones are dropped.
         let others = frames_on_disk(folder, &[0, 3, 4, 6]);
         let (other, all_kept, asked, told) = all(&others);
         assert_eq!((all_kept, asked), (false, 3));
         assert_eq!(told, [(stage, 0.5), (stage, 0.75), (stage, 1.0)]);
         assert_eq!(tables_of(other), [seen(0), seen(3), seen(4), seen(6)]);
-        // Fewer frames than are kept.
+        // Fewer frames than checkpoints.
         let (fewer, all_kept, asked, _) = all(&others[..1]);
         assert_eq!((tables_of(fewer), all_kept, asked), (vec![seen(0)], true, 0));
-        assert_eq!(all(&others).2, 3, "the others were forgotten");
+        assert_eq!(all(&others).2, 3, "the other checkpoints were dropped");
     }
 
     fn halves_of_a_frame() -> IdImage {
@@ -499,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unreadable_frame_and_a_wish_to_stop_end_lifting() {
+    fn unreadable_frames_and_cancellation_stop_lifting() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let mut frames = frames_on_disk(folder, &[0]);
@@ -513,14 +514,14 @@ mod tests {
         let stopped =
             lifting.lift_all(&frames, nowhere.open_log("masks", &0), &cancelled).unwrap_err();
         assert!(matches!(stopped, ParseError::Cancelled(_)), "{stopped:?}");
-        assert_eq!(halves.0.load(Ordering::Relaxed), 0, "nothing was cut into masks");
+        assert_eq!(halves.0.load(Ordering::Relaxed), 0, "no masks were computed");
         frames[0].depth = folder.join("missing.png");
         let failed = lifting.lift_all(&frames, nowhere.open_log("masks", &0), &Progress::silent());
         assert!(matches!(failed, Err(ParseError::Frame(_))), "{:?}", failed.map(drop));
     }
 
     proptest! {
-        /// Nothing is lost or counted twice, whatever becomes one region.
+        /// No point is lost or counted twice, whichever superpoints become one region.
         #[test]
         fn coarsening_keeps_every_point(
             fine in prop::collection::vec((0_u32..9, prop::array::uniform3(0_u32..5)), 0..12),
@@ -550,9 +551,8 @@ mod tests {
             }
         }
 
-        /// Two steps of coarsening are one.
         #[test]
-        fn coarsening_twice_is_coarsening_by_both(
+        fn coarsening_in_two_steps_equals_one_step(
             counts in prop::collection::vec(prop::array::uniform3(1_u32..5), 1..10),
             first in prop::collection::vec(0_u32..5, 10),
             second in prop::collection::vec(0_u32..3, 5),

@@ -22,7 +22,7 @@ pub struct Regions {
 }
 
 impl Regions {
-    /// The coarsest level.
+    /// Returns the coarsest level.
     #[must_use]
     pub fn last(&self) -> &[u32] {
         self.levels.last().map_or(&[], Vec::as_slice)
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chain_breaks_at_its_weak_link() {
+    fn chain_is_split_at_a_weak_edge() {
         let region = grow(
             &patches(&[100, 90, 80, 70]),
             &[edge(0, 1, 0.95), edge(1, 2, 0.3), edge(2, 3, 0.95)],
@@ -255,9 +255,9 @@ mod tests {
     }
 
     #[test]
-    fn a_neighbour_must_suit_the_whole_region() {
-        // 2 is close to 1 but a stranger to the far larger 0: 0 and 1 merge first and then outvote
-        // 1.
+    fn neighbor_must_match_the_whole_region() {
+        // 2 has a high affinity to 1 but a low one to the much larger 0. 0 and 1 merge first, and 0
+        // outweighs 1.
         let edges = [edge(0, 1, 0.95), edge(0, 2, 0.1), edge(1, 2, 0.95)];
         assert_eq!(
             grow(&patches(&[1000, 50, 60]), &edges, 0.9, 0.5, &Progress::silent()),
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn crumbs_join_their_most_affine_neighbour() {
+    fn small_regions_join_their_most_affine_neighbor() {
         let labels = absorb_small(
             &patches(&[500, 500, 10, 3]),
             &[edge(0, 2, 0.2), edge(1, 2, 0.4), edge(2, 3, 0.1)],
@@ -276,7 +276,7 @@ mod tests {
         assert_eq!(absorb_small(&patches(&[500, 3]), &[], 50), [0, 1]);
     }
 
-    fn silently(
+    fn grow_silently(
         points: &[u32],
         edges: &[Edge],
         threshold: f32,
@@ -286,9 +286,9 @@ mod tests {
     }
 
     #[test]
-    fn an_affinity_at_the_threshold_joins_and_one_below_does_not() {
+    fn affinity_at_the_threshold_joins_and_below_does_not() {
         let joined = |affinity: f32, threshold: f32| {
-            silently(&[64, 32], &[edge(0, 1, affinity)], threshold, 0.5) == Ok(vec![0, 0])
+            grow_silently(&[64, 32], &[edge(0, 1, affinity)], threshold, 0.5) == Ok(vec![0, 0])
         };
         // Halves and quarters are exact.
         for threshold in [0.5, 0.625, 0.75, 0.875] {
@@ -301,59 +301,60 @@ mod tests {
     }
 
     #[test]
-    fn the_bond_to_a_region_is_a_mean_weighed_by_points_and_hops() {
+    fn affinity_to_a_region_is_a_mean_weighted_by_points_and_hops() {
         // 1 joins 0. Then 2 has the affinity 1/4 to 0, two borders away, and 3/4 to 1 beside it:
         // weights 100 * 0.5 = 50 and 50 * 1 = 50, mean (50 / 4 + 50 * 3 / 4) / 100 = 1/2. Without
         // the decay it would be (100 / 4 + 150 / 4) / 150 = 5/12, without the points
         // (0.5 / 4 + 3 / 4) / 1.5 = 7/12.
         let edges =
             [edge(0, 1, 1.0), edge(1, 2, 0.75), Edge { a: 0, b: 2, hop: 2, affinity: 0.25 }];
-        let regions = |threshold| silently(&[100, 50, 10], &edges, threshold, 0.5);
+        let regions = |threshold| grow_silently(&[100, 50, 10], &edges, threshold, 0.5);
         assert_eq!(regions(0.5), Ok(vec![0, 0, 0]));
         assert_eq!(regions(0.501), Ok(vec![0, 0, 1]));
     }
 
     #[test]
-    fn three_borders_away_weighs_decay_squared() {
+    fn weight_at_three_hops_is_the_decay_squared() {
         // 2 to 0 over three borders with the affinity 0, to 1 with 3/4: weights 64 / 16 = 4 and
         // 12, mean (0 + 12 * 3 / 4) / 16 = 9/16.
         let edges = [edge(0, 1, 1.0), edge(1, 2, 0.75), Edge { a: 0, b: 2, hop: 3, affinity: 0.0 }];
-        let regions = |threshold| silently(&[64, 12, 10], &edges, threshold, 0.25);
+        let regions = |threshold| grow_silently(&[64, 12, 10], &edges, threshold, 0.25);
         assert_eq!(regions(0.5625), Ok(vec![0, 0, 0]));
         assert_eq!(regions(0.563), Ok(vec![0, 0, 1]));
     }
 
     #[test]
-    fn with_a_decay_of_zero_only_what_is_adjacent_counts() {
-        // 2 is no kin of 0 two borders away; only its affinity to 1 beside it counts.
+    fn zero_hop_decay_counts_only_adjacent_superpoints() {
+        // 2 has no affinity to 0, two borders away. Only its affinity to the adjacent 1 counts.
         let edges = [edge(0, 1, 1.0), edge(1, 2, 0.75), Edge { a: 0, b: 2, hop: 2, affinity: 0.0 }];
-        assert_eq!(silently(&[64, 32, 8], &edges, 0.75, 0.0), Ok(vec![0, 0, 0]));
-        assert_eq!(silently(&[64, 32, 8], &edges, 0.75, 1.0), Ok(vec![0, 0, 1]));
+        assert_eq!(grow_silently(&[64, 32, 8], &edges, 0.75, 0.0), Ok(vec![0, 0, 0]));
+        assert_eq!(grow_silently(&[64, 32, 8], &edges, 0.75, 1.0), Ok(vec![0, 0, 1]));
     }
 
     #[test]
-    fn a_region_grows_only_across_borders() {
+    fn regions_grow_only_to_adjacent_superpoints() {
         let far = [Edge { a: 0, b: 1, hop: 2, affinity: 1.0 }];
-        assert_eq!(silently(&[64, 32], &far, 0.5, 1.0), Ok(vec![0, 1]));
+        assert_eq!(grow_silently(&[64, 32], &far, 0.5, 1.0), Ok(vec![0, 1]));
     }
 
     #[test]
-    fn regions_are_numbered_by_their_seeds_the_largest_first() {
-        assert_eq!(silently(&[10, 100, 50, 100], &[], 0.5, 0.5), Ok(vec![3, 0, 2, 1]));
-        // The small one between two large ones goes to the larger, and does not bring the other.
+    fn regions_are_numbered_by_descending_seed_size() {
+        assert_eq!(grow_silently(&[10, 100, 50, 100], &[], 0.5, 0.5), Ok(vec![3, 0, 2, 1]));
+        // A small superpoint between two large ones joins the larger one and does not connect the
+        // other.
         let edges = [edge(0, 1, 1.0), edge(1, 2, 1.0), Edge { a: 0, b: 2, hop: 2, affinity: 0.0 }];
-        assert_eq!(silently(&[100, 10, 90], &edges, 0.5, 0.5), Ok(vec![0, 0, 1]));
-        assert_eq!(silently(&[90, 10, 100], &edges, 0.5, 0.5), Ok(vec![1, 0, 0]));
+        assert_eq!(grow_silently(&[100, 10, 90], &edges, 0.5, 0.5), Ok(vec![0, 0, 1]));
+        assert_eq!(grow_silently(&[90, 10, 100], &edges, 0.5, 0.5), Ok(vec![1, 0, 0]));
     }
 
     #[test]
-    fn growing_stops_when_it_is_cancelled() {
+    fn cancellation_stops_growing() {
         let cancelled = Progress::new(|_, _| {}, || true);
         assert_eq!(grow(&patches(&[1]), &[], 0.5, 0.5, &cancelled), Err(Cancelled));
     }
 
     #[test]
-    fn what_has_enough_points_is_not_absorbed() {
+    fn regions_with_enough_points_are_not_absorbed() {
         let absorbed = |min_points| {
             absorb_small(&patches(&[500, 50]), &[edge(0, 1, 0.1)], min_points) == [0, 0]
         };
@@ -361,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crumb_joins_only_what_it_touches() {
+    fn small_regions_join_only_adjacent_regions() {
         let far = Edge { a: 0, b: 2, hop: 2, affinity: 0.9 };
         assert_eq!(absorb_small(&patches(&[500, 400, 3]), &[far], 50), [0, 1, 2]);
         let edges = [far, edge(1, 2, 0.1)];
@@ -369,38 +370,39 @@ mod tests {
     }
 
     #[test]
-    fn of_neighbors_that_are_as_affine_the_first_takes_a_crumb() {
+    fn ties_in_affinity_go_to_the_first_neighbor() {
         let edges = [edge(1, 2, 0.5), edge(0, 2, 0.5)];
         assert_eq!(absorb_small(&patches(&[500, 600, 3]), &edges, 50), [0, 1, 0]);
     }
 
     #[test]
-    fn crumbs_that_are_enough_together_stay_for_themselves() {
+    fn small_regions_that_are_large_enough_together_stay_separate() {
         // 2 joins 1: 30 + 25 = 55 points.
         let edges = [edge(0, 1, 0.1), edge(1, 2, 0.9)];
         assert_eq!(absorb_small(&patches(&[500, 30, 25]), &edges, 55), [0, 1, 1]);
         assert_eq!(absorb_small(&patches(&[500, 30, 25]), &edges, 56), [0, 0, 0]);
-        // 10 + 8 = 18 is too few, though 10 * 8 = 80 would do.
+        // 10 + 8 = 18 is too few. The product, 80, would be enough.
         assert_eq!(absorb_small(&patches(&[500, 10, 8]), &edges, 50), [0, 0, 0]);
     }
 
     #[test]
-    fn the_smallest_crumb_goes_first() {
-        // 2 joins 1, both together 0. If 1 went first, the two would join 3 over the affinity of 2.
+    fn smallest_regions_are_absorbed_first() {
+        // 2 joins 1, then both join 0. If 1 were first, both would join 3 through 2's affinity to
+        // it.
         let edges = [edge(0, 1, 0.1), edge(1, 2, 0.9), edge(2, 3, 0.5)];
         assert_eq!(absorb_small(&patches(&[500, 10, 3, 500]), &edges, 50), [0, 0, 0, 1]);
-        // Of as many points each, the first goes first.
+        // With equal numbers of points, the lower label is first.
         assert_eq!(absorb_small(&patches(&[500, 10, 10, 500]), &edges, 50), [0, 1, 1, 1]);
     }
 
     #[test]
-    fn a_relation_tells_the_coarse_label_of_each_fine_one() {
+    fn label_mapping_gives_the_coarse_label_of_each_fine_label() {
         assert_eq!(label_mapping(&[0, 1, 1, 3, 2], &[4, 0, 0, 1, 4]), [4, 0, 4, 1]);
         assert!(label_mapping(&[], &[]).is_empty());
     }
 
     #[test]
-    fn a_coarsened_graph_has_the_regions_for_its_primitives() {
+    fn coarsened_graph_has_regions_as_primitives() {
         let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint {
             superpoint,
             visible,
@@ -423,8 +425,8 @@ mod tests {
         assert_eq!(coarse.tables, [table(vec![row(0, 2, &[(1, 2)]), row(1, 5, &[(1, 5)])])]);
     }
 
-    /// Superpoints of so many points, neighbors of the next one each, and one frame that sees all
-    /// of them in these masks.
+    /// Returns superpoints with these numbers of points, each adjacent to the next, and one frame
+    /// that sees all of them in these masks.
     fn chain(points: &[u32], masks: &[&[(u16, u32)]]) -> (Superpoints, [FrameVisibility; 1]) {
         let count = points.len() as u32;
         let rows = (0..).zip(points).zip(masks);
@@ -458,9 +460,9 @@ mod tests {
     }
 
     #[test]
-    fn each_stage_merges_what_reaches_its_threshold() {
-        // 0 and 1 lie in one mask: affinity 1. 2 lies in it by 3 parts of (3, 4): affinity 3/5 to
-        // either, and to both together.
+    fn each_stage_merges_affinities_that_reach_its_threshold() {
+        // 0 and 1 are in one mask: affinity 1. 2 has the histogram (3, 4): affinity 3/5 to each of
+        // them, and to both together.
         let (superpoints, tables) =
             chain(&[40, 30, 20], &[&[(1, 40)], &[(1, 30)], &[(1, 12), (2, 16)]]);
         let told = Arc::new(Mutex::new(Vec::new()));
@@ -481,14 +483,18 @@ mod tests {
             *told.lock().unwrap(),
             [("merge", 0.0), ("merge", 0.25), ("merge", 0.5), ("merge", 0.75)]
         );
-        // 3/5 is within a tenth of .65, and below it.
+        // 3/5 is below 0.65, by less than 10 %.
         assert_eq!(levels(&[0.65], &Progress::silent()), [apart.clone(), apart]);
-        assert_eq!(levels(&[], &Progress::silent()), [vec![0, 1, 2]], "no stage merges nothing");
+        assert_eq!(
+            levels(&[], &Progress::silent()),
+            [vec![0, 1, 2]],
+            "without stages nothing merges"
+        );
     }
 
     #[test]
-    fn at_last_small_regions_join_their_neighbor() {
-        // In masks of their own: nothing merges. 2 has 9 points and joins 1.
+    fn last_level_absorbs_small_regions() {
+        // Each is in a mask of its own, so nothing merges. 2 has 9 points and joins 1.
         let (superpoints, tables) = chain(&[40, 30, 9], &[&[(1, 40)], &[(2, 30)], &[(3, 9)]]);
         let merged = |min_points| {
             merge(
@@ -507,7 +513,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_on_different_planes_is_kept_apart() {
+    fn superpoints_of_different_planes_stay_separate() {
         // All in one mask: affinity 1.
         let (superpoints, tables) =
             chain(&[40, 30, 20, 10], &[&[(1, 40)], &[(1, 30)], &[(1, 20)], &[(1, 10)]]);
@@ -519,7 +525,7 @@ mod tests {
         let planes = [Some(0), Some(0), Some(1), None];
         assert_eq!(merged(planes, true), [vec![0, 0, 1, 2], vec![0, 0, 1, 2]]);
         assert_eq!(merged(planes, false), [vec![0; 4], vec![0; 4]]);
-        // What is on no plane may join what is on none.
+        // Superpoints on no plane join each other.
         let before_a_plane = vec![0, 1, 1, 1];
         assert_eq!(
             merged([Some(0), None, None, None], true),
@@ -528,9 +534,10 @@ mod tests {
     }
 
     #[test]
-    fn a_small_patch_returns_to_its_plane_before_crumbs_are_absorbed() {
+    fn patches_rejoin_their_plane_before_small_regions_are_absorbed() {
         // 0 is a wall of 1000 points, 1 a patch of it in a mask of its own, 10 of 1010 points of 10
-        // square meters: 0.099. 2 is a crumb before the patch, 3 a large thing before the crumb.
+        // square meters: 0.099. 2 is a small region next to the patch, 3 a large thing next to the
+        // small region.
         let (superpoints, tables) =
             chain(&[1000, 10, 5, 400], &[&[(1, 1000)], &[(2, 10)], &[(2, 3), (3, 4)], &[(4, 400)]]);
         let planes = Planes {
@@ -546,14 +553,14 @@ mod tests {
             let settings = MergeSettings { keep_planes_apart, ..settings(&[0.9], 6) };
             merge(&superpoints, &planes, &tables, &settings, &Progress::silent()).unwrap().levels
         };
-        // Regions by size: 0, 3, 1, 2. The patch is the wall's again, and takes the crumb along.
+        // Regions by size: 0, 3, 1, 2. The patch rejoins the wall, together with the small region.
         assert_eq!(merged(true), [vec![0, 2, 3, 1], vec![0, 0, 0, 1]]);
-        // Else the patch stays, and has the crumb.
+        // Otherwise the patch stays separate and absorbs the small region.
         assert_eq!(merged(false), [vec![0, 2, 3, 1], vec![0, 2, 2, 1]]);
     }
 
     #[test]
-    fn merging_nothing_gives_nothing_and_a_wish_to_stop_is_heard() {
+    fn empty_input_gives_empty_levels_and_cancellation_stops_merging() {
         let (superpoints, tables) = chain(&[], &[]);
         let merged = |progress: &Progress| {
             merge(&superpoints, &without_planes(0), &tables, &settings(&[0.5], 9), progress)
@@ -563,7 +570,7 @@ mod tests {
         assert_eq!(merged(&Progress::new(|_, _| {}, || true)), Err(Cancelled));
     }
 
-    /// Sizes of superpoints and edges between them, with affinities in 64ths.
+    /// Generates sizes of superpoints and edges between them, with affinities in 64ths.
     fn graphs() -> impl Strategy<Value = (Vec<u32>, Vec<Edge>)> {
         let border = (0_u32..8, 0_u32..8, 1_u32..3, 0_u32..=64);
         let borders = prop::collection::vec(border, 0..20);
@@ -580,7 +587,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn two_join_exactly_from_the_threshold_on(
+        fn two_superpoints_join_exactly_from_the_threshold_on(
             points in prop::array::uniform2(0_u32..10),
             affinity in 0_u32..=64,
             threshold in 0_u32..=64,
@@ -588,17 +595,18 @@ mod tests {
             // Powers of two and 64ths: nothing is rounded.
             let share = |of_64: u32| of_64 as f32 / 64.0;
             let edges = [edge(0, 1, share(affinity))];
-            let found = silently(&points.map(|n| 1 << n), &edges, share(threshold), 0.5).unwrap();
+            let found =
+                grow_silently(&points.map(|n| 1 << n), &edges, share(threshold), 0.5).unwrap();
             prop_assert_eq!(found[0] == found[1], affinity >= threshold, "{:?}", found);
         }
 
-        /// Every region is connected by borders, and numbers have no gaps.
+        /// Regions are also numbered by the descending size of their largest superpoint.
         #[test]
         fn regions_are_connected_and_numbered_without_gaps(
             (points, edges) in graphs(),
             threshold in 0.0_f32..1.0,
         ) {
-            let region = silently(&points, &edges, threshold, 0.5).unwrap();
+            let region = grow_silently(&points, &edges, threshold, 0.5).unwrap();
             let mut sets = UnionFind::new(8);
             let inner = |edge: &&Edge| {
                 edge.hop == 1 && region[edge.a as usize] == region[edge.b as usize]
@@ -615,14 +623,14 @@ mod tests {
             prop_assert!((1..regions).all(|r| 0 < largest(r) && largest(r) <= largest(r - 1)));
         }
 
-        /// Nobody joins below the least affinity of all, everybody at it.
+        /// Above all affinities nothing merges. At 0 everything adjacent merges.
         #[test]
-        fn thresholds_beyond_all_affinities_merge_nothing_or_all_that_touches(
+        fn extreme_thresholds_merge_nothing_or_all_adjacent_superpoints(
             (points, edges) in graphs(),
         ) {
-            let region = silently(&points, &edges, 1.01, 0.5).unwrap();
+            let region = grow_silently(&points, &edges, 1.01, 0.5).unwrap();
             prop_assert_eq!(region.iter().max(), Some(&7));
-            let region = silently(&points, &edges, 0.0, 0.5).unwrap();
+            let region = grow_silently(&points, &edges, 0.0, 0.5).unwrap();
             let touching = edges.iter().filter(|edge| edge.hop == 1);
             for edge in touching {
                 prop_assert_eq!(region[edge.a as usize], region[edge.b as usize], "{:?}", edge);
@@ -630,7 +638,7 @@ mod tests {
         }
 
         #[test]
-        fn the_order_of_the_edges_does_not_matter_to_crumbs(
+        fn absorbing_does_not_depend_on_edge_order(
             (points, edges) in graphs(),
             min_points in 0_u32..120,
         ) {
@@ -640,9 +648,8 @@ mod tests {
             prop_assert_eq!(absorbed(&edges), absorbed(&reversed));
         }
 
-        /// What is left small after absorbing touches nobody.
         #[test]
-        fn after_absorbing_small_regions_touch_nobody(
+        fn remaining_small_regions_have_no_neighbors(
             (points, edges) in graphs(),
             min_points in 0_u32..120,
         ) {
@@ -652,7 +659,7 @@ mod tests {
             };
             let big = (0..8).all(|i| points[i] >= min_points);
             prop_assert!(!big || label == [0, 1, 2, 3, 4, 5, 6, 7], "{:?}", label);
-            // A crumb that was alone looked at all its own neighbors.
+            // A small region that joined nothing has no adjacent region.
             for i in (0..8).filter(|&i| points[i] < min_points && size(label[i]) == points[i]) {
                 let touches = |edge: &&Edge| {
                     edge.hop == 1 && (edge.a as usize == i || edge.b as usize == i)

@@ -16,7 +16,7 @@ pub struct Outline {
 const POINTS_PER_CELL: f32 = 2.5;
 /// Maximum number of points used, spread over all: more would not make a finer mask.
 const MAX_POINTS: usize = 4000;
-/// Rounds of estimating the cell size. Points may fill little of their box; the area they fill
+/// Rounds of estimating the cell size. Points can fill little of their box; the area they fill
 /// gives a better estimate of their spacing.
 const ROUNDS: usize = 3;
 /// Pieces below this share of the mask are noise at the rims of what lies in front or behind.
@@ -50,7 +50,7 @@ impl Outline {
         Self { box_px, mask: mask.close_gaps().fill_holes().without_small_pieces(CRUMB_SHARE) }
     }
 
-    /// Number of pixels of the picture that show the instance.
+    /// Returns the number of pixels of the picture that show the instance.
     #[must_use]
     pub fn covered_px(&self) -> f32 {
         let [left, top, right, bottom] = self.box_px;
@@ -58,8 +58,8 @@ impl Outline {
     }
 }
 
-/// The cells of a box that contain points. Cells are so large that an even surface leaves none
-/// empty.
+/// Returns the cells of a box that contain points. Cells are so large that an even surface leaves
+/// none empty.
 fn cells_of_points(
     pixels: &[(f32, f32)],
     [left, top, right, bottom]: [u32; 4],
@@ -91,8 +91,8 @@ fn cells_of_points(
     mask
 }
 
-/// Share of an instance's silhouette that nothing hides, `0..=1`: of the cells that hold its
-/// points, those with visible ones.
+/// Returns the share of an instance's silhouette that nothing hides, `0..=1`: of the cells that
+/// hold its points, those with visible ones.
 ///
 /// Points on the instance's far side lie behind its visible side and do not count as hidden.
 /// Positions are pixels of one picture.
@@ -128,7 +128,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Points every `step` pixels over columns and rows.
+    /// Returns the points every `step` pixels over columns and rows.
     fn grid(
         columns: std::ops::Range<u16>,
         rows: std::ops::Range<u16>,
@@ -144,14 +144,14 @@ mod tests {
         /// Whatever the spacing of points on an even surface, its mask has no holes and reaches
         /// little beyond them.
         #[test]
-        fn the_mask_of_a_surface_is_the_surface(step in 1_usize..12, width in 60_u16..200, height in 60_u16..200) {
+        fn mask_of_an_even_surface_has_no_holes(step in 1_usize..12, width in 60_u16..200, height in 60_u16..200) {
             let outline = Outline::from_points(&grid(40..40 + width, 50..50 + height, step), [40, 50, 40 + u32::from(width), 50 + u32::from(height)]);
             prop_assert!(outline.mask.share() > 0.85, "{:?}", outline.mask);
         }
     }
 
     #[test]
-    fn what_fills_little_of_its_box_is_drawn_as_finely() {
+    fn shape_that_fills_little_of_its_box_has_a_fine_mask() {
         let l_shape = [grid(0..20, 0..200, 4), grid(0..200, 180..200, 4)].concat();
         let outline = Outline::from_points(&l_shape, [0, 0, 200, 200]);
         assert!((0.15..0.3).contains(&outline.mask.share()), "{}", outline.mask.share());
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_before_a_thing_hides_it_and_its_own_front_does_not() {
+    fn things_in_front_occlude_but_the_own_front_side_does_not() {
         let (front, back) = (grid(0..100, 0..100, 4), grid(2..98, 2..98, 8));
         assert!(unoccluded_share(&front, &back) > 0.95);
         let (left, right) = (grid(0..50, 0..100, 4), grid(50..100, 0..100, 8));
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mask_of_a_picture_is_looked_up_by_cell() {
+    fn predicate_mask_is_sampled_by_cell() {
         let outline = Outline::from_predicate([100, 40, 300, 60], |(x, _)| x < 200.0);
         assert_eq!((outline.mask.size(), outline.mask.share()), ((64, 20), 0.5));
         assert_eq!(outline.covered_px(), 2000.0);

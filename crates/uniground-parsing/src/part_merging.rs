@@ -171,9 +171,9 @@ fn join_sets(
     (region_of.into_iter().map(|r| labels[r as usize]).collect(), known)
 }
 
-/// Whether the part is directly above or below the other with the same outline, neither far from it
-/// nor reaching far into it. The smaller joins the larger. A part that leaves a rim free all around
-/// stands there as a separate thing.
+/// Returns whether the part is directly above or below the other with the same outline, neither far
+/// from it nor reaching far into it. The smaller joins the larger. A part that leaves a rim free
+/// all around stands there as a separate thing.
 fn is_stacked(settings: &PartMergingSettings, part: &RegionFacts, whole: &RegionFacts) -> bool {
     /// Minimum intersection over union of both outlines along each axis of the larger one.
     const SAME_OUTLINE: f32 = 0.75;
@@ -207,7 +207,8 @@ fn is_leg(settings: &PartMergingSettings, part: &RegionFacts) -> bool {
     wide <= settings.leg_thickness_m && long >= SLENDER * wide
 }
 
-/// Whether it is upright, thin, no taller than furniture, as wide as the seat, and at its rim.
+/// Returns whether it is upright, thin, no taller than furniture, as wide as the seat, and at its
+/// rim.
 fn is_back(settings: &PartMergingSettings, part: &RegionFacts, seat: &RegionFacts) -> bool {
     const TALLEST_M: f32 = 1.0;
     /// Maximum lean of a plate from upright: sine of 35 degrees.
@@ -228,13 +229,13 @@ fn is_back(settings: &PartMergingSettings, part: &RegionFacts, seat: &RegionFact
         && offset >= 0.25 * seat.width(&across)
 }
 
-/// Whether the other begins where this part ends.
+/// Returns whether the other begins where this part ends.
 fn ends_under(part: &RegionFacts, other: &RegionFacts) -> bool {
     other.aabb.center.z > part.aabb.center.z
         && (other.aabb.min().z - part.aabb.max().z).abs() <= 1.5 * CONTACT_M
 }
 
-/// Whether the part is smaller, below the other, and does not stick out.
+/// Returns whether the part is smaller, below the other, and does not stick out.
 fn is_foot(part: &RegionFacts, other: &RegionFacts) -> bool {
     const UNDER: f32 = 0.8;
     part.points < 0.5 * other.points
@@ -279,7 +280,8 @@ impl RegionFacts {
         }
     }
 
-    /// Range of the footprint along the two axes of a world rotated by `yaw_rad` about Z, meters.
+    /// Returns the range of the footprint along the two axes of a world rotated by `yaw_rad` about
+    /// Z, meters.
     fn footprint_ranges(&self, yaw_rad: f32) -> [(f32, f32); 2] {
         let OrientedBox { center, size, yaw_rad: own_rad } = self.footprint;
         let (sin, cos) = yaw_rad.sin_cos();
@@ -290,7 +292,7 @@ impl RegionFacts {
         [(x - half_x, x + half_x), (y - half_y, y + half_y)]
     }
 
-    /// Extent of the footprint along a horizontal direction, meters.
+    /// Returns the extent of the footprint along a horizontal direction, meters.
     fn width(&self, direction: &nalgebra::Vector2<f32>) -> f32 {
         let (sin, cos) = self.footprint.yaw_rad.sin_cos();
         let (u, v) = (cos * direction.x + sin * direction.y, cos * direction.y - sin * direction.x);
@@ -347,16 +349,16 @@ mod tests {
     const SEAT: Block = ([0.0, 0.0, 0.42], [0.44, 0.44, 0.46]);
 
     #[test]
-    fn a_chair_is_one_thing() {
+    fn seat_legs_and_back_join_into_a_chair() {
         let leg = |x: f32, y: f32| ([x, y, 0.0], [x + 0.04, y + 0.04, 0.42]);
         let back = ([0.0, 0.42, 0.46], [0.44, 0.46, 0.9]);
         let parts = [SEAT, leg(0.0, 0.0), leg(0.4, 0.0), leg(0.0, 0.4), leg(0.4, 0.4), back];
         assert_eq!(joined(&parts, &[(0, 1), (0, 2), (0, 3), (0, 4), (0, 5)]), [0; 6]);
-        assert_eq!(joined(&parts, &[]), [0, 1, 2, 3, 4, 5], "only what touches is joined");
+        assert_eq!(joined(&parts, &[]), [0, 1, 2, 3, 4, 5], "only adjacent parts are joined");
     }
 
     #[test]
-    fn a_lamp_stands_on_its_pole_and_an_office_chair_on_its_foot() {
+    fn poles_and_feet_join_the_part_above_them() {
         let lamp = [([-0.2, -0.2, 1.3], [0.2, 0.2, 1.6]), ([-0.01, -0.01, 0.1], [0.01, 0.01, 1.3])];
         assert_eq!(joined(&lamp, &[(0, 1)]), [0, 0]);
         let foot = ([0.16, 0.16, 0.0], [0.28, 0.28, 0.38]);
@@ -365,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn storeys_of_one_outline_are_one_thing() {
+    fn stacked_parts_with_the_same_outline_are_joined() {
         let storey = |z: f32| ([0.0, 0.0, z], [0.9, 0.36, z + 0.4]);
         assert_eq!(
             joined(&[storey(0.0), storey(0.42), storey(0.84)], &[(0, 1), (1, 2)]),
@@ -373,7 +375,11 @@ mod tests {
             "a bookcase"
         );
         let beside = ([0.92, 0.0, 0.0], [1.82, 0.36, 0.4]);
-        assert_eq!(joined(&[storey(0.0), beside], &[(0, 1)]), [0, 1], "two of a kind side by side");
+        assert_eq!(
+            joined(&[storey(0.0), beside], &[(0, 1)]),
+            [0, 1],
+            "two identical shelves side by side"
+        );
         let before = ([0.0, 0.38, 0.0], [0.9, 0.7, 0.4]);
         assert_eq!(joined(&[storey(0.0), before], &[(0, 1)]), [0, 1]);
         let narrower = ([0.1, 0.0, 0.42], [0.7, 0.36, 0.8]);
@@ -385,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn storeys_are_compared_along_their_own_axes_and_walls_have_none() {
+    fn stacked_parts_are_compared_along_their_own_axes_and_never_with_walls() {
         let block = |low: f32, yaw: f32| {
             let at = |i: u32, j: u32, k: u32| {
                 let (x, y) = (i as f32 * 0.02, j as f32 * 0.02);
@@ -403,7 +409,7 @@ mod tests {
         };
         let settings = PartMergingSettings::default();
         assert!(is_stacked(&settings, &block(0.0, 0.6), &block(0.4, 0.6)));
-        assert!(!is_stacked(&settings, &block(0.0, 0.6), &block(0.4, 1.4)), "askew");
+        assert!(!is_stacked(&settings, &block(0.0, 0.6), &block(0.4, 1.4)), "different rotations");
         assert!(!is_stacked(
             &settings,
             &block(0.0, 0.6),
@@ -412,7 +418,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_on_a_table_stays_itself() {
+    fn objects_on_a_table_stay_separate() {
         let top = ([0.0, 0.0, 0.7], [1.4, 0.8, 0.74]);
         let mug = ([0.6, 0.3, 0.74], [0.68, 0.38, 0.84]);
         let bottle = ([0.2, 0.4, 0.74], [0.26, 0.46, 1.04]);
@@ -421,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_is_no_back_and_a_cabinet_no_foot() {
+    fn walls_are_not_backs_and_cabinets_are_not_feet() {
         let desk = ([0.0, 0.0, 0.7], [1.4, 0.7, 0.74]);
         let wall = ([0.0, 0.7, 0.74], [1.4, 0.74, 2.4]);
         assert_eq!(joined(&[desk, wall], &[(0, 1)]), [0, 1]);

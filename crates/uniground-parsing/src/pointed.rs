@@ -1,6 +1,6 @@
 //! Finds the object that a user points at in a photograph, for things that stage 1 did not segment.
 //!
-//! The place may belong to several masks: those of a promptable segmenter, or the built-in ones
+//! The place can belong to several masks: those of a promptable segmenter, or the built-in ones
 //! from whole things down to even patches. Each mask selects the points of the cloud that its frame
 //! shows under it. The segmenter is then prompted at the middle of these points in other frames
 //! that see them. The mask on which the frames agree best is chosen. Then the frames vote on
@@ -78,8 +78,8 @@ pub fn find_identical<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a
 
 impl PointedObjectFinder<'_> {
     /// Returns the object at a place: a known instance if a mask shows exactly that, otherwise a
-    /// new instance with the next id. Instances that were ruled out and parts of the building are
-    /// not returned. `None` where nothing else can be segmented there.
+    /// new instance with the next id. Dismissed instances, those in `is_not` and parts of the
+    /// building are not returned. `None` where nothing else can be segmented there.
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
     pub fn find_at(
@@ -196,8 +196,8 @@ impl PointedObjectFinder<'_> {
         Ok(FrameLookup { frame, seen, cut })
     }
 
-    /// Returns the masks that may be meant by a place in a frame's color picture, each with the
-    /// confidence of its source, `0..=1`.
+    /// Returns the candidate masks at a place in a frame's color picture, each with the confidence
+    /// of its source, `0..=1`.
     fn masks_at(
         &self,
         looked: &FrameLookup,
@@ -263,7 +263,7 @@ impl PointedObjectFinder<'_> {
         .collect()
     }
 
-    /// The box in which the rest of an object may be, given the points that one frame sees:
+    /// Returns the box in which the rest of an object can be, given the points that one frame sees:
     /// extended on each side by half its largest extent.
     fn search_box(&self, seed: &[u32]) -> Aabb {
         let around = Aabb::around(seed.iter().map(|&point| &self.cloud.positions[point as usize]));
@@ -271,8 +271,8 @@ impl PointedObjectFinder<'_> {
         Aabb { size: around.size.add_scalar(around.size.max()), ..around }
     }
 
-    /// Mean IoU, over further frames, of what each sees of the seed with its best mask at the
-    /// seed's middle. Frames that agree vote.
+    /// Returns the mean IoU, over further frames, of what each sees of the seed with its best mask
+    /// at the seed's middle. Frames that agree vote.
     fn mean_agreement(
         &self,
         seed: &[u32],
@@ -391,13 +391,13 @@ enum FrameSegmentation {
 }
 
 impl FrameLookup {
-    /// The points of the cloud under a mask.
+    /// Returns the points of the cloud under a mask.
     fn points_under(&self, mask: &Mask) -> Vec<u32> {
         self.seen.iter().filter(|point| mask.covers(self, point)).map(|point| point.point).collect()
     }
 }
 
-/// A mask that may be the one the user means.
+/// A mask that possibly shows the object the user points at.
 struct MaskHypothesis {
     mask: Mask,
     quality: f32,
@@ -414,7 +414,7 @@ enum Mask {
 }
 
 impl Mask {
-    /// Whether it covers a point that its frame shows.
+    /// Returns whether it covers a point that its frame shows.
     fn covers(&self, looked: &FrameLookup, point: &FramePoint) -> bool {
         match (self, &looked.cut) {
             (Self::Cut { level, id }, FrameSegmentation::Images(images)) => {
@@ -490,12 +490,12 @@ impl CloudSubset {
     }
 }
 
-/// Position of a point of the cloud in a frame's color picture; `None` outside.
+/// Returns the position of a point of the cloud in a frame's color picture; `None` outside.
 fn color_pixel(frame: &Frame, point: &FramePoint) -> Option<(f32, f32)> {
     frame.color_camera.project(&point.position).map(|pixel| (pixel.u, pixel.v))
 }
 
-/// The mask at a position of the color picture, or the nearest one to it.
+/// Returns the mask at a position of the color picture, or the nearest one to it.
 fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16> {
     let (depth, color) = (&frame.depth_camera.intrinsics, &frame.color_camera.intrinsics);
     let column = ((x - color.cx) / color.fx * depth.fx + depth.cx).round() as i32;
@@ -511,7 +511,7 @@ fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16>
     near.into_iter().find_map(id)
 }
 
-/// The position that is nearest to the middle of all.
+/// Returns the position that is nearest to the middle of all.
 fn medoid(pixels: &[(f32, f32)]) -> Option<(f32, f32)> {
     let count = pixels.len() as f32;
     let middle = pixels.iter().fold((0.0, 0.0), |(x, y), p| (x + p.0 / count, y + p.1 / count));
@@ -519,7 +519,7 @@ fn medoid(pixels: &[(f32, f32)]) -> Option<(f32, f32)> {
     pixels.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).copied()
 }
 
-/// A frame's view of an object that covers these pixels of its color picture.
+/// Returns a frame's view of an object that covers these pixels of its color picture.
 fn to_view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
     let span = |of: fn(&(f32, f32)) -> f32, length: u32| {
         let low = pixels.iter().map(of).fold(f32::INFINITY, f32::min);

@@ -98,8 +98,8 @@ pub fn refine(
     Ok(region_of)
 }
 
-/// The region that the masks of one frame assign to each visible point, for points of regions that
-/// this frame separates from others.
+/// Returns the region that the masks of one frame assign to each visible point, for points of
+/// regions that this frame separates from others.
 fn assign_points(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
     let region = |&(point, _): &(u32, u16)| region_of[point as usize];
     // Neighbors mostly agree, so equal ones in a row are looked up once.
@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rim_that_came_along_goes_back() {
+    fn rim_points_return_to_the_surrounding_region() {
         // A picture (points 0 to 5) includes two points of its wall (4, 5). Masks 1 and 2 end where
         // the picture ends.
         let region_of = [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1];
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_that_does_not_tell_a_thing_from_its_support_says_nothing_of_it() {
+    fn frames_that_do_not_separate_a_region_do_not_vote_on_it() {
         // A mug (points 0, 1) on a table (2 to 9), all in one mask.
         let region_of = [0, 0, 1, 1, 1, 1, 1, 1, 1, 1];
         let hits: Vec<(u32, u16)> = (0..10).map(|i| (i, 1)).collect();
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn votes_find_the_leader_among_the_others() {
+    fn majority_vote_finds_the_leading_other_region() {
         let mut votes = PointVotes::default();
         [7, 3, 7, 0, 7, 5, 7].into_iter().for_each(|region| votes.add_vote(0, region));
         assert_eq!((votes.own, votes.other), (1, 7));

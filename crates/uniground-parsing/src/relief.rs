@@ -66,7 +66,7 @@ const LEAST_M: f32 = 0.003;
 /// starts at the plane. Meters.
 const HANGS_M: f32 = 0.065;
 
-/// A thing that may lie flat on a plane.
+/// A candidate for a thing that lies flat on a plane.
 struct FlatCandidate {
     id: InstanceId,
     plane: u32,
@@ -80,7 +80,7 @@ struct FlatCandidate {
 }
 
 impl FlatCandidate {
-    /// Height above the plane and position along it, meters.
+    /// Returns the height above the plane and position along it, meters.
     fn plane_coordinates(&self, p: &Point3<f32>) -> (f32, [f32; 2]) {
         let [height, a, b] = self.axes.map(|axis| (p - self.base).dot(&axis));
         (height, [a, b])
@@ -91,7 +91,7 @@ impl FlatCandidate {
     }
 }
 
-/// The things of a scan that may lie flat on planes of the building.
+/// The candidates for things that lie flat on planes of the building.
 pub struct FlatCandidates<'a> {
     superpoints: &'a Superpoints,
     planes: &'a Planes,
@@ -277,7 +277,7 @@ impl<'a> FlatCandidates<'a> {
             }
             let (from, to) = (quantile(&mut heights, TRIM)?, quantile(&mut heights, 1.0 - TRIM)?);
             let extent = (0..2).map(|i| flat.high[i] - flat.low[i]).fold(f32::INFINITY, f32::min);
-            // Nothing hovers above a floor.
+            // Nothing floats above a floor.
             let hangs = from > HANGS_M
                 && self.planes.planes[flat.plane as usize].structure != Structure::Floor;
             let span_m = (if hangs { from } else { 0.0 }, to);
@@ -317,10 +317,10 @@ mod tests {
         Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
     const WALL_Z: f32 = 2.0;
 
-    /// Measures a square thing in a cloud of five noisy frames, which drift to and fro by
-    /// `drift_m`. The thing's plane is two meters before a camera. Returns the relief, and the box
-    /// of the thing's points in the cloud.
-    fn found(
+    /// Measures a square thing in a cloud of five noisy frames that drift by up to `drift_m` in
+    /// both directions. The thing's plane is two meters before a camera. Returns the relief, and
+    /// the box of the thing's points in the cloud.
+    fn measure_relief(
         height_m: f32,
         width_m: f32,
         structure: Structure,
@@ -390,8 +390,8 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_as_thick_as_each_frame_has_it_however_they_drift() {
-        let (relief, in_cloud) = found(0.03, 0.6, Structure::Wall, 0.04);
+    fn relief_of_a_picture_does_not_depend_on_drift() {
+        let (relief, in_cloud) = measure_relief(0.03, 0.6, Structure::Wall, 0.04);
         let relief = relief.unwrap();
         assert!(in_cloud.size.z > 0.09, "{in_cloud:?}");
         assert!(relief.span_m.0 == 0.0 && (relief.span_m.1 - 0.03).abs() < 0.008, "{relief:?}");
@@ -400,23 +400,27 @@ mod tests {
         assert!((flattened.size.z - relief.span_m.1).abs() < 1e-4, "{flattened:?}");
         assert!(
             (flattened.size.xy() - in_cloud.size.xy()).norm() < 1e-4,
-            "as wide as before: {flattened:?}"
+            "the width does not change: {flattened:?}"
         );
     }
 
     #[test]
-    fn a_curtain_hangs_before_its_wall_and_nothing_floats_over_a_floor() {
-        let span = |structure| found(0.1, 0.8, structure, 0.0).0.unwrap().span_m;
+    fn curtains_hang_before_walls_and_nothing_floats_above_a_floor() {
+        let span = |structure| measure_relief(0.1, 0.8, structure, 0.0).0.unwrap().span_m;
         let (hanging, standing) = (span(Structure::Wall), span(Structure::Floor));
         assert!((hanging.0 - 0.1).abs() < 0.01 && (hanging.1 - 0.1).abs() < 0.01, "{hanging:?}");
         assert!(standing.0 == 0.0 && (standing.1 - 0.1).abs() < 0.01, "{standing:?}");
     }
 
     #[test]
-    fn doors_patches_of_wall_and_what_is_no_flatter_than_a_shoe_are_left_alone() {
-        assert_eq!(found(-0.05, 0.8, Structure::Wall, 0.0).0, None, "let into the wall");
-        assert_eq!(found(0.0, 0.8, Structure::Wall, 0.0).0, None, "the wall itself");
-        assert_eq!(found(0.1, 0.3, Structure::Floor, 0.0).0, None, "a shoe");
-        assert_eq!(found(0.5, 0.8, Structure::Wall, 0.0).0, None, "far from the plane");
+    fn recessed_coplanar_thick_and_distant_things_have_no_relief() {
+        assert_eq!(
+            measure_relief(-0.05, 0.8, Structure::Wall, 0.0).0,
+            None,
+            "recessed into the wall"
+        );
+        assert_eq!(measure_relief(0.0, 0.8, Structure::Wall, 0.0).0, None, "the wall itself");
+        assert_eq!(measure_relief(0.1, 0.3, Structure::Floor, 0.0).0, None, "a shoe");
+        assert_eq!(measure_relief(0.5, 0.8, Structure::Wall, 0.0).0, None, "far from the plane");
     }
 }

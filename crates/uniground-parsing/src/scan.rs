@@ -49,7 +49,7 @@ pub fn select_models(choice: ModelChoice, models: &Models) -> Models {
     )
 }
 
-/// Name and version of the models in use, or of the built-in methods in their place.
+/// Returns the name and version of the models in use, or of the built-in methods in their place.
 #[must_use]
 pub fn model_names(models: &Models) -> ParseModels {
     ParseModels {
@@ -91,8 +91,8 @@ pub fn parse_scan(
     parse_imported_scan(scan, settings, models, checkpoints, &progress.sub_range(imported, 1.0))
 }
 
-/// The share of a parse's time that the import takes with these models. Networks, if used, take
-/// nearly all of the time.
+/// Returns the share of a parse's time that the import takes with these models. Networks, if used,
+/// take nearly all of the time.
 #[must_use]
 pub fn import_share(models: &Models) -> f32 {
     if models.loaded.is_empty() { 0.25 } else { 0.01 }
@@ -123,7 +123,7 @@ impl ImportedScan {
             + largest * BYTES_PER_PIXEL * rayon::current_num_threads() as u64
     }
 
-    /// Time and memory of the import, for the report of the parse.
+    /// Returns the time and memory of the import, for the report of the parse.
     #[must_use]
     pub fn stages(&self) -> &[StageReport] {
         &self.stages
@@ -278,7 +278,7 @@ fn import(
         .map_or_else(Vec::new, |grown| grown.parts.into_iter().skip(1).collect());
     let first = if added.is_empty() { content.to_owned() } else { part_folder(content, 0) };
     let share = |parts: usize| parts as f32 / (added.len() + 1) as f32;
-    // Stored with paths relative to the folder, which may be elsewhere next time.
+    // Stored with paths relative to the folder, which can be elsewhere next time.
     let below =
         |folder: &Utf8Path, path: &Utf8Path| path.strip_prefix(folder).unwrap_or(path).to_owned();
     let load = || {

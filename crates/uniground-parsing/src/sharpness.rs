@@ -53,7 +53,7 @@ impl Sharpness {
         Self { size: (width, height), tiles }
     }
 
-    /// Mean over the tiles that a box touches: left, top, right, bottom, pixels.
+    /// Returns the mean over the tiles that a box touches: left, top, right, bottom, pixels.
     #[must_use]
     pub fn within(&self, [left, top, right, bottom]: [u32; 4]) -> f32 {
         let tile = |at: u32, length: u32| {
@@ -78,7 +78,7 @@ mod tests {
     use image::{Rgb, imageops};
 
     #[test]
-    fn a_blurred_photograph_is_less_sharp_and_even_ground_not_at_all() {
+    fn blurred_photographs_are_less_sharp_and_uniform_areas_have_zero_sharpness() {
         let photograph = RgbImage::from_fn(96, 64, |x, y| match x < 48 {
             true => Rgb([if (x / 4 + y / 4) % 2 == 0 { 220 } else { 30 }; 3]),
             false => Rgb([120; 3]),
@@ -98,7 +98,7 @@ mod tests {
         assert_eq!(
             Sharpness::measure(&RgbImage::new(1, 1)).within([0, 0, 1, 1]),
             0.0,
-            "too small to tell"
+            "too small to measure"
         );
     }
 }

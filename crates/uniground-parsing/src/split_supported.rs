@@ -146,14 +146,14 @@ impl CellRect {
         (right - left + 1) as f32 * (far - near + 1) as f32
     }
 
-    /// Whether it contains a cell, or one next to it.
+    /// Returns whether it contains a cell, or one next to it.
     fn contains_cell(self, (x, y): (i32, i32)) -> bool {
         let Self([left, near, right, far]) = self;
         (left - 1..=right + 1).contains(&x) && (near - 1..=far + 1).contains(&y)
     }
 }
 
-/// A level part of a region that may support things.
+/// A level part of a region that can support things.
 struct SupportSurface {
     z: f32,
     members: BTreeSet<u32>,
@@ -162,7 +162,7 @@ struct SupportSurface {
 }
 
 impl SupportSurface {
-    /// Whether these superpoints stand on it as one thing.
+    /// Returns whether these superpoints stand on it as one thing.
     fn is_supporting(&self, thing: &[u32], pieces: &[SuperpointFacts]) -> bool {
         let piece = |&s: &u32| &pieces[s as usize];
         let low_z = thing.iter().map(|s| piece(s).low_z).fold(f32::INFINITY, f32::min);
@@ -184,7 +184,7 @@ fn footprint(members: &[u32], pieces: &[SuperpointFacts]) -> BTreeSet<(i32, i32)
     members.iter().flat_map(|&s| pieces[s as usize].footprint.iter().copied()).collect()
 }
 
-/// The level surfaces of a region, largest first.
+/// Returns the level surfaces of a region, largest first.
 fn find_surfaces(pieces: &[SuperpointFacts], members: &[u32]) -> Vec<SupportSurface> {
     let height = |&s: &u32| pieces[s as usize].middle_z;
     let mut level: Vec<u32> =
@@ -234,7 +234,7 @@ mod tests {
 
     /// Splits one region of these blocks, given the pairs that touch. Returns the region of each
     /// block.
-    fn freed(blocks: &[Block], adjacent: &[(u32, u32)], plane: Option<u32>) -> Vec<u32> {
+    fn split_blocks(blocks: &[Block], adjacent: &[(u32, u32)], plane: Option<u32>) -> Vec<u32> {
         let (mut cloud, mut of_point, mut patches) =
             (PointCloud::default(), Vec::new(), Vec::new());
         for (i, (low, high, normal)) in (0..).zip(blocks) {
@@ -271,50 +271,53 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_on_a_table_is_set_free_in_one_piece() {
+    fn objects_on_a_table_are_split_off_in_one_piece_each() {
         let foot = ([0.2, 0.2, 0.76], [0.3, 0.3, 0.86], Vector3::x());
         let shade = ([0.15, 0.15, 0.86], [0.35, 0.35, 1.1], Vector3::x());
         let box_ = ([1.0, 0.4, 0.76], [1.2, 0.6, 0.9], Vector3::x());
         let leg = ([0.0, 0.0, 0.0], [0.06, 0.06, 0.7], Vector3::x());
         let adjacent = [(0, 1), (1, 2), (0, 3), (0, 4)];
-        assert_eq!(freed(&[top(), foot, shade, box_, leg], &adjacent, None), [0, 1, 1, 2, 0]);
         assert_eq!(
-            freed(&[top(), foot, shade, box_, leg], &adjacent, Some(0)),
+            split_blocks(&[top(), foot, shade, box_, leg], &adjacent, None),
+            [0, 1, 1, 2, 0]
+        );
+        assert_eq!(
+            split_blocks(&[top(), foot, shade, box_, leg], &adjacent, Some(0)),
             [0; 5],
             "a plane of the building"
         );
     }
 
     #[test]
-    fn backs_overhangs_and_crumbs_stay() {
+    fn backs_overhangs_and_small_pieces_are_not_split_off() {
         let back = ([0.0, 0.0, 0.76], [1.4, 0.5, 1.2], Vector3::y());
         let beside = ([1.38, 0.2, 0.76], [1.7, 0.6, 1.0], Vector3::x());
         let floating = ([0.5, 0.5, 0.9], [0.7, 0.7, 1.1], Vector3::x());
         let crumb = ([0.5, 0.6, 0.76], [0.52, 0.62, 0.82], Vector3::x());
         for other in [back, beside, floating, crumb] {
-            assert_eq!(freed(&[top(), other], &[(0, 1)], None), [0, 0], "{other:?}");
+            assert_eq!(split_blocks(&[top(), other], &[(0, 1)], None), [0, 0], "{other:?}");
         }
     }
 
     #[test]
-    fn a_screen_stays_on_its_foot() {
+    fn screen_is_not_split_off_its_foot() {
         let foot = ([0.0, 0.0, 0.74], [0.6, 0.4, 0.74], Vector3::z());
         let low = ([0.1, 0.1, 0.76], [0.4, 0.2, 0.86], Vector3::y());
         assert_eq!(
-            freed(&[foot, low], &[(0, 1)], None),
+            split_blocks(&[foot, low], &[(0, 1)], None),
             [0, 1],
-            "as much of it as a thing on a tray"
+            "less than half of the region, like a thing on a tray"
         );
         let high = ([0.1, 0.1, 0.76], [0.4, 0.2, 1.2], Vector3::y());
-        assert_eq!(freed(&[foot, high], &[(0, 1)], None), [0, 0]);
+        assert_eq!(split_blocks(&[foot, high], &[(0, 1)], None), [0, 0]);
     }
 
     #[test]
-    fn a_small_or_sloping_surface_is_no_top() {
+    fn small_or_sloping_surfaces_do_not_support_things() {
         let mug = ([0.1, 0.1, 0.76], [0.2, 0.2, 0.9], Vector3::x());
         let small = ([0.0, 0.0, 0.74], [0.24, 0.24, 0.74], Vector3::z());
-        assert_eq!(freed(&[small, mug], &[(0, 1)], None), [0, 0]);
+        assert_eq!(split_blocks(&[small, mug], &[(0, 1)], None), [0, 0]);
         let sloping = ([0.0, 0.0, 0.74], [1.4, 0.8, 0.74], Vector3::new(0.0, 0.3, 0.95));
-        assert_eq!(freed(&[sloping, mug], &[(0, 1)], None), [0, 0]);
+        assert_eq!(split_blocks(&[sloping, mug], &[(0, 1)], None), [0, 0]);
     }
 }

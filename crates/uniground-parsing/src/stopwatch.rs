@@ -51,8 +51,8 @@ fn reset_peak_memory() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 
-/// Largest resident memory of the process since the last reset, MB; `None` where the system does
-/// not report it.
+/// Returns the largest resident memory of the process since the last reset, MB; `None` where the
+/// system does not report it.
 fn peak_memory_mb() -> Option<u32> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stages_are_noted_in_order_and_failures_are_not() {
+    fn successful_stages_are_recorded_and_failed_ones_are_not() {
         let mut watch = Stopwatch::default();
         let first = watch.time("first", |outcome| {
             outcome.produced = 3;

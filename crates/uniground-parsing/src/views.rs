@@ -178,7 +178,7 @@ fn sightings(
         .collect()
 }
 
-/// Share of an instance that is in the picture, times the share of that which nothing else hides.
+/// Returns the share of an instance that is in the picture, times the unoccluded share of that.
 ///
 /// Points that are not visible are known only for a sample of `sampled` points.
 fn visible_share(
@@ -202,7 +202,7 @@ struct InstanceInFrame {
     masks: Vec<(u16, u32)>,
 }
 
-/// For each instance, the best IoU of its visible points and a mask. Things have ids up to
+/// Returns the best IoU of visible points and a mask for each instance. Things have ids up to
 /// `things`; the other instances overlap them.
 fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
     let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
@@ -249,7 +249,7 @@ pub fn compute_sightings(
     Ok(compute_instance_views(labeled, None, frames, masks, progress)?.sightings)
 }
 
-/// Same as [`compute_sightings`], plus the reliefs of flat things.
+/// Computes the same as [`compute_sightings`], plus the reliefs of flat things.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
@@ -336,7 +336,7 @@ const LEAST_SHARP: f32 = 0.3;
 /// how large it is, and how sharp.
 ///
 /// The first counts squared: with half of a thing in view, it is at most a quarter as easy to
-/// recognize, however large.
+/// recognize, at any size.
 fn score_views(seen: Vec<Sighting>, sharpness: &SharpnessOfFrames) -> Vec<(f32, View)> {
     let sharp: Vec<Option<f32>> =
         seen.iter().map(|s| Some(sharpness.get(&s.view.frame)?.within(s.view.box_px))).collect();
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_view_comes_first_and_the_next_from_far_away() {
+    fn best_view_comes_first_and_is_followed_by_distant_views() {
         // Cameras stand on a line at x = frame number. Frame 9 hardly shows the thing. Frames 0 and
         // 2 are equally far from 1, and 2 shows more.
         let seen = [(0.8, 0), (1.0, 1), (0.9, 2), (0.7, 6), (0.1, 9)]
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn a_view_is_worth_more_whole_large_and_sharp() {
+    fn complete_large_and_sharp_views_score_higher() {
         let worth = |seen: &[Sighting], sharpness: &SharpnessOfFrames| -> Vec<f32> {
             score_views(seen.to_vec(), sharpness).into_iter().map(|(worth, _)| worth).collect()
         };
@@ -417,7 +417,7 @@ mod tests {
             &[sighting(0, 0.5, 30_000.0), sighting(1, 1.0, 20_000.0), sighting(2, 1.0, 30_000.0)],
             &nothing_known,
         )[..] else {
-            panic!("three views")
+            panic!("expected three views")
         };
         assert!(half_hidden < whole && whole < near);
         let even = RgbImage::from_pixel(32, 32, image::Rgb([90; 3]));
@@ -431,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_the_picture_or_hidden_is_missing() {
+    fn points_outside_the_picture_or_hidden_lower_the_visible_share() {
         let front: Vec<(f32, f32)> =
             (0..40).flat_map(|x| (0..40).map(move |y| (x as f32 * 2.0, y as f32 * 2.0))).collect();
         let beside: Vec<(InstanceId, (f32, f32))> = (0..20)
@@ -442,15 +442,19 @@ mod tests {
         assert_eq!(
             (visible_share(&front, &[], 0, 400), visible_share(&front, &[], 0, 800)),
             (1.0, 0.5),
-            "half of it out of the picture"
+            "half of it is outside the picture"
         );
-        assert_eq!(visible_share(&front, &[], 400, 800), 1.0, "nothing is known to hide it");
+        assert_eq!(
+            visible_share(&front, &[], 400, 800),
+            1.0,
+            "points of unknown visibility do not count as hidden"
+        );
         let covered = visible_share(&front, &beside, 0, 800);
-        assert!((0.4..0.6).contains(&covered), "half of it behind something: {covered}");
+        assert!((0.4..0.6).contains(&covered), "half of it is hidden: {covered}");
     }
 
     #[test]
-    fn an_instance_agrees_with_the_mask_that_shows_just_it() {
+    fn agreement_is_the_iou_with_the_best_fitting_mask() {
         // Six pixels in a row: instance 1 on four, 2 on two. Mask 5 is instance 1 minus a pixel;
         // mask 7 the rest.
         let hits: Vec<InstancePixel> = (0..6)
@@ -471,7 +475,7 @@ mod tests {
     }
 
     #[test]
-    fn an_instance_nobody_sees_has_no_views() {
+    fn unseen_instance_has_no_views() {
         assert!(
             select_distant(Vec::new(), &ViewSettings::default(), |_| Point3::origin()).is_empty()
         );

@@ -56,7 +56,7 @@ pub struct FramePoint {
 /// One in this many invisible points is reported: they only measure how much of a thing is hidden.
 pub const SAMPLED: u32 = 4;
 
-/// Whether [`Visibility::around_frame`] also reports this point when it is not visible.
+/// Returns whether [`Visibility::around_frame`] also reports this point when it is not visible.
 #[must_use]
 pub fn is_sampled(point: u32) -> bool {
     point.is_multiple_of(SAMPLED)
@@ -68,8 +68,6 @@ impl Visibility {
     ///
     /// `depth_tolerance` is relative: a point at depth `z` is visible when `|z - d| <= tolerance *
     /// d`. A hole in the depth is unknown, so nothing is visible there.
-    /// `depth_tolerance` is relative: a point at depth `z` is visible when `|z - d| <= tolerance *
-    /// d`. A hole in the depth is unknown, hence nothing is visible there.
     #[must_use]
     pub fn new(cloud: &PointCloud, group_of: &[u32], depth_tolerance: f32) -> Self {
         let positions = &cloud.positions;
@@ -105,8 +103,8 @@ impl Visibility {
         self.collect_points(camera, depth, |_, sight| sight == PointVisibility::Visible)
     }
 
-    /// Same as [`in_frame`](Self::in_frame), plus a sample of the points that are inside the
-    /// picture but not visible; see [`is_sampled`].
+    /// Returns the same as [`in_frame`](Self::in_frame), plus a sample of the points that are
+    /// inside the picture but not visible; see [`is_sampled`].
     #[must_use]
     pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
         self.collect_points(camera, depth, |point, sight| {
@@ -148,9 +146,9 @@ mod tests {
     use uniground_geometry::Isometry3;
     use uniground_geometry::scene::Intrinsics;
 
-    /// A camera at the origin looking along +Z at a wall two meters away, with a hole in its last
-    /// row.
-    fn look() -> (Camera, DepthImage) {
+    /// Returns a camera at the origin that looks along +Z at a wall two meters away, with a hole in
+    /// its last row.
+    fn camera_and_depth() -> (Camera, DepthImage) {
         let intrinsics = Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, cx: 1.5, cy: 1.5 };
         let depth_m = (0..16).map(|i| if i < 12 { 2.0 } else { 0.0 }).collect();
         (
@@ -161,7 +159,7 @@ mod tests {
 
     #[test]
     fn occluded_points_holes_and_points_outside_are_not_visible() {
-        let (camera, depth) = look();
+        let (camera, depth) = camera_and_depth();
         let at = |u: f32, v: f32, z: f32| camera.intrinsics.unproject(u, v, z);
         let outside = [Point3::new(9.0, 0.0, 2.0), Point3::new(0.0, 0.0, -2.0)];
         let positions = vec![
@@ -181,8 +179,8 @@ mod tests {
     }
 
     #[test]
-    fn of_points_that_are_not_visible_a_sample_is_told() {
-        let (camera, depth) = look();
+    fn invisible_points_are_reported_as_a_sample() {
+        let (camera, depth) = camera_and_depth();
         let at = |u: f32, v: f32, z: f32| camera.intrinsics.unproject(u, v, z);
         let positions = [
             [at(0.0, 0.0, 2.0); 8],
@@ -209,10 +207,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn clusters_hide_nothing_and_groups_come_in_order(
+        fn visible_points_are_complete_and_sorted_by_group(
             points in prop::collection::vec((prop::array::uniform3(-3.0_f32..3.0), 0_u32..4), 1..300),
         ) {
-            let (camera, depth) = look();
+            let (camera, depth) = camera_and_depth();
             let (positions, group_of): (Vec<_>, Vec<u32>) = points.into_iter().map(|(p, group)| (Point3::from(p), group)).unzip();
             let expected: Vec<u32> = (0..)
                 .zip(&positions)

@@ -1,10 +1,10 @@
 //! Walls and ceilings as planes, which a picture leaves out so that it shows a room from outside.
 //!
-//! Stage 1 says which instances are parts of the building. Planes are fitted to the points in the
-//! box of each, so sloped ceilings work as well as level ones, and parses of any age can be drawn.
-//! A plane faces the room. If its back faces the camera, its points are not drawn, nor are those of
-//! things that hang on it. A plane between the camera and a subject is left out too, whichever way
-//! it faces.
+//! Stage 1 marks the instances that are parts of the building. Planes are fitted to the points in
+//! the box of each, so sloped ceilings work as well as level ones, and parses of any age can be
+//! drawn. A plane faces the room. If its back faces the camera, its points are not drawn, nor are
+//! those of things that hang on it. A plane between the camera and a subject is left out too,
+//! whichever way it faces.
 
 use nalgebra::Rotation3;
 use rayon::prelude::*;
@@ -30,7 +30,7 @@ const SAMPLE: usize = 1500;
 const TRIALS: u32 = 120;
 /// Points within this distance of a candidate plane lie on it, meters.
 const TRIED_M: f32 = 0.04;
-/// Growth of a box on each side, because it may miss that much of its wall, meters.
+/// Growth of a box on each side, because it can miss that much of its wall, meters.
 const BOX_GROWTH_M: f32 = 0.05;
 /// Largest `|z|` of the unit normal of a wall, and smallest of a ceiling.
 const WALL_MAX_Z: f32 = 0.4;
@@ -188,7 +188,7 @@ impl Building {
         Some(Self { sheets, of_point, boxes })
     }
 
-    /// Whether any of the planes is a ceiling.
+    /// Returns whether any of the planes is a ceiling.
     pub fn has_ceiling(&self) -> bool {
         self.sheets.iter().any(|sheet| sheet.structure == Structure::Ceiling)
     }
@@ -218,8 +218,8 @@ impl Building {
         Opening { open: self.sheets.iter().map(open).collect(), shown }
     }
 
-    /// Whether a point is drawn. Where an open wall meets another, its rim is left out too. In a
-    /// subject's box, the subject is drawn but not the wall it stands at.
+    /// Returns whether a point is drawn. Where an open wall meets another, its rim is left out too.
+    /// In a subject's box, the subject is drawn but not the wall it stands at.
     pub fn is_drawn(&self, point: usize, p: &Point3<f32>, opening: &Opening) -> bool {
         let own =
             self.of_point[point].into_iter().filter_map(|number| (number as usize).checked_sub(1));
@@ -254,7 +254,7 @@ impl Building {
 }
 
 impl Opening {
-    /// Whether a point belongs to a subject.
+    /// Returns whether a point belongs to a subject.
     pub fn is_on_subject(&self, p: &Point3<f32>) -> bool {
         self.shown.iter().any(|s| box_contains(&s.within, RIM_M, p))
     }
@@ -308,7 +308,7 @@ impl PlaneRect {
         self.middle + self.along * along_m + self.up * up_m
     }
 
-    /// Whether a point is over the rectangle, grown by `growth_m`.
+    /// Returns whether a point is over the rectangle, grown by `growth_m`.
     fn covers(&self, p: &Point3<f32>, growth_m: f32) -> bool {
         let d = p - self.middle;
         [self.along, self.up].iter().zip(&self.rect).all(|(axis, [low, high])| {
@@ -328,7 +328,7 @@ impl PlaneRect {
         .then_some(distance.abs())
     }
 
-    /// Whether a box lies flat on the plane, as pictures do.
+    /// Returns whether a box lies flat on the plane, as pictures do.
     fn is_flat(&self, of: &OrientedBox, depth_m: f32) -> bool {
         corners(of).iter().all(|corner| self.distance(corner).abs() < depth_m)
     }
@@ -337,7 +337,7 @@ impl PlaneRect {
         self.faces == WallSides::Room && self.distance(eye) < 0.0
     }
 
-    /// Whether the plane is between the eye and much of a box.
+    /// Returns whether the plane is between the eye and much of a box.
     fn is_hiding(&self, subject: &OrientedBox, eye: &Point3<f32>) -> bool {
         let corners = corners(subject).map(|corner| corner + (subject.center - corner) * DRAWN_IN);
         let before = self.distance(eye);
@@ -377,7 +377,7 @@ fn find_planes(
 }
 
 /// Returns unit normal and offset of the plane through three of the points that most points lie on,
-/// among planes that may be a wall or a ceiling.
+/// among planes whose direction fits a wall or a ceiling.
 fn best_plane(points: &[Point3<f32>], structure: Structure) -> Option<(Vector3<f32>, f32)> {
     let sample: Vec<Point3<f32>> =
         points.iter().step_by(points.len().div_ceil(SAMPLE)).copied().collect();
@@ -535,7 +535,7 @@ fn corners(of: &OrientedBox) -> [Point3<f32>; 8] {
         .map(|corner| of.center + turn * corner.coords)
 }
 
-/// Whether a point is in a box grown by `growth_m` on all sides, meters.
+/// Returns whether a point is in a box grown by `growth_m` on all sides, meters.
 pub(super) fn box_contains(of: &OrientedBox, growth_m: f32, p: &Point3<f32>) -> bool {
     let (sin, cos) = of.yaw_rad.sin_cos();
     let d = p - of.center;

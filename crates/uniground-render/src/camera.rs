@@ -47,8 +47,9 @@ pub(super) struct Distance {
     pub min_height_m: f32,
 }
 
-/// `e = c + D d` with `d = R_azim R_tilt (0, 0, 1)` and `D = alpha max(extent)` (paper). Radius and
-/// height are `D sin` and `D cos` of the tilt, each at least its bound.
+/// Returns the camera position `e = c + D d` with `d = R_azim R_tilt (0, 0, 1)` and `D = alpha
+/// max(extent)` (paper). Radius and height are `D sin` and `D cos` of the tilt, each at least its
+/// bound.
 pub(super) fn eye_position(
     target: &Point3<f32>,
     extent: &Aabb,
@@ -67,7 +68,7 @@ pub(super) fn eye_position(
         )
 }
 
-/// `R_azim R_tilt (0, 0, 1)`: from straight above, tilted toward +X, rotated about +Z.
+/// Returns `R_azim R_tilt (0, 0, 1)`: straight up, tilted toward +X, then rotated about +Z.
 fn view_direction(azimuth_deg: f32, tilt_deg: f32) -> Vector3<f32> {
     let (tilt, azimuth) = (tilt_deg.to_radians(), azimuth_deg.to_radians());
     Vector3::new(tilt.sin() * azimuth.cos(), tilt.sin() * azimuth.sin(), tilt.cos())
@@ -85,9 +86,9 @@ pub(super) fn default_intrinsics(width: u32, height: u32) -> Intrinsics {
     }
 }
 
-/// Camera-to-world pose at `eye` looking at `target`, OpenCV axes: `z = (c - e) / |c - e|`, `x = z
-/// x up` normalized, `y = z x x`. The paper's rows are those of a library with x to the left and y
-/// up: its `x = up x z` is `-x` here, which gives the same picture.
+/// Returns the camera-to-world pose at `eye` looking at `target`, OpenCV axes: `z = (c - e) / |c -
+/// e|`, `x = z x up` normalized, `y = z x x`. The paper's rows are those of a library with x to the
+/// left and y up: its `x = up x z` is `-x` here, which gives the same picture.
 ///
 /// Straight down, image-up is the direction away from the azimuth, so nothing is undefined.
 pub(super) fn look_at(eye: &Point3<f32>, target: &Point3<f32>, azimuth_rad: f32) -> Isometry3<f32> {
@@ -125,7 +126,7 @@ pub(super) fn calibrate(
         return wide;
     }
     let room = 1.0 - 2.0 * margin;
-    // A scene of one point has no width: it still gets a picture.
+    // A scene of one point has no width but still gets a picture.
     let spread = |axis: usize| (high[axis] - low[axis]).max(1e-3);
     let focal = (wide.width as f32 * room / spread(0))
         .min(wide.height as f32 * room / spread(1))
@@ -144,7 +145,7 @@ mod tests {
         Aabb { center: Point3::new(1.0, -2.0, 1.2), size: Vector3::new(6.0, 4.0, 2.4) };
 
     #[test]
-    fn every_corner_is_in_the_picture_from_everywhere() {
+    fn every_corner_of_the_scene_is_in_the_picture() {
         for azimuth_deg in [0.0, 120.0, 240.0, -90.0] {
             for tilt_deg in [0.0, 15.0, 60.0] {
                 let camera = Orbit { width: 680, height: 480, azimuth_deg, tilt_deg }.camera(&ROOM);
@@ -159,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn from_the_south_east_is_right_and_up_is_up() {
+    fn view_from_the_south_has_east_right_and_up_at_the_top() {
         let camera =
             Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg: 45.0 }.camera(&ROOM);
         let at = |p: Point3<f32>| camera.project(&p).unwrap();
@@ -168,12 +169,12 @@ mod tests {
         assert!(at(ROOM.center + Vector3::z() * 0.5).v < center.v);
         assert!(
             at(ROOM.center + Vector3::y()).v < center.v,
-            "further away is higher in the picture"
+            "farther points are higher in the picture"
         );
     }
 
     #[test]
-    fn straight_down_keeps_the_same_sides() {
+    fn straight_down_view_keeps_the_orientation() {
         let from = |tilt_deg| {
             Orbit { width: 400, height: 400, azimuth_deg: -90.0, tilt_deg }.camera(&ROOM)
         };
@@ -185,10 +186,10 @@ mod tests {
         }
     }
 
-    /// Computed by hand: a scene 6 m long at alpha 1.5 is seen from 9 m; at 15 degrees that is
+    /// Computed by hand: a scene 6 m long at alpha 1.5 is seen from 9 m. At 15 degrees that is
     /// 2.3294 m out and 8.6933 m up.
     #[test]
-    fn the_eye_is_where_the_paper_puts_it_and_never_too_near() {
+    fn eye_position_follows_the_paper_with_minimum_distances() {
         let far = Distance { alpha: 1.5, min_radius_m: 0.5, min_height_m: 1.0 };
         let target = Point3::new(1.0, 2.0, 0.5);
         let at = |azimuth_deg, distance| {
@@ -204,7 +205,7 @@ mod tests {
     /// with a margin of 10 % shows it on 80 px: f = 160. Its middle, .5 m off the axis, moves to
     /// the picture's middle.
     #[test]
-    fn calibration_fills_the_picture_and_leaves_the_pose() {
+    fn calibration_fills_the_picture_within_the_zoom_limit() {
         let pose =
             look_at(&Point3::new(0.0, 0.0, 4.0), &Point3::origin(), -std::f32::consts::FRAC_PI_2);
         let camera = Camera::new(default_intrinsics(100, 100), &pose);
@@ -231,7 +232,7 @@ mod tests {
 
     /// The world-to-camera rows by the paper's own formulas, in its axes (x left, y up).
     #[test]
-    fn look_at_is_the_paper_s_matrix_in_other_axes() {
+    fn look_at_equals_the_paper_matrix_in_other_axes() {
         for (eye, target) in
             [([3.0, 1.0, 4.0], [0.5, -0.5, 0.7]), ([0.0, -2.0, 1.0], [0.0, 2.0, 1.5])]
         {

@@ -177,7 +177,7 @@ impl GlobalView {
     }
 }
 
-/// Longer side of a box in the picture, pixels; `None` behind the camera.
+/// Returns the longer side of a box in the picture, pixels; `None` behind the camera.
 pub(super) fn longer_side(camera: &Camera, aabb: &Aabb) -> Option<f32> {
     projected_bounds(camera, aabb).map(|rect| rect.width().max(rect.height()))
 }
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn all_boxes_are_in_every_view_whatever_the_azimuth() {
+    fn all_boxes_are_in_the_view_at_every_azimuth() {
         let (view, subjects) = (GlobalView::default(), subjects());
         for azimuth in [0.0, 45.0, 120.0, 240.0] {
             let camera = view.camera(&ROOM, &subjects, azimuth);
@@ -233,7 +233,7 @@ mod tests {
     /// positions of the words are also computed by hand: from azimuth a the picture's right is
     /// (-sin a, cos a), its upper border (-cos a, -sin a).
     #[test]
-    fn words_stand_where_things_lie() {
+    fn direction_words_are_on_the_side_of_their_direction() {
         let mut cloud = PointCloud::default();
         for (direction, color) in [
             (Vector3::x(), [255, 0, 0]),
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_subjects_give_the_same_picture() {
+    fn global_render_is_deterministic() {
         let mut cloud = PointCloud::default();
         cloud.positions.extend(
             (0..500).map(|i| Point3::new((i % 25) as f32 * 0.1, (i / 25) as f32 * 0.1, 0.0)),

@@ -67,7 +67,7 @@ mod tests {
     use uniground_geometry::scene::PointCloud;
 
     #[test]
-    fn what_hangs_from_the_ceiling_is_seen() {
+    fn things_that_hang_from_the_ceiling_are_visible() {
         let mut cloud = PointCloud::default();
         for i in 0..100 {
             for j in 0..100 {
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn the_thing_is_in_the_crop_and_its_place_in_the_frame() {
+    fn crop_shows_the_thing_and_frame_its_place() {
         let mut cloud = PointCloud::default();
         for i in 0..60 {
             for j in 0..60 {

@@ -112,7 +112,7 @@ impl Collage {
         shots.iter().zip(self.layout(shots).areas).filter_map(tiles).flatten().collect()
     }
 
-    /// Draws a collage. Without shots, it draws only the tag, which says so.
+    /// Draws a collage. Without shots, it draws only the tag, which states that there are none.
     #[must_use]
     pub fn draw(&self, id: u32, shots: &[Shot]) -> RgbImage {
         let shots = self.select_shots(shots);
@@ -169,7 +169,7 @@ pub fn mosaic_tiles(shots: &[&Shot], columns: u32, tile_px: u32) -> Vec<Tile> {
     shots.iter().zip(cell_corners(columns, tile_px)).filter_map(tile).collect()
 }
 
-/// Top left corners of the cells of a mosaic, row by row.
+/// Returns the top left corners of the cells of a mosaic, row by row.
 fn cell_corners(columns: u32, tile_px: u32) -> impl Iterator<Item = (u32, u32)> {
     (0..).map(move |i: u32| (i % columns.max(1) * tile_px, i / columns.max(1) * tile_px))
 }
@@ -278,7 +278,7 @@ mod tests {
         }
     }
 
-    /// Relative luminance (WCAG).
+    /// Returns the relative luminance (WCAG).
     fn luminance(p: &Rgb<u8>) -> f32 {
         let linear = |c: u8| {
             let c = f32::from(c) / 255.0;
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_bounded_whatever_the_photographs() {
+    fn collage_size_is_bounded_for_any_photographs() {
         for (count, width) in [(1, 512), (2, 768), (3, 1023)] {
             for frame in [(640, 480), (1296, 968), (4000, 300)] {
                 let shots = vec![shot(frame.0, frame.1); count];
@@ -307,7 +307,7 @@ mod tests {
     /// The model's input: letters at least 16 pixels tall with a contrast of at least 7 : 1 (WCAG
     /// AAA), and a red outline at the object, also on a photograph four times as large.
     #[test]
-    fn the_label_is_readable_and_the_box_is_there() {
+    fn label_is_readable_and_box_is_drawn() {
         for frame in [(640, 480), (2560, 1920)] {
             let collage = Collage::default().draw(22, &vec![shot(frame.0, frame.1); 3]);
             let rows: Vec<u32> = (0..32)
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mosaic_holds_every_tile() {
+    fn mosaic_contains_every_tile() {
         let red = Shot { crop: RgbImage::from_pixel(40, 40, Rgb([200, 40, 40])), ..shot(64, 48) };
         let tiles: Vec<(u32, &Shot)> = (1..=7).map(|id| (id, &red)).collect();
         let sheet = draw_mosaic(&tiles, 4, 170);
@@ -349,7 +349,7 @@ mod tests {
     /// The crop has the outline of the mask and dimmed surroundings. The photograph has the outline
     /// and its box, and no dimming.
     #[test]
-    fn an_object_whose_mask_is_known_stands_out() {
+    fn object_with_a_mask_is_outlined_and_its_surroundings_dimmed() {
         let mask = CellMask::from_fn(4, 4, |column, _| column < 2);
         let shot = Shot { mask: Some((mask, [0.25, 0.25, 0.75, 0.75])), ..shot(640, 480) };
         let collage =
@@ -374,14 +374,14 @@ mod tests {
             frame
                 .flat_map(|y| (0..512).map(move |x| (x, y)))
                 .all(|(x, y)| collage.get_pixel(x, y).0 != [79; 3]),
-            "nothing is dimmed"
+            "the photograph is not dimmed"
         );
     }
 
     /// A mark in a photograph is found again from its position on the collage and on the sheet, in
     /// the crop and in the whole.
     #[test]
-    fn a_place_on_a_collage_is_a_place_in_a_photograph() {
+    fn positions_on_a_collage_map_back_to_the_photograph() {
         let mut photograph = RgbImage::from_pixel(640, 480, Rgb([120; 3]));
         for (x, y) in (310..330).flat_map(|x| (210..230).map(move |y| (x, y))) {
             photograph.put_pixel(x, y, Rgb([20, 220, 30]));
@@ -413,7 +413,7 @@ mod tests {
         let tiles = collage.tiles(&shots);
         assert!(tiles.len() == 2 && tiles.iter().all(|tile| tile.frame.0 == 7));
         assert!(marks(&collage.draw(3, &shots), &tiles) > 500);
-        let [first, second] = &shots[..] else { panic!("two shots") };
+        let [first, second] = &shots[..] else { panic!("expected two shots") };
         assert!(
             marks(
                 &draw_mosaic(&[(1, first), (2, second)], 1, 170),
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn without_photographs_the_tag_says_so() {
+    fn collage_without_photographs_has_a_tag() {
         let collage = Collage::default().draw(5, &[]);
         assert!(collage.pixels().any(|p| luminance(p) < 0.05));
     }

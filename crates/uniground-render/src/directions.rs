@@ -63,7 +63,7 @@ pub(super) fn place_words(
         .collect()
 }
 
-/// Direction in the picture, pixels per meter at `target`.
+/// Returns the direction in the picture, pixels per meter at `target`.
 fn project_direction(
     camera: &Camera,
     target: &Point3<f32>,
@@ -129,7 +129,7 @@ pub(super) fn draw(
     taken
 }
 
-/// A triangle beyond a word, in the direction it points to.
+/// Returns a triangle beyond a word, in the direction it points to.
 fn arrow_path(rect: &Rect, towards: Vector2<f32>) -> Option<tiny_skia::Path> {
     let (half_w, half_h) = (rect.width() / 2.0, rect.height() / 2.0);
     let middle = Vector2::new(rect.left() + half_w, rect.top() + half_h);

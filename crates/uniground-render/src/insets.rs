@@ -167,7 +167,7 @@ mod tests {
                 assert_eq!(
                     insets.iter().map(|inset| inset.boxes.len()).collect::<Vec<_>>(),
                     [2, 1],
-                    "neighbours share one"
+                    "neighbors share one inset"
                 );
                 let all = Rect::from_xywh(0.0, 0.0, view_px as f32, view_px as f32).unwrap();
                 for (k, inset) in insets.iter().enumerate() {
@@ -181,7 +181,7 @@ mod tests {
                     );
                     assert!(
                         all.intersect(&inset.rect) == Some(inset.rect),
-                        "it is within the view"
+                        "the inset is within the view"
                     );
                     assert!(insets[..k].iter().all(|other| !overlap(&other.rect, &inset.rect)));
                     assert!(apart.boxes.iter().all(|b| !overlap(
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_free_place_there_is_none() {
+    fn no_inset_is_placed_without_free_space() {
         let apart = subjects(&[[-9.0, 2.0], [8.0, -3.0]], 0.15);
         let hall = Aabb { center: Point3::origin(), size: Vector3::new(40.0, 25.0, 4.0) };
         let camera = GlobalView::default().camera(&hall, &apart, 0.0);

@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_encoded_decodes_to_nearly_the_same() {
+    fn encoded_picture_decodes_to_nearly_the_same_pixels() {
         let picture = RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8 * 3, y as u8 * 4, 90]));
         let decoded = image::load_from_memory(&encode_jpeg(&picture)).unwrap().into_rgb8();
         let worst = picture.iter().zip(decoded.iter()).map(|(a, b)| a.abs_diff(*b)).max();
@@ -41,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_too_large_for_jpeg_is_empty() {
+    fn picture_too_large_for_jpeg_gives_an_empty_file() {
         assert!(encode_jpeg(&RgbImage::new(70_000, 1)).is_empty());
     }
 }

@@ -77,7 +77,7 @@ pub fn draw_scene(
     picture
 }
 
-/// The drawn points over the background.
+/// Returns the drawn points over the background.
 fn over_background(drawn: &Splats) -> RgbImage {
     let mut picture =
         RgbImage::from_pixel(drawn.picture.width(), drawn.picture.height(), BACKGROUND);

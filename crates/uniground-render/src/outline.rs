@@ -14,7 +14,7 @@ const BOTH_WIDTH: f32 = 3.2;
 /// Pictures with more pixels than this on their shorter side get thicker lines.
 const USUAL_PX: f32 = 480.0;
 
-/// How far the lines reach outside of the object in a picture of this size, pixels.
+/// Returns how far the lines reach outside of the object in a picture of this size, pixels.
 #[must_use]
 pub fn outline_reach(width: u32, height: u32) -> u32 {
     (BOTH_WIDTH * line_unit_px(width, height)).ceil() as u32
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_runs_around_the_mask_on_any_ground() {
+    fn outline_is_visible_on_any_background() {
         for ground in [[0; 3], [255; 3], [255, 240, 40], [128; 3]] {
             let picture = drawn(ground, Surroundings::Kept);
             let differs = |x: u32, y: u32| {
@@ -134,13 +134,13 @@ mod tests {
             assert_eq!(
                 (picture.get_pixel(60, 50).0, picture.get_pixel(12, 3).0),
                 (ground, ground),
-                "neither within nor far away"
+                "pixels inside the mask and far away do not change"
             );
         }
     }
 
     #[test]
-    fn surroundings_are_dimmed_within_the_area_alone() {
+    fn surroundings_are_dimmed_only_within_the_area() {
         let picture = drawn([200; 3], Surroundings::Dimmed);
         assert_eq!(
             [(60, 50), (12, 3), (5, 50), (115, 50)].map(|(x, y)| picture.get_pixel(x, y).0[0]),
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mask_beyond_the_area_is_cut() {
+    fn mask_is_clipped_to_the_area() {
         let mut picture = RgbImage::from_pixel(60, 60, Rgb([90; 3]));
         draw_outline(
             &mut picture,

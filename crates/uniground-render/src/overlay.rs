@@ -18,7 +18,7 @@ pub enum BoxStyle {
     Answer,
     /// An object that the answer is related to: red.
     Anchor,
-    /// Any other instance that may be meant: blue, the thinnest lines.
+    /// Any other candidate: blue, the thinnest lines.
     Candidate,
 }
 
@@ -106,7 +106,8 @@ pub(super) fn draw(
     }
 }
 
-/// Position in the picture, possibly outside of it, and depth; `None` behind the camera.
+/// Returns the position in the picture, possibly outside of it, and depth; `None` behind the
+/// camera.
 pub(super) fn position(camera: &Camera, point: &Point3<f32>) -> Option<(Point2<f32>, f32)> {
     let p = camera.world_to_camera() * point;
     let i = &camera.intrinsics;
@@ -277,7 +278,8 @@ pub(super) fn place_labels(
     places
 }
 
-/// Bounds of a box in the picture, possibly outside of it; `None` when it is behind the camera.
+/// Returns the bounds of a box in the picture, possibly outside of it; `None` when it is behind the
+/// camera.
 pub(super) fn projected_bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
     let corners = aabb.corners();
     let mut at = corners.iter().filter_map(|corner| position(camera, corner)).map(|(at, _)| at);
@@ -286,8 +288,8 @@ pub(super) fn projected_bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
     Rect::from_ltrb(low.x, low.y, high.x, high.y)
 }
 
-/// The middle of a box's upper border, moved into the picture; `None` when the box is behind the
-/// camera.
+/// Returns the middle of a box's upper border, moved into the picture; `None` when the box is
+/// behind the camera.
 fn label_anchor((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Point2<f32>> {
     let corners: Vec<Point2<f32>> =
         aabb.corners().iter().filter_map(|c| position(camera, c)).map(|(at, _)| at).collect();
@@ -299,7 +301,8 @@ fn label_anchor((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Op
     })
 }
 
-/// Candidate positions for a label: above its box, then in rings around it, all within the picture.
+/// Returns the candidate positions for a label: above its box, then in rings around it, all within
+/// the picture.
 fn candidate_areas(
     (width, height): (u32, u32),
     home: Point2<f32>,
@@ -371,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn every_label_has_a_place_and_none_overlap() {
+    fn every_label_is_placed_and_none_overlap() {
         for (count, spread_m) in [(8, 0.02), (10, 0.3), (100, 0.01)] {
             let places = place_labels((680, 680), &camera(), &boxes(count, spread_m), Vec::new());
             let rects: Vec<Rect> = places.iter().flatten().map(|p| p.rect).collect();
@@ -386,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_leave_the_others_in_sight() {
+    fn labels_do_not_cover_the_centers_of_other_boxes() {
         let boxes = boxes(5, 0.4);
         let camera = camera();
         let places = place_labels((680, 680), &camera, &boxes, Vec::new());
@@ -402,7 +405,7 @@ mod tests {
     /// A wall in front of the far half of a box: the line along the box's upper edge is solid where
     /// it is visible and dashed behind the wall.
     #[test]
-    fn edges_behind_things_are_dashed() {
+    fn hidden_edges_are_dashed() {
         let mut cloud = PointCloud::default();
         for i in 0..200 {
             for j in 0..200 {

@@ -126,7 +126,7 @@ pub(super) struct Splats {
 }
 
 impl Splats {
-    /// Depth at a pixel position; infinite outside of the picture.
+    /// Returns the depth at a pixel position; infinite outside of the picture.
     pub fn depth_at(&self, u: f32, v: f32) -> f32 {
         let (width, height) = self.picture.dimensions();
         let inside = u > -0.5 && v > -0.5 && u < width as f32 - 0.5 && v < height as f32 - 0.5;
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_has_no_holes_and_hides_what_is_behind() {
+    fn plane_has_no_holes_and_hides_points_behind_it() {
         let mut cloud = grid(|x, y| (Point3::new(x, y, 3.0), [0, 0, 255]));
         let front = grid(|x, y| (Point3::new(x, y, 2.0), [255, 0, 0]));
         cloud.positions.extend(front.positions);
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn what_turns_away_is_darker() {
+    fn surfaces_that_face_away_are_darker() {
         let camera = Camera::new(VIEW, &Isometry3::from(Vector3::zeros()));
         let brightness = |slope: f32| {
             let cloud = grid(|x, y| (Point3::new(x, y, 3.0 + slope * x), [200; 3]));
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ceiling_is_left_out_of_tall_rooms_only() {
+    fn ceiling_is_left_out_only_in_tall_rooms() {
         let room = |height: f32| {
             let mut cloud = grid(|x, y| (Point3::new(x, y, 0.0), [90; 3]));
             cloud.positions.extend((0..200).map(|i| Point3::new(i as f32 * 0.01, 0.0, height)));

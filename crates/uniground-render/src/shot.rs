@@ -51,8 +51,8 @@ impl Shot {
         Self { mask, taken: Some((view.frame, area)), ..Self::new(crop, photograph, view.box_px) }
     }
 
-    /// Number of pixels of the photograph that show the candidate; without a mask, those of its
-    /// box.
+    /// Returns the number of pixels of the photograph that show the candidate; without a mask,
+    /// those of its box.
     #[must_use]
     pub fn covered_px(&self) -> f32 {
         let [left, top, right, bottom] = self.place;
@@ -112,7 +112,7 @@ mod tests {
         /// Whatever the box, its crop contains it, lies in the photograph, and has 224 pixels each
         /// way if the photograph is that large.
         #[test]
-        fn a_crop_holds_its_box_and_enough_around_it(
+        fn crop_contains_its_box_and_has_the_minimum_size(
             (width, height) in (1..900_u32, 1..700_u32), low in (0.0..1.0_f32, 0.0..1.0_f32), size in (0.0..1.0_f32, 0.0..1.0_f32),
         ) {
             let span = |low: f32, size: f32, length: u32| {
@@ -128,18 +128,18 @@ mod tests {
     }
 
     #[test]
-    fn a_large_thing_has_a_tenth_around_it_and_a_small_one_224_pixels() {
+    fn large_boxes_get_a_ten_percent_margin_and_small_ones_224_pixels() {
         assert_eq!(crop_area([100, 100, 400, 340], (640, 480)), [70, 76, 430, 364]);
         assert_eq!(crop_area([300, 200, 320, 230], (640, 480)), [198, 103, 422, 327]);
         assert_eq!(
             crop_area([0, 460, 20, 480], (640, 480)),
             [0, 256, 224, 480],
-            "at the rim, the other side gives"
+            "at the border, the crop extends to the other side"
         );
     }
 
     #[test]
-    fn a_shot_knows_where_its_thing_is_in_both_pictures() {
+    fn shot_locates_its_object_in_crop_and_frame() {
         let mask = CellMask::from_fn(10, 10, |column, _| column < 5);
         let view = View {
             frame: FrameIndex(0),

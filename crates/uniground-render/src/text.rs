@@ -8,7 +8,7 @@ static FONT: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| {
     FontRef::try_from_slice(include_bytes!("../assets/fonts/NotoSans-Bold-latin.ttf")).ok()
 });
 
-/// Width of a line of text at a size in pixels.
+/// Returns the width of a line of text at a size in pixels.
 pub(super) fn width(text: &str, size_px: f32) -> f32 {
     lay_out_glyphs(text, size_px).1
 }
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_leaves_ink_where_it_should() {
+    fn text_is_drawn_and_clipped_to_the_picture() {
         let mut picture = RgbImage::new(120, 40);
         draw(&mut picture, "22 sofa", 5.0, 5.0, 20.0, Rgb([255, 255, 255]));
         let ink = picture.pixels().filter(|p| p.0[0] > 128).count();

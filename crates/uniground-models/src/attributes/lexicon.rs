@@ -13,9 +13,9 @@ pub struct Range {
     pub high: f32,
 }
 
-/// The common kind of tulips and ferns.
+/// The `WordNet` kind that house plants, such as tulips and ferns, belong to.
 const PLANT: &str = "vascular plant";
-/// More steps than any two related words are apart.
+/// Upper bound of the number of steps between two related words.
 const MAX_STEPS: u32 = 10;
 /// Sizes below this are treated as equal: thinner than a scan resolves.
 const RESOLUTION_M: f32 = 0.03;
@@ -57,7 +57,7 @@ pub enum Place {
     Surface,
     /// On a wall or the ceiling.
     Wall,
-    /// On legs, which a scan often misses: the top may appear to float.
+    /// On legs, which a scan often misses: the top can appear to float.
     Legs,
     /// No support was found. Every noun is compatible with that.
     Unknown,
@@ -109,7 +109,7 @@ pub struct Noun {
 }
 
 impl Noun {
-    /// Returns whether it may rest there. True for an unknown place, and for things on legs.
+    /// Returns whether it can rest there. True for an unknown place, and for things on legs.
     #[must_use]
     pub fn stands_on(&self, place: Place) -> bool {
         place == Place::Unknown || self.is_on_legs() || self.places.contains(&place)
@@ -164,7 +164,7 @@ impl Lexicon {
         self.find_all(word).into_iter().next()
     }
 
-    /// Returns every noun a word may mean, the direct one first: "chair" means chairs, office
+    /// Returns every noun a word can mean, the direct one first: "chair" means chairs, office
     /// chairs and armchairs.
     #[must_use]
     pub fn find_all(&self, word: &str) -> Vec<&Noun> {
@@ -216,7 +216,7 @@ impl Lexicon {
                 })
         };
         let is_plant = WordNet::get().is_a(word, PLANT);
-        // A tulip is not a cactus.
+        // Another species does not match: a cactus is not a tulip.
         let is_species =
             |noun: &Noun| noun.name != "flower" && WordNet::get().is_a(&noun.name, PLANT);
         let for_plants = |noun: &&Noun| {
@@ -347,7 +347,7 @@ fn read_line(line: &str) -> Option<Noun> {
     })
 }
 
-/// Parses `low-high`. The low end may be negative.
+/// Parses `low-high`. The low end can be negative.
 fn parse_range(text: &str) -> Option<Range> {
     let dash = text.char_indices().skip(1).find(|(_, c)| *c == '-')?.0;
     let (low, high) = (text[..dash].parse().ok()?, text[dash + 1..].parse().ok()?);
@@ -378,7 +378,7 @@ mod tests {
     use std::collections::HashSet;
 
     #[test]
-    fn every_line_of_the_lexicon_is_an_entry() {
+    fn every_line_of_the_lexicon_can_be_parsed() {
         let lines = include_str!("lexicon.tsv")
             .lines()
             .filter(|l| !l.starts_with('#') && !l.trim().is_empty());
@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn usual_places_are_names_and_no_word_is_two_things() {
+    fn usual_places_exist_and_names_and_synonyms_are_unique() {
         let nouns = Lexicon::get().nouns();
         assert!(nouns.len() >= 250, "{}", nouns.len());
         let names: HashSet<&str> = nouns.iter().map(|noun| noun.name.as_str()).collect();
@@ -415,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn synonyms_plurals_and_kinds_lead_to_nouns() {
+    fn synonyms_plurals_and_kinds_resolve_to_nouns() {
         let lexicon = Lexicon::get();
         assert_eq!(lexicon.find("couch").unwrap().name, "sofa");
         assert_eq!(lexicon.find("bookshelves").map(|n| n.name.as_str()), Some("bookcase"));

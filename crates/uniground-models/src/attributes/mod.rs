@@ -195,7 +195,7 @@ mod tests {
     use uniground_testing::thing;
 
     #[test]
-    fn typical_things_get_their_names() {
+    fn typical_sizes_give_the_expected_names() {
         let on_table = Support::Instance { id: InstanceId(9) };
         for (size, base, support, expected) in [
             ([2.1, 0.9, 0.8], 0.0, Support::Floor, "sofa"),
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_that_lost_its_legs_is_still_a_table() {
+    fn table_top_without_legs_fits_a_table() {
         let top = thing(1, [0.0, 0.0], [1.2, 0.7, 0.03], 0.42, Support::Nothing, [20; 3]);
         let fit = |word| noun_fit(Lexicon::get().find(word).unwrap(), &top);
         assert!(
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_rough_and_partly_green_is_a_plant_and_no_fridge() {
+    fn rough_and_partly_green_things_are_plants() {
         let names = |rgb: &[[u8; 3]], planarity| {
             let standing = thing(1, [0.0, 0.0], [0.7, 0.68, 1.4], 0.0, Support::Floor, [60; 3]);
             let guesses = name_guesses(&Instance {
@@ -234,13 +234,13 @@ mod tests {
         };
         let [leaf, shade, pot] = [[50, 120, 40], [20, 20, 18], [150, 80, 50]];
         assert_eq!(names(&[leaf, leaf, shade, pot], 0.25)[0], "plant");
-        assert_eq!(names(&[leaf, leaf, shade, pot], 0.7)[0], "fridge", "a plane");
-        assert_eq!(names(&[leaf], 0.25)[0], "fridge", "painted");
+        assert_eq!(names(&[leaf, leaf, shade, pot], 0.7)[0], "fridge", "mostly one plane");
+        assert_eq!(names(&[leaf], 0.25)[0], "fridge", "entirely green");
         assert_eq!(names(&[shade, pot], 0.25)[0], "fridge", "not green");
     }
 
     #[test]
-    fn a_sofa_is_no_mug() {
+    fn noun_fit_separates_a_sofa_from_a_mug() {
         let sofa = thing(1, [0.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [120; 3]);
         let fit = |word| noun_fit(Lexicon::get().find(word).unwrap(), &sofa);
         assert!(

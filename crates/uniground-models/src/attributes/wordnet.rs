@@ -30,7 +30,7 @@ struct Kind {
 /// The graph of kinds.
 pub struct WordNet {
     kinds: Vec<Kind>,
-    /// The kinds that a word may name, the most common first.
+    /// The kinds that a word can name, the most common first.
     of_word: HashMap<&'static str, Vec<u32>>,
     /// English words, sorted.
     english: Vec<&'static str>,
@@ -87,7 +87,7 @@ impl WordNet {
     }
 
     /// Returns how common the most common meaning of a name is, from [`EXOTIC`] to 1. People seldom
-    /// say "seat" and mean a pew.
+    /// use "seat" for a pew.
     #[must_use]
     pub fn commonness(&self, name: &str) -> f32 {
         let spoken_of =
@@ -196,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_for_one_thing_and_kinds_of_it_are_known() {
+    fn synonyms_and_kinds_are_related_and_other_words_are_not() {
         let of = |a, b| WordNet::get().relation_between(a, b);
         assert_eq!(of("trash cans", "dustbin"), Some(Kinship::Same));
         assert_eq!(of("crate", "box"), Some(Kinship::Narrower(1)));
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn what_people_speak_of_is_more_common() {
+    fn frequently_used_words_are_more_common() {
         let common = |name| WordNet::get().commonness(name);
         assert!(
             common("chair") > common("pew") && common("pew") > common("bergere"),
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn english_is_told_from_slips() {
+    fn english_words_are_distinguished_from_misspellings() {
         for word in [
             "tones",
             "bedside",

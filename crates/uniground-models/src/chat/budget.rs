@@ -1,4 +1,4 @@
-//! Budgets: the money that a question, a batch or a day may spend.
+//! Budgets: the money that a question, a batch or a day can spend.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -43,7 +43,7 @@ pub struct Reservation {
 }
 
 impl Budget {
-    /// Creates a budget with nothing spent. `of` names its owner ("this question"). The limit may
+    /// Creates a budget with nothing spent. `of` names its owner ("this question"). The limit can
     /// be infinite.
     #[must_use]
     pub fn new(of: &'static str, limit_usd: f64) -> Self {
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_reserved_can_not_be_reserved_twice_and_comes_back() {
+    fn reserved_money_is_unavailable_until_released_or_settled() {
         let budget = Budget::new("this question", 1.0);
         let first = budget.reserve(0.6).unwrap();
         let refused = budget.reserve(0.6).unwrap_err();
@@ -114,7 +114,7 @@ mod tests {
         drop(first);
         budget.reserve(0.6).unwrap().settle(0.7);
         assert!((budget.reserve(0.4).unwrap_err().left_usd - 0.3).abs() < 1e-9);
-        // A call may cost more than estimated. Then nothing is left.
+        // A call can cost more than estimated. Then nothing is left.
         budget.reserve(0.2).unwrap().settle(0.9);
         assert!(budget.reserve(0.0).is_err());
         assert!(Budget::new("nobody", 0.0).reserve(0.0).is_err());

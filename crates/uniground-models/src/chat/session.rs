@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_leaves_in_mid_call_has_paid_what_was_put_aside() {
+    fn dropped_call_counts_its_estimate_as_spent() {
         let budget = Budget::new("this question", 1.0);
         let sent = |usd| Sent { reservations: vec![budget.reserve(usd).unwrap()], thought: usd };
         drop(sent(0.25));

@@ -66,7 +66,7 @@ pub struct ImageTower {
     pub mean: [f32; 3],
     /// Divisor after subtracting `mean`, above 0: red, green, blue.
     pub std: [f32; 3],
-    /// Whether a call may contain several pictures.
+    /// Whether a call can contain several pictures.
     #[serde(default = "default_true")]
     pub dynamic_batch: bool,
 }
@@ -208,7 +208,7 @@ pub struct SegmenterDecoder {
     /// The mask for a prompt with several points, counted from 0. `None`: such prompts are treated
     /// like a single point.
     pub single_mask: Option<usize>,
-    /// Whether a call may contain several prompts.
+    /// Whether a call can contain several prompts.
     pub dynamic_batch: bool,
     /// Number of prompts per call, 1 to 1024. Always one without `dynamic_batch`.
     pub max_batch: usize,
@@ -296,6 +296,8 @@ pub struct Bundle {
 }
 
 impl Bundle {
+    /// Reads the manifest in a folder and checks it.
+    ///
     /// # Errors
     /// Returns [`ModelError::Bundle`], which names `model.json` and the field.
     pub fn read(folder: &Utf8Path) -> Result<Self, ModelError> {

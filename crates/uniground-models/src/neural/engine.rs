@@ -16,7 +16,7 @@ pub enum Work {
 /// Runs networks: ONNX Runtime in this process ([`OnnxRuntime`](super::OnnxRuntime)), or a remote
 /// inference server.
 pub trait Engine: Send + Sync {
-    /// Opens a network of a bundle. Up to `at_once` calls of it may run at the same time.
+    /// Opens a network of a bundle. Up to `at_once` calls of it can run at the same time.
     ///
     /// # Errors
     /// Returns a [`ModelError`] that names the file or the server's model.

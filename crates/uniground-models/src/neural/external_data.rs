@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_tensors_are_found_wherever_a_network_has_them() {
+    fn external_files_are_found_in_initializers_constants_and_subgraphs() {
         let tensor = |name: &str| {
             let entry = [field(1, b"location"), field(2, name.as_bytes())].concat();
             let offset = [field(1, b"offset"), field(2, b"4096")].concat();
@@ -190,7 +190,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_no_network_names_no_files_and_does_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        fn arbitrary_bytes_do_not_cause_an_error(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
             let (_keep, file) = written(&bytes);
             prop_assert!(external_data(&file).is_ok());
         }

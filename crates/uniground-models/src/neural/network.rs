@@ -64,7 +64,7 @@ pub struct Signature {
 }
 
 /// A network that runs in this process ([`OnnxRuntime`](super::OnnxRuntime)) or elsewhere. Calls
-/// block. Several calls may run at once.
+/// block. Several calls can run at once.
 pub trait Network: Send + Sync {
     /// Returns its inputs and outputs, known before any call.
     fn signature(&self) -> &Signature;

@@ -59,7 +59,7 @@ impl Provider {
     }
 }
 
-/// Where to find ONNX Runtime, and which resources it may use.
+/// Where to find ONNX Runtime, and which resources it can use.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RuntimeSettings {
     /// Path of the library. Searched for if not set.
@@ -233,7 +233,7 @@ fn find_library(told: Option<&Utf8Path>) -> Result<Utf8PathBuf, ModelError> {
             .collect()
     };
     let candidates: Vec<Utf8PathBuf> = named.map_or_else(usual, |file| vec![file]);
-    // A missing library must be detected here: loading one may never return.
+    // A missing library must be detected here: loading one can hang forever.
     match candidates.iter().find(|file| file.is_file()) {
         Some(file) => file
             .canonicalize_utf8()

@@ -13,7 +13,8 @@ fn data(path: &str) -> Utf8PathBuf {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(path)
 }
 
-/// The library that `make test` downloads. Without it these tests fail: they are never skipped.
+/// Loads the library that `make test` downloads. Without it these tests fail. They are never
+/// skipped.
 pub fn engine() -> OnnxRuntime {
     let named = std::env::var("ORT_DYLIB_PATH").is_ok();
     let library = (!named).then(|| {
@@ -21,7 +22,7 @@ pub fn engine() -> OnnxRuntime {
     });
     let settings = RuntimeSettings { library, threads: Some(2), ..RuntimeSettings::default() };
     OnnxRuntime::load(&settings)
-        .unwrap_or_else(|e| panic!("{e}; uniground models fetch onnxruntime fetches it"))
+        .unwrap_or_else(|e| panic!("{e}; download it with `uniground models fetch onnxruntime`"))
 }
 
 pub fn tiny_encoder() -> Arc<DualEncoder> {
@@ -50,7 +51,7 @@ struct EncoderGolden {
 }
 
 #[test]
-fn pictures_and_words_land_where_the_python_runtime_puts_them() {
+fn embeddings_match_the_python_runtime() {
     let golden: EncoderGolden = serde_json::from_str(
         &fs::read_to_string(data("tiny-dual-encoder/golden/golden.json")).unwrap(),
     )
@@ -71,12 +72,12 @@ fn pictures_and_words_land_where_the_python_runtime_puts_them() {
         let embedded = encoder.embed_text(text).unwrap();
         assert!(cosine(embedded.vector.as_deref().unwrap(), expected) > 0.999_99, "{text}");
         assert_eq!(embedded.cut, text.len() > 100, "{text}");
-        assert_eq!(encoder.embed_text(text).unwrap(), embedded, "the second time it is remembered");
+        assert_eq!(encoder.embed_text(text).unwrap(), embedded, "the second call uses the cache");
     }
 }
 
 #[test]
-fn an_embedding_does_not_depend_on_its_company() {
+fn embedding_does_not_depend_on_its_batch() {
     let encoder = tiny_encoder();
     assert!(encoder.batch_size() > 1);
     let pictures: Vec<RgbImage> = (0..11)
@@ -136,7 +137,7 @@ impl PromptGolden {
 }
 
 #[test]
-fn masks_are_those_of_the_python_reference() {
+fn masks_match_the_python_reference() {
     for bundle in ["tiny-segmenter", "tiny-segmenter-sam"] {
         let segmenter = tiny_segmenter(bundle);
         for name in ["square", "wide"] {
@@ -171,8 +172,8 @@ fn masks_are_those_of_the_python_reference() {
     }
 }
 
-/// A damaged copy of a tiny bundle.
-fn spoilt(bundle: &str, spoil: impl FnOnce(&Utf8Path)) -> (tempfile::TempDir, Utf8PathBuf) {
+/// Returns a damaged copy of a tiny bundle.
+fn damaged_copy(bundle: &str, spoil: impl FnOnce(&Utf8Path)) -> (tempfile::TempDir, Utf8PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = Utf8Path::from_path(folder.path()).unwrap().join(bundle);
     fs::create_dir(&path).unwrap();
@@ -192,7 +193,7 @@ fn replace(file: &Utf8Path, from: &str, to: &str) {
 }
 
 #[test]
-fn what_is_wrong_with_a_bundle_is_told_at_load() {
+fn bundle_errors_are_reported_at_load() {
     type Spoil = fn(&Utf8Path);
     let cases: [(&str, Spoil, &[&str]); 13] = [
         ("tiny-dual-encoder", |p| fs::remove_file(p.join("model.json")).unwrap(), &["model.json"]),
@@ -264,15 +265,15 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
         ),
     ];
     for (bundle, spoil, expected) in cases {
-        let (_folder, path) = spoilt(bundle, spoil);
+        let (_folder, path) = damaged_copy(bundle, spoil);
         let error = verify(&engine(), &path).unwrap_err().to_string();
         assert!(expected.iter().all(|word| error.contains(word)), "{expected:?}: {error}");
     }
 }
 
 #[test]
-fn a_network_for_one_picture_gets_one_at_a_time() {
-    let (_folder, path) = spoilt("tiny-dual-encoder", |p| {
+fn network_without_dynamic_batch_gets_one_picture_per_call() {
+    let (_folder, path) = damaged_copy("tiny-dual-encoder", |p| {
         replace(&p.join("model.json"), "\"dynamic_batch\": true", "\"dynamic_batch\": false");
     });
     assert_eq!(
@@ -282,7 +283,7 @@ fn a_network_for_one_picture_gets_one_at_a_time() {
 }
 
 #[test]
-fn a_bundle_of_the_other_kind_is_refused() {
+fn bundle_of_the_wrong_kind_is_refused() {
     let error = Models::default()
         .with_segmenter(&engine(), &data("tiny-dual-encoder"))
         .unwrap_err()
@@ -291,9 +292,9 @@ fn a_bundle_of_the_other_kind_is_refused() {
 }
 
 #[test]
-fn values_that_are_no_numbers_are_refused() {
+fn non_finite_values_are_refused() {
     // A standard deviation this small gives infinite pixels.
-    let (_folder, path) = spoilt("tiny-dual-encoder", |p| {
+    let (_folder, path) = damaged_copy("tiny-dual-encoder", |p| {
         replace(&p.join("model.json"), "\"std\": [\n   0.5", "\"std\": [\n   1e-45");
     });
     let error = verify(&engine(), &path).unwrap_err();
@@ -301,7 +302,7 @@ fn values_that_are_no_numbers_are_refused() {
 }
 
 #[test]
-fn libraries_that_are_none_are_told() {
+fn missing_and_unusable_libraries_are_reported() {
     let load = |library: Option<&str>, provider| {
         OnnxRuntime::load(&RuntimeSettings {
             library: library.map(Into::into),
@@ -321,24 +322,24 @@ fn libraries_that_are_none_are_told() {
 }
 
 #[test]
-fn fingerprints_follow_the_files() {
+fn fingerprint_changes_with_the_files() {
     let of = |path: &Utf8Path| verify(&engine(), path).unwrap().loaded.remove(0).fingerprint;
-    let (_folder, same) = spoilt("tiny-segmenter", |_| {});
+    let (_folder, same) = damaged_copy("tiny-segmenter", |_| {});
     let (_other, changed) =
-        spoilt("tiny-segmenter", |p| replace(&p.join("model.json"), "MIT-0", "MIT"));
+        damaged_copy("tiny-segmenter", |p| replace(&p.join("model.json"), "MIT-0", "MIT"));
     assert_eq!(of(&same), of(&data("tiny-segmenter")));
     assert_ne!(of(&changed), of(&same));
 }
 
 /// The same decoder with its weights in a separate file, as in networks over 2 GB.
 #[test]
-fn weights_beside_a_network_are_loaded_and_fingerprinted() {
+fn external_weights_are_loaded_and_fingerprinted() {
     let external = |path: &Utf8Path| {
         for file in ["decoder.onnx", "decoder.onnx.data"] {
             fs::copy(data("external-weights").join(file), path.join(file)).unwrap();
         }
     };
-    let (_folder, beside) = spoilt("tiny-segmenter", external);
+    let (_folder, beside) = damaged_copy("tiny-segmenter", external);
     let loaded = verify(&engine(), &beside).unwrap();
     let within = verify(&engine(), &data("tiny-segmenter")).unwrap();
     let picture =
@@ -351,7 +352,7 @@ fn weights_beside_a_network_are_loaded_and_fingerprinted() {
     assert_eq!(masks(&loaded), masks(&within));
 
     // Changing one byte of a weight gives another model.
-    let (_other, changed) = spoilt("tiny-segmenter", |path| {
+    let (_other, changed) = damaged_copy("tiny-segmenter", |path| {
         external(path);
         let file = path.join("decoder.onnx.data");
         let mut bytes = fs::read(&file).unwrap();
@@ -360,7 +361,7 @@ fn weights_beside_a_network_are_loaded_and_fingerprinted() {
     });
     let fingerprint = |path: &Utf8Path| Bundle::read(path).unwrap().fingerprint(true, &[]).unwrap();
     assert_ne!(fingerprint(&changed), fingerprint(&beside));
-    let (_gone, missing) = spoilt("tiny-segmenter", |path| {
+    let (_gone, missing) = damaged_copy("tiny-segmenter", |path| {
         external(path);
         fs::remove_file(path.join("decoder.onnx.data")).unwrap();
     });
@@ -369,9 +370,9 @@ fn weights_beside_a_network_are_loaded_and_fingerprinted() {
 }
 
 #[test]
-fn a_folder_of_bundles_is_listed() {
+fn bundles_in_a_folder_are_listed_with_their_problems() {
     let (folder, _) =
-        spoilt("tiny-dual-encoder", |p| fs::remove_file(p.join("text.onnx")).unwrap());
+        damaged_copy("tiny-dual-encoder", |p| fs::remove_file(p.join("text.onnx")).unwrap());
     let listed = list(Utf8Path::from_path(folder.path()).unwrap()).unwrap();
     assert_eq!(
         (listed[0].name.as_str(), listed[0].role),

@@ -104,7 +104,8 @@ impl<'a> OrientedPoints<'a> {
         }
     }
 
-    /// Signed distance from a point to the surface at its nearest point, and the normal there.
+    /// Returns the signed distance from a point to the surface at its nearest point, and the normal
+    /// there.
     fn signed_distance(
         &self,
         p: &Point3<f32>,
@@ -159,7 +160,7 @@ impl<'a> OrientedPoints<'a> {
 mod tests {
     use super::*;
 
-    /// A corner of a room with a box in it.
+    /// Returns a corner of a room with a box in it.
     fn corner() -> PointCloud {
         let mut positions = Vec::new();
         for i in 0..80 {
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_from_another_place_is_laid_over_the_first() {
+    fn alignment_recovers_a_known_transform() {
         let room = corner();
         let truth = Isometry3::new(Vector3::new(0.12, -0.2, 0.05), Vector3::new(0.02, -0.01, 0.12));
         let other = PointCloud {

@@ -65,8 +65,8 @@ mod tests {
     use uniground_geometry::{Point3, Vector3};
     use uniground_testing::thing;
 
-    /// Things in a row, a hundred points each. The last one is gone, and so is the placeholder of
-    /// the instance that 1 and 2 were merged into.
+    /// Returns a scene of things in a row with a hundred points each. Instance 4 is gone, and so is
+    /// 5, the placeholder that 1 and 2 were merged into.
     fn scene() -> ParsedScene {
         let at =
             |id: u32, x: f32| thing(id, [x, 0.0], [0.5, 0.5, 0.5], 0.0, Support::Floor, [90; 3]);
@@ -90,7 +90,7 @@ mod tests {
         }
     }
 
-    fn said(change: Change, made: Option<u32>) -> Correction {
+    fn correction(change: Change, made: Option<u32>) -> Correction {
         let made = made.map(InstanceId);
         Correction {
             id: String::new(),
@@ -103,19 +103,19 @@ mod tests {
     }
 
     #[test]
-    fn what_was_said_of_things_that_stay_is_said_again() {
+    fn corrections_of_existing_instances_are_carried_over() {
         let ids = |ids: &[u32]| ids.iter().copied().map(InstanceId).collect::<Vec<_>>();
         let rename = |id| Change::Rename { instance_id: InstanceId(id), name: "mug".into() };
-        let undone = Correction { undone_at: Some("later".into()), ..said(rename(1), None) };
+        let undone = Correction { undone_at: Some("later".into()), ..correction(rename(1), None) };
         let mut scene = scene();
         let merge = Change::Merge { instance_ids: ids(&[1, 2]), name: Some("bench".into()) };
         let corrections = [
-            said(rename(3), None),
-            said(rename(4), None),
+            correction(rename(3), None),
+            correction(rename(4), None),
             undone,
-            said(Change::Dismiss { instance_ids: ids(&[3, 4]) }, None),
-            said(merge.clone(), Some(5)),
-            said(rename(5), None),
+            correction(Change::Dismiss { instance_ids: ids(&[3, 4]) }, None),
+            correction(merge.clone(), Some(5)),
+            correction(rename(5), None),
         ];
         let carried =
             carry_over_corrections(&corrections, &mut scene, &InstanceSettings::default());
@@ -134,12 +134,12 @@ mod tests {
     }
 
     #[test]
-    fn what_was_merged_with_something_that_is_gone_is_not_whole() {
+    fn merges_with_a_missing_member_are_not_carried_over() {
         let merge = Change::Merge { instance_ids: vec![InstanceId(3), InstanceId(4)], name: None };
         let mut scene = scene();
         assert!(
             carry_over_corrections(
-                &[said(merge, Some(5))],
+                &[correction(merge, Some(5))],
                 &mut scene,
                 &InstanceSettings::default()
             )

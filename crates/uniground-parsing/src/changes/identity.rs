@@ -53,7 +53,7 @@ pub fn continue_ids(
     for old in before {
         by_id.entry(old.id).or_insert_with(|| match old.found_for.is_some() && !old.gone {
             true => old.clone(),
-            // Its pictures were deleted with the parse that had them.
+            // Its pictures were deleted with the previous parse.
             false => Instance { gone: true, dismissed: true, views: Vec::new(), ..old.clone() },
         });
     }
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stays_keeps_its_id_and_no_id_is_given_twice() {
+    fn remaining_instances_keep_their_ids_and_ids_are_never_reused() {
         let part =
             |id, of, x| Instance { level: Level::Part, things: vec![InstanceId(of)], ..at(id, x) };
         let found = Instance { found_for: Some("the mug".into()), ..at(4, 9.0) };
@@ -139,7 +139,7 @@ mod tests {
             found.clone(),
             Instance { merged_from: vec![InstanceId(1)], ..at(5, 1.0) },
         ];
-        // Id 2 comes first now, 1 is gone, 3.0 is new; the part still exists.
+        // Instance 2 comes first now, 1 is gone, the one at 3.0 is new, and the part still exists.
         let on_two = Instance { support: Support::Instance { id: InstanceId(1) }, ..at(2, 3.0) };
         let now = continue_ids(
             &before,
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_found_for_a_question_may_become_a_thing() {
+    fn instance_found_for_a_question_becomes_a_thing_when_parsed() {
         let found = Instance { found_for: Some("the mug".into()), ..at(1, 1.0) };
         let now = continue_ids(&[found], parsed(vec![at(1, 1.05)], &[1]), &[]);
         assert_eq!((now.instances.len(), now.instances[0].found_for.clone()), (1, None));

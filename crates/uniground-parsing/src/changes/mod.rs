@@ -100,7 +100,7 @@ pub fn compare(
     );
     for (thing, fate) in found.classify_by_frames(before.frames, progress)? {
         match fate {
-            // A piece of something that was one thing before.
+            // Part of a thing that was larger before.
             ObjectFate::Known => {}
             ObjectFate::Empty => changes.appeared.push(to_changed_thing(thing)),
             ObjectFate::SurfaceThere | ObjectFate::NotLookedAt => {
@@ -195,15 +195,14 @@ impl<'a> ObjectPlaces<'a> {
     }
 }
 
-/// Sizes may differ by this share, and by this many meters, because a thing is seen from other
-/// sides.
+/// Minimum ratio of two sizes, and slack of a size in meters: a thing is seen from different sides.
 const SAME_SIZE: f32 = 0.7;
 const SIZE_SLACK_M: f32 = 0.04;
 /// Minimum color similarity.
 const SAME_COLOR: f32 = 0.5;
 
-/// Pairs things that disappeared with similar things that appeared, as moved. Most similar pairs
-/// first.
+/// Pairs things that disappeared with similar things that appeared, and marks them as moved. The
+/// most similar pairs come first.
 fn pair_moved_things(changes: &mut Changes, before: &RoomState, after: &RoomState) {
     let came: Vec<ChangedThing> =
         changes.appeared.iter().chain(&changes.first_seen).cloned().collect();
@@ -232,7 +231,7 @@ fn pair_moved_things(changes: &mut Changes, before: &RoomState, after: &RoomStat
     changes.moved = moved;
 }
 
-/// Similarity of two things in size, color and name; `None`: not the same thing.
+/// Returns the similarity of two things in size, color and name; `None`: not the same thing.
 fn similarity(a: &Instance, b: &Instance) -> Option<f32> {
     let sides = |thing: &Instance| {
         let size = thing.oriented_box.size;

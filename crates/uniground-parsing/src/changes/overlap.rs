@@ -45,7 +45,7 @@ impl Counterparts {
         // Where a cloud is very dense, a single point has thousands of neighbors.
         let nearest =
             |index: &NearestPoints, p: &Point3<f32>| progress.check().map(|()| index.nearest_to(p));
-        // A point may be nearest to no other point and still have one near.
+        // A point can be nearest to no other point and still have one near.
         let placed: Vec<Point3<f32>> = before.iter().map(|p| place * p).collect();
         let (index, back) =
             (NearestPoints::new(after, within_m), NearestPoints::new(&placed, within_m));
@@ -69,13 +69,13 @@ impl Counterparts {
         self.of_before[point]
     }
 
-    /// Whether the earlier recording has a point at the place of this later point.
+    /// Returns whether the earlier recording has a point at the place of this later point.
     #[must_use]
     pub fn has_counterpart(&self, point: usize) -> bool {
         self.of_after[point]
     }
 
-    /// Share of the earlier recording's points that have a counterpart.
+    /// Returns the share of the earlier recording's points that have a counterpart.
     #[must_use]
     pub fn share(&self) -> f32 {
         self.of_before.iter().flatten().count() as f32 / self.of_before.len().max(1) as f32
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn things_are_the_same_by_the_points_they_share() {
+    fn things_match_by_shared_points() {
         let before = line([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
         // 5.0 is gone, 6.0 is new.
         let after = line([4.0, 3.0, 2.0, 1.0, 0.0, 6.0]);
@@ -176,14 +176,14 @@ mod tests {
         assert_eq!(
             found,
             [(InstanceId(1), InstanceId(7)), (InstanceId(2), InstanceId(8))],
-            "one half of a thing that fell apart keeps its id"
+            "only one half of a split thing matches"
         );
         assert!(same.counterpart_of(5).is_none() && !same.has_counterpart(5));
         assert!((same.share() - 5.0 / 6.0).abs() < 1e-6);
     }
 
     #[test]
-    fn points_of_two_scans_meet_within_reach() {
+    fn points_of_two_scans_match_within_the_radius() {
         let place = Isometry3::translation(0.0, 1.0, 0.0);
         let (before, after) = (
             line([0.0, 1.0]),
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn looking_for_counterparts_stops_when_it_is_cancelled() {
+    fn cancellation_stops_the_counterpart_search() {
         // A thousand points in one place: each has a thousand neighbors.
         let (dense, checks) = (
             vec![Point3::origin(); 1000],
@@ -216,7 +216,7 @@ mod tests {
         assert!(found.is_err());
         assert!(
             checks.load(std::sync::atomic::Ordering::Relaxed) < 1000,
-            "every point was looked at"
+            "every point was checked in spite of the cancellation"
         );
     }
 }

@@ -9,7 +9,7 @@ use uniground_geometry::{Point2, Point3};
 
 /// Computes the axis-aligned and oriented box of the points that have enough neighbors. Thin
 /// extents shrink by what noise of standard deviation `noise_m` (meters) adds to them. Something
-/// flat on a plane is as thick as its relief says.
+/// flat on a plane gets the thickness of its relief.
 pub(super) fn robust_boxes(
     positions: &[Point3<f32>],
     noise_m: f32,
@@ -17,7 +17,7 @@ pub(super) fn robust_boxes(
     settings: &InstanceSettings,
 ) -> (Aabb, OrientedBox) {
     let mut kept = remove_isolated(positions, settings);
-    // In a sparse thing every point counts as an outlier; then all points are used.
+    // In a sparse thing every point counts as an outlier. Then all points are used.
     if kept.len() * 2 < positions.len() {
         kept = positions.to_vec();
     }
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stray_point_does_not_stretch_the_box() {
+    fn outlier_does_not_stretch_the_box() {
         let clean = robust_boxes(&block(), 0.0, None, &InstanceSettings::default()).0;
         let mut stray = block();
         stray.push(Point3::new(3.0, 3.0, 3.0));
@@ -94,9 +94,9 @@ mod tests {
     }
 
     #[test]
-    fn a_thin_thing_keeps_its_thickness_under_noise() {
-        // A picture of 2 cm on a wall under noise of 1.7 cm, nearly normal: a sum of four even
-        // ones.
+    fn noise_does_not_inflate_thin_extents() {
+        // A picture 2 cm thick with noise of 1.7 cm. The noise is nearly normal: a sum of four
+        // uniform values.
         let even = |i: usize| ((i * 7919 + 13) % 1000) as f32 / 1000.0 - 0.5;
         let noise_m = 0.017;
         let noise = |i: usize| {
@@ -116,13 +116,13 @@ mod tests {
         assert!(aabb.size.y < 0.75 * raw.y, "{} from {}", aabb.size.y, raw.y);
         assert!(
             (aabb.size.x - raw.x).abs() < 0.01 && (aabb.size.z - raw.z).abs() < 0.01,
-            "only the thin extent: {}",
+            "only the thin extent shrinks: {}",
             aabb.size
         );
     }
 
     #[test]
-    fn lone_points_still_have_a_box() {
+    fn single_point_has_a_box_of_zero_size() {
         let (aabb, oriented) =
             robust_boxes(&[Point3::new(1.0, 2.0, 3.0)], 0.0, None, &InstanceSettings::default());
         assert_eq!((aabb.center, aabb.size), (Point3::new(1.0, 2.0, 3.0), Vector3::zeros()));
@@ -130,9 +130,8 @@ mod tests {
     }
 
     proptest! {
-        /// Robust bounds never reach beyond the points.
         #[test]
-        fn the_robust_box_lies_inside_the_raw_one(points in prop::collection::vec(prop::array::uniform3(-1.0_f32..1.0), 1..200)) {
+        fn robust_box_lies_inside_the_raw_box(points in prop::collection::vec(prop::array::uniform3(-1.0_f32..1.0), 1..200)) {
             let points: Vec<_> = points.into_iter().map(Point3::from).collect();
             let raw = Aabb::around(&points).unwrap();
             let (aabb, _) = robust_boxes(&points, 0.05, None, &InstanceSettings::default());
@@ -140,7 +139,7 @@ mod tests {
         }
     }
 
-    /// Nothing is stray, nothing is thin: bounds are those of the points.
+    /// Returns settings that trim nothing: bounds are those of the points.
     fn plain() -> InstanceSettings {
         InstanceSettings {
             stray_share: 0.0,
@@ -153,12 +152,12 @@ mod tests {
         }
     }
 
-    /// So many points in the middle of a voxel of one meter.
+    /// Returns `count` points in the middle of a voxel of one meter.
     fn in_voxel(count: usize, voxel: [f32; 3]) -> Vec<Point3<f32>> {
         vec![Point3::from(voxel.map(|at| at + 0.5)); count]
     }
 
-    /// Points at 10, 11, ... 110 meters along an axis.
+    /// Returns points at 10, 11, ... 110 meters along an axis.
     fn along(axis: usize) -> Vec<Point3<f32>> {
         let at = |i: u8| {
             let mut point = Point3::origin();
@@ -173,12 +172,12 @@ mod tests {
         let (lo, hi) = (found.min()[axis], found.max()[axis]);
         assert!(
             (lo - from).abs() < 1e-3 && (hi - to).abs() < 1e-3,
-            "{what}: {lo} to {hi} and not {from} to {to}"
+            "{what}: {lo} to {hi}, expected {from} to {to}"
         );
     }
 
     #[test]
-    fn a_point_has_company_from_so_many_others_on() {
+    fn points_below_the_minimum_number_of_neighbors_are_removed() {
         let settings = InstanceSettings { stray_neighbours: 4, ..plain() };
         let kept = |groups: &[(usize, [f32; 3])]| {
             let points: Vec<_> =
@@ -193,14 +192,14 @@ mod tests {
         assert_eq!(kept(&[(2, [0.0; 3]), (3, [-1.0, 1.0, -1.0])]), 5, "across a corner");
         assert_eq!(kept(&[(2, [0.0; 3]), (2, [1.0, 0.0, 0.0])]), 0, "3 others each");
         assert_eq!(kept(&[(2, [0.0; 3]), (3, [2.0, 0.0, 0.0])]), 0, "two voxels away");
-        // The middle one has 1 - 1 + 2 + 2 = 4 others; those around it 2 - 1 + 1 = 2.
+        // The middle point has 1 - 1 + 2 + 2 = 4 others, those around it 2 - 1 + 1 = 2.
         let row = [(2, [0.0; 3]), (1, [1.0, 0.0, 0.0]), (2, [2.0, 0.0, 0.0])];
         assert_eq!(kept(&row), 1, "between two groups");
         assert_eq!(kept(&[]), 0);
     }
 
     #[test]
-    fn what_has_company_is_kept_where_it_is() {
+    fn points_with_enough_neighbors_are_kept_unchanged() {
         let settings = InstanceSettings { stray_neighbours: 4, ..plain() };
         let group = in_voxel(5, [3.0, -2.0, 7.0]);
         let mut points = in_voxel(4, [9.0; 3]);
@@ -209,11 +208,11 @@ mod tests {
         let fine = InstanceSettings { stray_voxel_m: 0.1, ..settings };
         let spread: Vec<_> = (0..5).map(|i| Point3::new(0.3 * i as f32, 0.0, 0.0)).collect();
         let kept = remove_isolated(&spread, &fine);
-        assert!(kept.is_empty(), "in finer voxels each is alone: {kept:?}");
+        assert!(kept.is_empty(), "in finer voxels each point is isolated: {kept:?}");
     }
 
     #[test]
-    fn strays_count_where_they_are_more_than_half_of_all() {
+    fn isolated_points_count_when_they_are_the_majority() {
         let settings = InstanceSettings { stray_neighbours: 4, ..plain() };
         let with_strays = |strays: u8| {
             let mut points = in_voxel(5, [0.0; 3]);
@@ -221,45 +220,46 @@ mod tests {
             points.extend((1..=strays).map(stray));
             robust_boxes(&points, 0.0, None, &settings).0
         };
-        // 5 in company of 9 and of 10 are half: the box is theirs. Of 11 they are less.
+        // 5 points have neighbors. Of 9 and of 10 points they are at least half, and only they
+        // count. Of 11 they are less than half.
         assert_span(&with_strays(4), 0, 0.5, 0.5, "4 strays");
         assert_span(&with_strays(5), 0, 0.5, 0.5, "5 strays");
         assert_span(&with_strays(6), 0, 0.5, 63.0, "6 strays");
     }
 
     #[test]
-    fn bounds_leave_out_their_share_at_either_end_of_each_axis() {
+    fn stray_share_is_trimmed_at_both_ends_of_each_axis() {
         for axis in 0..3 {
             let spans = |stray_share| {
                 let settings = InstanceSettings { stray_share, ..plain() };
                 robust_boxes(&along(axis), 0.0, None, &settings).0
             };
-            assert_span(&spans(0.0), axis, 10.0, 110.0, "nothing left out");
+            assert_span(&spans(0.0), axis, 10.0, 110.0, "nothing trimmed");
             // Of 101 points the 5th from either end: 10 + 5 and 110 - 5.
-            assert_span(&spans(0.05), axis, 15.0, 105.0, "a twentieth left out");
+            assert_span(&spans(0.05), axis, 15.0, 105.0, "5 % trimmed");
             assert_span(&spans(0.05), (axis + 1) % 3, 0.0, 0.0, "no extent");
         }
     }
 
     #[test]
-    fn thin_extents_shrink_by_the_noise_and_others_do_not() {
+    fn only_thin_extents_shrink_by_the_noise() {
         let spans = |thin_sigmas, noise_sigmas, trim| {
             let settings = InstanceSettings { thin_sigmas, noise_sigmas, trim, ..plain() };
             robust_boxes(&along(0), 0.5, None, &settings).0
         };
         // The extent is 100: 200 standard deviations of 0.5. It is thin up to there.
         assert_span(&spans(200.0, 3.0, 0.02), 0, 11.5, 108.5, "10 + 3 * 0.5, 110 - 3 * 0.5");
-        assert_span(&spans(201.0, 3.0, 0.02), 0, 11.5, 108.5, "thinner than that");
+        assert_span(&spans(201.0, 3.0, 0.02), 0, 11.5, 108.5, "below the limit");
         assert_span(&spans(199.0, 3.0, 0.02), 0, 10.0, 110.0, "not thin");
-        // At most two of a hundred points may be left outside at either end.
-        assert_span(&spans(200.0, 5.0, 0.02), 0, 12.0, 108.0, "12.5 and 107.5 leave out too much");
-        assert_span(&spans(200.0, 5.0, 0.0), 0, 10.0, 110.0, "nothing may be left out");
-        // What has no extent does not turn inside out.
+        // At most two of a hundred points are trimmed at either end.
+        assert_span(&spans(200.0, 5.0, 0.02), 0, 12.0, 108.0, "12.5 and 107.5 would trim too much");
+        assert_span(&spans(200.0, 5.0, 0.0), 0, 10.0, 110.0, "trimming is disabled");
+        // A zero extent stays zero.
         assert_span(&spans(200.0, 3.0, 0.02), 1, 0.0, 0.0, "no extent");
     }
 
     #[test]
-    fn an_extent_is_the_difference_of_its_ends_wherever_it_lies() {
+    fn extents_shrink_alike_at_negative_coordinates() {
         // From -110 to -10: again 100, 200 standard deviations of 0.5.
         let mirrored: Vec<_> = along(0).iter().map(|p| Point3::new(-p.x, 0.0, 0.0)).collect();
         let spans = |thin_sigmas| {
@@ -272,8 +272,8 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_flat_is_as_thick_as_its_relief_and_shrinks_no_further() {
-        // 100 m long, and noise has spread it over 50 m along its normal, too.
+    fn flat_things_get_the_thickness_of_their_relief() {
+        // 100 m long, and spread over 50 m along its normal by noise.
         let settings =
             InstanceSettings { thin_sigmas: 200.0, noise_sigmas: 3.0, trim: 0.02, ..plain() };
         let mut points = along(0);
@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn the_turned_box_is_around_the_points_within_the_bounds() {
+    fn oriented_box_encloses_only_points_within_the_bounds() {
         // A square of 10 by 10 points, and two far out along one axis each.
         let mut points: Vec<Point3<f32>> = (0..100_u8)
             .map(|i| Point3::new(f32::from(i / 10), f32::from(i % 10), f32::from(i % 3)))
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_across_the_axes_has_a_turned_box_narrower_than_its_bounds() {
+    fn diagonal_bar_has_a_narrow_oriented_box() {
         // 10 m long at 30 degrees, without width: 10 cos 30 by 10 sin 30 along the axes.
         let angle = std::f32::consts::FRAC_PI_6;
         let (sin, cos) = angle.sin_cos();
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn where_no_point_lies_within_the_bounds_the_box_is_not_turned() {
+    fn oriented_box_has_zero_yaw_without_points_in_the_bounds() {
         // A plus: of four points along x and along y the middle two are at 0, and none is at both.
         let points =
             [[-9.0, 0.0], [9.0, 0.0], [0.0, -9.0], [0.0, 9.0]].map(|[x, y]| Point3::new(x, y, 3.0));
@@ -338,16 +338,15 @@ mod tests {
     }
 
     #[test]
-    fn no_points_have_a_box_of_no_size() {
+    fn empty_input_has_a_box_of_zero_size() {
         let (aabb, turned) = robust_boxes(&[], 0.1, None, &InstanceSettings::default());
         assert_eq!((aabb.center, aabb.size), (Point3::origin(), Vector3::zeros()));
         assert_eq!((turned.center, turned.size), (Point3::origin(), Vector3::zeros()));
     }
 
     proptest! {
-        /// Bounds do not depend on the order of the points.
         #[test]
-        fn the_order_of_the_points_does_not_matter(
+        fn box_does_not_depend_on_point_order(
             points in prop::collection::vec(prop::array::uniform3(-0.2_f32..0.2), 1..100),
             turn in 0_usize..100,
         ) {
@@ -361,9 +360,8 @@ mod tests {
             prop_assert_eq!(one, other);
         }
 
-        /// The more noise there is, the smaller is the box.
         #[test]
-        fn more_noise_never_makes_a_larger_box(
+        fn more_noise_never_enlarges_the_box(
             points in prop::collection::vec(prop::array::uniform3(-0.2_f32..0.2), 1..100),
             noise_m in prop::array::uniform2(0.0_f32..0.1),
         ) {

@@ -35,13 +35,14 @@ enum FilledColumns {
         rows: BTreeMap<i32, (i32, i32)>,
         files: BTreeMap<i32, (i32, i32)>,
     },
-    /// Every column from the first to the last has the same levels. Not expanded, since boxes may
+    /// Every column from the first to the last has the same levels. Not expanded, since boxes can
     /// be as large as a scan's coordinates.
     Throughout { first: Cell, last: Cell, levels: u128 },
 }
 
 impl Columns {
-    /// From points, meters, world frame (Z up), along the axes of a box rotated by `yaw_rad`.
+    /// Builds columns from points (meters, world frame, Z up), along the axes of a box rotated by
+    /// `yaw_rad`.
     pub fn from_points(points: impl Iterator<Item = Point3<f32>> + Clone, yaw_rad: f32) -> Self {
         let turn = Rotation2::new(-yaw_rad);
         let lowest_z = points.clone().map(|p| p.z).fold(f32::INFINITY, f32::min);
@@ -61,7 +62,7 @@ impl Columns {
         Self { turn, filled: FilledColumns::Seen { columns, rows, files }, lowest_z }
     }
 
-    /// From a box that is completely filled.
+    /// Builds columns from a box that is completely filled.
     pub fn from_box(filled: &OrientedBox) -> Self {
         let turn = Rotation2::new(-filled.yaw_rad);
         let (center, half) = (turn * filled.center.xy(), filled.size / 2.0);
@@ -74,9 +75,9 @@ impl Columns {
         }
     }
 
-    /// Share of these columns that lie within the outline of the others, which means between two of
-    /// them along one of their axes. The outline is used because the surface under a thing was not
-    /// seen.
+    /// Returns the share of these columns that lie within the outline of the others, which means
+    /// between two of them along one of their axes. The outline is used because the surface under a
+    /// thing was not seen.
     pub fn share_over(&self, other: &Self) -> f32 {
         let (mut all, mut over) = (0, 0);
         for p in self.filled.cells().map(|own| self.middle(own)) {
@@ -86,8 +87,8 @@ impl Columns {
         over as f32 / all.max(1) as f32
     }
 
-    /// Share of the columns at this thing's rim next to which the others are filled at height `z`,
-    /// meters, plus or minus `within_m`.
+    /// Returns the share of the columns at this thing's rim next to which the others are filled at
+    /// height `z`, meters, plus or minus `within_m`.
     pub fn share_touching(&self, other: &Self, z: f32, within_m: f32) -> f32 {
         let low = z - within_m - other.lowest_z;
         if low + 2.0 * within_m < 0.0 {
@@ -105,7 +106,8 @@ impl Columns {
         touching as f32 / rim.max(1) as f32
     }
 
-    /// Whether one of these columns is within `within_m` meters of the outline of the others.
+    /// Returns whether one of these columns is within `within_m` meters of the outline of the
+    /// others.
     pub fn is_beside(&self, other: &Self, within_m: f32) -> bool {
         let cells = (within_m / CELL_M) as i32;
         self.filled.cells().any(|own| {
@@ -113,18 +115,18 @@ impl Columns {
         })
     }
 
-    /// Extents along its own axes, the larger first, meters.
+    /// Returns the extents along its own axes, the larger first, meters.
     pub fn extents(&self) -> [f32; 2] {
         let [x, y] = self.filled.extents().map(|columns| columns as f32 * CELL_M);
         [x.max(y), x.min(y)]
     }
 
-    /// The column over a point on the ground plan, meters, world frame.
+    /// Returns the column over a point on the ground plan, meters, world frame.
     fn cell(&self, p: &Point2<f32>) -> Cell {
         cell(&(self.turn * p))
     }
 
-    /// The center of a column, meters, world frame.
+    /// Returns the center of a column, meters, world frame.
     fn middle(&self, (x, y): Cell) -> Point2<f32> {
         self.turn.inverse() * Point2::new((x as f32 + 0.5) * CELL_M, (y as f32 + 0.5) * CELL_M)
     }
@@ -140,7 +142,7 @@ impl FilledColumns {
         }
     }
 
-    /// The levels filled in a column.
+    /// Returns the levels filled in a column.
     fn at(&self, cell: Cell) -> u128 {
         match self {
             Self::Seen { columns, .. } => columns.get(&cell).copied().unwrap_or(0),
@@ -149,7 +151,7 @@ impl FilledColumns {
         }
     }
 
-    /// Whether a column is within the outline.
+    /// Returns whether a column is within the outline.
     fn holds(&self, (x, y): Cell) -> bool {
         match self {
             Self::Seen { rows, files, .. } => {
@@ -168,7 +170,7 @@ impl FilledColumns {
         [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].iter().any(|c| self.at(*c) == 0)
     }
 
-    /// Number of columns it spans along X and Y.
+    /// Returns the number of columns it spans along X and Y.
     fn extents(&self) -> [i32; 2] {
         let (xs, ys) = match self {
             Self::Seen { rows, files, .. } => {
@@ -187,17 +189,17 @@ impl FilledColumns {
     }
 }
 
-/// The column over a point, meters, along its own axes.
+/// Returns the column over a point, meters, along its own axes.
 fn cell(own: &Point2<f32>) -> Cell {
     ((own.x / CELL_M).floor() as i32, (own.y / CELL_M).floor() as i32)
 }
 
-/// The level at this height above the lowest one, meters.
+/// Returns the level at this height above the lowest one, meters.
 fn level(over_m: f32) -> u32 {
     (over_m / LEVEL_M).clamp(0.0, 127.0) as u32
 }
 
-/// This column and those within `cells` of it.
+/// Returns this column and those within `cells` of it.
 fn cells_around((x, y): Cell, cells: i32) -> impl Iterator<Item = Cell> {
     (-cells..=cells).flat_map(move |dx| (-cells..=cells).map(move |dy| (x + dx, y + dy)))
 }
@@ -216,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_box_of_points_fills_what_the_box_does() {
+    fn points_of_a_box_fill_the_same_columns_as_the_box() {
         let points = (0..30).flat_map(|x| {
             (0..20).flat_map(move |y| {
                 (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)
@@ -232,12 +234,12 @@ mod tests {
         assert_eq!((columns(&seen), seen.extents()), (columns(&known), known.extents()));
         assert_eq!(seen.share_over(&known), 1.0);
         assert_eq!(seen.share_touching(&known, 0.1, 0.02), 1.0);
-        assert_eq!(seen.share_touching(&known, 0.4, 0.02), 0.0, "over its top");
-        assert_eq!(seen.share_touching(&known, -0.2, 0.02), 0.0, "under it");
+        assert_eq!(seen.share_touching(&known, 0.4, 0.02), 0.0, "above its top");
+        assert_eq!(seen.share_touching(&known, -0.2, 0.02), 0.0, "below it");
     }
 
     #[test]
-    fn a_box_as_large_as_coordinates_go_costs_nothing() {
+    fn huge_boxes_are_not_expanded_into_columns() {
         let (floor, box_on_it) = (
             filled([1e7, 1e7, 0.1], [0.0, 0.0, -0.05], 0.3),
             filled([0.4, 0.4, 0.4], [3.0, 2.0, 0.2], 0.0),
@@ -250,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_turned_is_measured_along_its_own_axes() {
+    fn rotated_things_are_measured_along_their_own_axes() {
         let wall = filled([4.0, 0.1, 2.0], [0.0, 0.0, 1.0], 0.7);
         assert!(
             (wall.extents()[0] - 4.0).abs() <= 0.1 && wall.extents()[1] <= 0.15,

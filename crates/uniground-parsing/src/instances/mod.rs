@@ -44,16 +44,16 @@ pub struct BuiltInstances<'a> {
 }
 
 /// Builds instances from numbered regions, parts and wholes, and their sightings in frames. Regions
-/// that are no instance are dropped, and the ids of the others close the gap.
+/// that are not instances are dropped, and the others are renumbered without gaps.
 ///
-/// A thing is shown by masks of its own. Surface pieces doubled by drifting poses, the rims between
-/// things and other leftovers are in no mask, or under a mask of something else. For those, no mask
-/// agrees on the mean over the frames that see them, weighted by the points they see.
+/// A thing has masks of its own. Surface pieces doubled by drifting poses, rims between things and
+/// other leftovers are in no mask or in a mask of something else. Their mean agreement over the
+/// frames that see them, weighted by visible points, is low.
 ///
 /// Parts of the building are recognized by their planes. A region that no frame sees is not judged,
-/// unless it is a speck: so few points, shown on so few pixels, that nobody could recognize it.
-/// Parts and wholes are judged alike, are dropped with their things, and are limited in number by
-/// the settings.
+/// unless it is a speck: too few points, shown on too few pixels, to recognize it. Parts and wholes
+/// are judged in the same way, are dropped with their things, and are limited in number by the
+/// settings.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -167,10 +167,10 @@ pub fn build<'a>(
     Ok(BuiltInstances { instances, labels, sightings, dropped, specks })
 }
 
-/// Fewer pixels than this show nothing recognizable, however good the camera.
+/// Fewer pixels than this show nothing recognizable, whatever the camera.
 const MIN_PICTURE_PX: u32 = 16 * 16;
 
-/// Which regions are specks. A scan without frames has none, since there is no evidence.
+/// Returns which regions are specks. A scan without frames has none, since there is no evidence.
 fn find_specks(
     shapes: &[RegionShape],
     structures: &[Option<Structure>],
@@ -194,7 +194,7 @@ fn find_specks(
     shapes.iter().enumerate().map(few).collect()
 }
 
-/// The new id of every candidate instance, by its old one; 0: dropped.
+/// Returns the new id of every candidate instance, by its old one; 0: dropped.
 fn assign_ids(
     labels: &Labels,
     structures: &[Option<Structure>],
@@ -254,7 +254,7 @@ fn support_of_compound(
     }
 }
 
-/// Which part of the building each region is, if any.
+/// Returns which part of the building each region is, if any.
 fn classify_structures(
     shapes: &[RegionShape],
     members: &[Vec<u32>],
@@ -276,7 +276,8 @@ fn classify_structures(
         .collect()
 }
 
-/// How well masks agree with each of the numbered regions, `0..=1`; `None` where no frame sees it.
+/// Returns how well masks agree with each of the numbered regions, `0..=1`; `None` where no frame
+/// sees it.
 fn agreement(count: usize, sightings: &[Sighting]) -> Vec<Option<f32>> {
     let mut sums = vec![(0.0, 0.0); count];
     for Sighting { instance, view, agreement, .. } in sightings {
@@ -302,9 +303,9 @@ impl<'a> SurfaceNoise<'a> {
         Self { superpoints, scene_m }
     }
 
-    /// Standard deviation of the noise around these points, meters. Distant things are noisier than
-    /// the rest of the scene. Leaves of a plant are rough without being noisy, hence the upper
-    /// bound.
+    /// Returns the standard deviation of the noise around these points, meters. Distant things are
+    /// noisier than the rest of the scene. Leaves of a plant are rough without being noisy, hence
+    /// the upper bound.
     fn noise_around(&self, points: &[u32]) -> f32 {
         const FAR_FACTOR: f32 = 2.0;
         let mut here: Vec<f32> = points
@@ -381,7 +382,7 @@ impl RegionShape {
 /// Points this close to the best plane count as on it, meters.
 const ON_PLANE_M: f32 = 0.03;
 
-/// Share of the points within 3 cm of their best plane.
+/// Returns the share of the points within 3 cm of their best plane.
 #[must_use]
 pub fn planarity(positions: &[Point3<f32>]) -> f32 {
     let Moments { mean, covariance } = Moments::from_points(positions);
@@ -397,7 +398,7 @@ mod tests {
     use uniground_geometry::scene::FrameIndex;
 
     #[test]
-    fn agreement_is_weighed_by_what_a_frame_shows_and_unseen_regions_have_none() {
+    fn agreement_is_weighted_by_visible_points_and_none_when_unseen() {
         let seen = |instance, frame, visible_points, agreement| Sighting {
             instance: InstanceId(instance),
             view: View {
@@ -421,7 +422,7 @@ mod tests {
     /// Two blocks, a sliver that no mask shows, and a speck of a few points and pixels, seen by one
     /// frame.
     #[test]
-    fn slivers_and_specks_are_dropped_and_the_others_close_up() {
+    fn slivers_and_specks_are_dropped_and_ids_renumbered() {
         let block = |x: f32, side: u16| {
             (0..side.pow(3)).map(move |i| {
                 let at = |k: u16| f32::from(i / side.pow(u32::from(k)) % side) * 0.02;

@@ -13,7 +13,7 @@ const MIN_LEVEL_SHARE: f32 = 0.08;
 const MIN_WALL_M2: f32 = 1.0;
 /// Doors and cupboards end below this height, walls above it. Meters above the floor.
 const WALL_TOP_M: f32 = 2.2;
-/// Windows begin above this height, walls below it, though furniture may hide their lower part.
+/// Windows begin above this height, walls below it, though furniture can hide their lower part.
 /// Meters above the floor.
 const WALL_BOTTOM_M: f32 = 0.9;
 /// A plane wider than this is a wall at any height, meters.

@@ -11,7 +11,7 @@ pub(super) const CONTACT_M: f32 = 0.06;
 /// Share of the footprint that must lie over a supporter.
 const MIN_OVERLAP: f32 = 0.3;
 /// Minimum share of the footprint's rim at which the supporter must be seen at the height where
-/// this thing begins. It prevents that a chair under a table counts as standing on it.
+/// this thing begins. This prevents a chair under a table from counting as supported by it.
 const MIN_RIM: f32 = 0.2;
 /// Minimum width of a thing with legs, meters: chairs and tables have legs, mugs and fragments of
 /// shelves do not.
@@ -39,7 +39,7 @@ pub struct Body {
 }
 
 impl Body {
-    /// For a box of which nothing more is known.
+    /// Builds a body from a box of which nothing else is known.
     #[must_use]
     pub fn from_box(aabb: Aabb, oriented_box: &OrientedBox) -> Self {
         Self { aabb, columns: Columns::from_box(oriented_box) }
@@ -220,7 +220,7 @@ mod tests {
         Body::from_box(aabb, &OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 })
     }
 
-    /// The points of a block, one every two centimeters, rotated about the world's Z axis.
+    /// Returns the points of a block, one every two centimeters, rotated about the world's Z axis.
     fn block(min: [f32; 3], max: [f32; 3], yaw_rad: f32) -> Vec<Point3<f32>> {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), yaw_rad);
         let steps = |axis: usize| {
@@ -245,9 +245,9 @@ mod tests {
         (from_z, to_z, support)
     }
 
-    /// A seat 40 cm above the floor, and what is near it in each case.
+    /// A seat 40 cm above the floor, with different neighbors.
     #[test]
-    fn nothing_floats() {
+    fn things_extend_to_the_floor_a_supporter_or_a_wall() {
         let alone = |thing: &Body| span_of_first(std::slice::from_ref(thing), &[None]);
         let seat = spanning([0.0, 0.0, 0.4], [0.5, 0.5, 0.9]);
         let beside =
@@ -262,7 +262,7 @@ mod tests {
         assert_eq!(
             beside(wall.clone(), Some(Structure::Wall)),
             (0.0, seat.top_z(), Support::Floor),
-            "too deep to hang there"
+            "too deep to hang on the wall"
         );
         let shelf = spanning([0.0, 0.0, 0.4], [0.2, 0.5, 0.9]);
         let hanging = (shelf.bottom_z(), shelf.top_z(), Support::Wall { id: InstanceId(2) });
@@ -271,20 +271,20 @@ mod tests {
         assert_eq!(
             alone(&mug),
             (mug.bottom_z(), mug.top_z(), Support::Nothing),
-            "too slight for legs"
+            "too narrow for legs"
         );
         let low = spanning([0.0, 0.0, 0.1], [0.5, 0.5, 0.6]);
         assert_eq!(alone(&low), (0.0, low.top_z(), Support::Floor));
     }
 
     #[test]
-    fn what_is_too_high_for_legs_hangs_from_the_ceiling() {
+    fn things_too_high_for_legs_hang_from_the_ceiling() {
         let lamp = spanning([0.0, 0.0, 1.5], [0.4, 0.4, 1.8]);
         let as_seen = (lamp.bottom_z(), lamp.top_z(), Support::Nothing);
         assert_eq!(
             span_of_first(std::slice::from_ref(&lamp), &[None]),
             as_seen,
-            "no ceiling was seen"
+            "no ceiling was found"
         );
         let ceiling = spanning([-2.0, -2.0, 2.5], [2.0, 2.0, 2.54]);
         assert_eq!(
@@ -295,20 +295,20 @@ mod tests {
 
     /// A room rotated by 45 degrees: axis-aligned boxes around its walls contain half of it.
     #[test]
-    fn a_turned_wall_holds_nothing_far_from_it() {
+    fn rotated_wall_supports_only_things_near_it() {
         const YAW_RAD: f32 = 0.7;
         let wall = body(&block([-2.0, 1.0, 0.0], [2.0, 1.04, 2.4], YAW_RAD), YAW_RAD);
         let table = body(&block([-0.4, -0.4, 0.7], [0.4, 0.4, 0.74], YAW_RAD), YAW_RAD);
         let shelf = body(&block([-0.4, 0.7, 0.7], [0.4, 0.96, 0.74], YAW_RAD), YAW_RAD);
         let (bodies, structures) = ([table, wall, shelf], [None, Some(Structure::Wall), None]);
-        assert!(bodies[1].aabb.gap(&bodies[0].aabb) < CONTACT_M, "by their boxes they touch");
+        assert!(bodies[1].aabb.gap(&bodies[0].aabb) < CONTACT_M, "their boxes touch");
         assert_eq!(find_support(0, &bodies, &structures, 0.0), Support::Nothing);
         assert_eq!(span_of_first(&bodies, &structures).2, Support::Floor);
         assert_eq!(find_support(2, &bodies, &structures, 0.0), Support::Wall { id: InstanceId(2) });
     }
 
     #[test]
-    fn a_chair_under_a_table_does_not_stand_on_it_but_a_vase_does() {
+    fn table_supports_a_vase_on_it_but_not_a_chair_under_it() {
         let top = block([-0.6, -0.4, 0.7], [0.6, 0.4, 0.74], 0.0);
         let legs = [(-0.58, -0.38), (0.54, -0.38), (-0.58, 0.34), (0.54, 0.34)];
         let legs =
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_in_the_corner_of_a_counter_does_not_stand_on_it() {
+    fn l_shaped_counter_does_not_support_a_stool_in_its_corner() {
         let arms = [([0.0, 0.0, 0.0], [2.0, 0.6, 0.9]), ([0.0, 0.6, 0.0], [0.6, 2.0, 0.9])];
         let counter: Vec<_> = arms.iter().flat_map(|(min, max)| block(*min, *max, 0.7)).collect();
         let stool = |x: f32| body(&block([x, 1.0, 0.86], [x + 0.3, 1.3, 0.96], 0.7), 0.7);

@@ -23,13 +23,13 @@ pub struct IdImage {
 }
 
 impl IdImage {
-    /// The mask of a pixel (column, row), 0 for none. The pixel must lie in the image.
+    /// Returns the mask of a pixel (column, row), 0 for none. The pixel must lie in the image.
     #[must_use]
     pub fn at(&self, (column, row): (u32, u32)) -> u16 {
         self.ids[(row * self.width + column) as usize]
     }
 
-    /// Number of different masks.
+    /// Returns the number of different masks.
     #[must_use]
     pub fn count(&self) -> u32 {
         let mut seen = vec![false; usize::from(u16::MAX) + 1];
@@ -67,7 +67,7 @@ impl IdRuns {
 
 /// A source of masks: built in (`rgbd`), a segmentation model, or annotations.
 pub trait MaskSource: Send + Sync {
-    /// Name and version, recorded with the parse.
+    /// Returns the name and version, recorded with the parse.
     fn name(&self) -> &str;
 
     /// Returns the masks of one frame, at the resolution of its depth image. The number of id
@@ -106,7 +106,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn runs_give_the_image_back(width in 1_u32..20, height in 1_u32..20, seed in any::<u64>()) {
+        fn runs_restore_the_image(width in 1_u32..20, height in 1_u32..20, seed in any::<u64>()) {
             let ids = (0..width * height).map(|i| ((seed >> (i % 60)) & 3) as u16).collect();
             let image = IdImage { width, height, ids };
             prop_assert_eq!(IdRuns::from_image(&image).to_image(), image);

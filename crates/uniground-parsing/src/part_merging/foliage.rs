@@ -20,7 +20,7 @@ const TALLEST_M: f32 = 2.2;
 const WIDEST_M: f32 = 1.2;
 /// Maximum size of a pot, meters.
 const POT_M: f32 = 0.5;
-/// Maximum gap between a pot and the lowest leaf, meters: the stem may not have been scanned.
+/// Maximum gap between a pot and the lowest leaf, meters: the stem is not always scanned.
 const STEM_M: f32 = 0.25;
 
 /// Joins leaves with each other and with their pots. Returns the regions, and the facts of those
@@ -48,7 +48,7 @@ pub(super) fn join_foliage(
     let leaves: Vec<usize> = (0..parts.len()).filter(|&i| is_leaves(i)).collect();
     let plants = group_leaves(&leaves, parts);
     let mut sets = UnionFind::new(parts.len());
-    // A single green piece may be a cushion on a stool, so it is not joined.
+    // A single green piece can be a cushion on a stool, so it is not joined.
     for (leaves, members) in plants.iter().filter(|(_, members)| members.len() > 1) {
         let pots = (0..parts.len()).filter(|&i| !is_leaves(i) && is_pot(&parts[i], leaves));
         let pot = pots.max_by(|&a, &b| parts[a].points.total_cmp(&parts[b].points));
@@ -90,7 +90,8 @@ fn union_box(a: &Aabb, b: &Aabb) -> Aabb {
     )
 }
 
-/// Whether a part is centered under the leaves, not wider than they are, and ends where they begin.
+/// Returns whether a part is centered under the leaves, not wider than they are, and ends where
+/// they begin.
 fn is_pot(part: &RegionFacts, leaves: &Aabb) -> bool {
     let (size, above) = (part.aabb.size, leaves.min().z - part.aabb.max().z);
     let aside = (part.aabb.center - leaves.center).xy();
@@ -113,9 +114,9 @@ mod tests {
     const LEAF: [u8; 3] = [50, 120, 40];
     const CLAY: [u8; 3] = [150, 80, 50];
 
-    /// Gathers colored blocks from corner to corner, meters. Returns the whole that each belongs
-    /// to.
-    fn gathered(blocks: &[([f32; 3], [f32; 3], [u8; 3])]) -> Vec<u32> {
+    /// Joins the foliage among colored blocks (two corners, meters). Returns the region of each
+    /// block.
+    fn join_blocks(blocks: &[([f32; 3], [f32; 3], [u8; 3])]) -> Vec<u32> {
         let part = |(low, high, _): &([f32; 3], [f32; 3], [u8; 3])| {
             let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / 9.0;
             let cells = (0..1000_u32).map(|i| (i % 10, i / 10 % 10, i / 100));
@@ -146,34 +147,34 @@ mod tests {
     }
 
     #[test]
-    fn leaves_are_one_plant_with_their_pot() {
+    fn leaves_and_pot_join_into_one_plant() {
         let pot = ([0.1, 0.1, 0.0], [0.3, 0.3, 0.3], CLAY);
         let leaves = [
             ([0.0, 0.0, 0.4], [0.25, 0.25, 0.7], LEAF),
             ([0.2, 0.2, 0.5], [0.45, 0.45, 0.9], LEAF),
         ];
-        assert_eq!(gathered(&[pot, leaves[0], leaves[1]]), [0, 0, 0]);
+        assert_eq!(join_blocks(&[pot, leaves[0], leaves[1]]), [0, 0, 0]);
         let far = ([2.0, 0.0, 0.4], [2.3, 0.3, 0.8], LEAF);
-        assert_eq!(gathered(&[leaves[0], far]), [0, 1], "another plant");
-        assert_eq!(gathered(&[pot, leaves[0]]), [0, 1], "a cushion on its stool");
+        assert_eq!(join_blocks(&[leaves[0], far]), [0, 1], "another plant");
+        assert_eq!(join_blocks(&[pot, leaves[0]]), [0, 1], "a cushion on its stool");
     }
 
     #[test]
-    fn what_is_wider_than_the_leaves_is_no_pot_and_furniture_no_leaf() {
+    fn wide_supports_are_not_pots_and_furniture_is_not_foliage() {
         let leaves = ([0.2, 0.2, 0.8], [0.5, 0.5, 1.2], LEAF);
         assert_eq!(
-            gathered(&[([0.0, 0.0, 0.3], [0.6, 0.6, 0.75], CLAY), leaves]),
+            join_blocks(&[([0.0, 0.0, 0.3], [0.6, 0.6, 0.75], CLAY), leaves]),
             [0, 1],
-            "a stool that it stands on"
+            "a plant on a stool"
         );
         let sofa = ([0.0, 0.0, 0.0], [1.8, 0.8, 0.8], LEAF);
         assert_eq!(
-            gathered(&[sofa, ([0.2, 0.2, 0.8], [0.6, 0.6, 1.1], LEAF)]),
+            join_blocks(&[sofa, ([0.2, 0.2, 0.8], [0.6, 0.6, 1.1], LEAF)]),
             [0, 1],
             "a green cushion on a green sofa"
         );
         assert_eq!(
-            gathered(&[
+            join_blocks(&[
                 ([0.0, 0.0, 0.0], [0.2, 0.2, 0.3], CLAY),
                 ([0.2, 0.0, 0.0], [0.4, 0.2, 0.3], CLAY)
             ]),

@@ -47,7 +47,7 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// Height of the lowest floor, meters, if one was found.
+    /// Returns the height of the lowest floor, meters, if one was found.
     #[must_use]
     pub fn floor_z(&self) -> Option<f32> {
         self.planes
@@ -113,7 +113,7 @@ const SAME_NORMAL: f32 = 0.94;
 const GIVES_NORMAL: f32 = 0.985;
 /// Edge of the cells in which planes are measured, meters.
 const CELL_M: f32 = 0.1;
-/// Maximum gap between parts of one plane, meters: furniture may hide that much of a wall. Parts
+/// Maximum gap between parts of one plane, meters: furniture can hide that much of a wall. Parts
 /// farther apart are different planes.
 const GAP_M: f32 = 1.0;
 /// Minimum area of a plane, square meters; smaller ones are things.
@@ -316,8 +316,8 @@ impl<'a> CloudBySuperpoint<'a> {
         self.is_ceiling(sheet, cameras, floor_z).then_some(Structure::Ceiling)
     }
 
-    /// Whether cameras were above the sheet, and nothing is under it. A second floor above the
-    /// lowest must be larger than a bed and have been walked on.
+    /// Returns whether cameras were above the sheet, and nothing is under it. A second floor above
+    /// the lowest must be larger than a bed and have been walked on.
     fn is_floor(&self, sheet: &PlanePart, cameras: &[Point3<f32>], lowest_z: f32) -> bool {
         let over = cameras.iter().filter(|c| sheet.covers(c) && c.z > sheet.middle.z + 0.2).count();
         let walked = match sheet.middle.z > lowest_z + 0.25 {
@@ -327,7 +327,7 @@ impl<'a> CloudBySuperpoint<'a> {
         walked && self.share_of_columns(sheet, |z, own| z < own - 0.2) < MAX_SEEN_BEHIND
     }
 
-    /// Whether cameras were below the sheet, and nothing is over it.
+    /// Returns whether cameras were below the sheet, and nothing is over it.
     fn is_ceiling(&self, sheet: &PlanePart, cameras: &[Point3<f32>], floor_z: f32) -> bool {
         let under = cameras
             .iter()
@@ -336,8 +336,8 @@ impl<'a> CloudBySuperpoint<'a> {
         under && sheet.middle.z > floor_z + MIN_CEILING_M && above < MAX_SEEN_BEHIND
     }
 
-    /// Share of the sheet's cells with a height in their column for which `far(height, sheet's own
-    /// height)` is true.
+    /// Returns the share of the sheet's cells with a height in their column for which `far(height,
+    /// sheet's own height)` is true.
     fn share_of_columns(&self, sheet: &PlanePart, far: impl Fn(f32, f32) -> bool) -> f32 {
         let mut seen = BTreeSet::new();
         let mut hit = 0_u32;
@@ -356,7 +356,7 @@ impl<'a> CloudBySuperpoint<'a> {
         hit as f32 / seen.len().max(1) as f32
     }
 
-    /// Whether the sheet is wide and high, and nothing is visible behind it over its top.
+    /// Returns whether the sheet is wide and high, and nothing is visible behind it over its top.
     fn is_wall(&self, sheet: &PlanePart, cameras: &[Point3<f32>], floor_z: f32) -> bool {
         let mut tops: BTreeMap<i32, i32> = BTreeMap::new();
         for &(a, b) in &sheet.cells {
@@ -389,8 +389,8 @@ impl<'a> CloudBySuperpoint<'a> {
         (hit as f32) < MAX_SEEN_BEHIND * tops.len() as f32
     }
 
-    /// Whether a larger wall continues behind it, as behind a curtain or a wardrobe as high as the
-    /// room.
+    /// Returns whether a larger wall continues behind it, as behind a curtain or a wardrobe as high
+    /// as the room.
     fn is_in_front_of_wall(
         &self,
         sheet: &PlanePart,
@@ -411,7 +411,7 @@ impl<'a> CloudBySuperpoint<'a> {
         })
     }
 
-    /// The plane of each superpoint: the largest one that it lies on.
+    /// Returns the plane of each superpoint: the largest one that it lies on.
     fn assign_superpoints(&self, planes: &[(PlanePart, Structure)]) -> Vec<Option<u32>> {
         (0..self.patches.len() as u32)
             .into_par_iter()
@@ -457,8 +457,8 @@ mod tests {
         }
     }
 
-    /// A room of 4 by 3 by 2.6 m without a ceiling: a bed, a wardrobe before one wall, a panel on
-    /// another.
+    /// Returns a room of 4 by 3 by 2.6 m without a ceiling: a bed, a wardrobe before one wall, a
+    /// panel on another.
     fn room() -> (PointCloud, Planes, Superpoints) {
         let mut cloud = PointCloud::default();
         block(&mut cloud, [0.0, 0.0, 0.0], [4.0, 3.0, 0.0], 120);
@@ -482,7 +482,7 @@ mod tests {
     }
 
     #[test]
-    fn floor_and_walls_are_found_beds_and_wardrobes_are_things() {
+    fn floor_and_walls_are_found_and_beds_and_wardrobes_are_not_planes() {
         let (cloud, planes, superpoints) = room();
         let count = |structure| planes.planes.iter().filter(|p| p.structure == structure).count();
         assert_eq!(
@@ -504,17 +504,17 @@ mod tests {
         assert_eq!(
             kind_at(Point3::new(3.0, 1.5, 0.5)),
             None,
-            "a bed top, though a camera was above it"
+            "the top of a bed is not a floor, although a camera was above it"
         );
         assert_eq!(
             kind_at(Point3::new(1.2, 2.4, 1.0)),
             None,
-            "a wardrobe: over its top the wall can be seen"
+            "a wardrobe is not a wall: the wall behind is visible above it"
         );
     }
 
     #[test]
-    fn small_patches_of_its_color_return_to_the_wall() {
+    fn small_patches_of_the_same_color_rejoin_the_wall() {
         let superpoints = Superpoints {
             of_point: vec![],
             patches: [(10_000, 80.0), (50, 78.0), (50, 20.0), (50, 80.0)]
@@ -540,7 +540,7 @@ mod tests {
         assert_eq!(
             regions,
             [0, 0, 1, 2],
-            "the dark one is a picture, the last stands before the wall"
+            "the dark patch is a picture, and the last one is not on the wall"
         );
     }
 }

@@ -1,8 +1,8 @@
 //! Finds rugs that are too thin to be separated from the floor by height: their color differs.
 //!
-//! Brightness is no evidence: a shadow is the floor's color dimmed, and not a rug however dark it
-//! is. A rug must also be visible to cameras: in a synthetic cloud, the underside of a box lies on
-//! the floor too.
+//! Brightness is no evidence: a shadow is the floor's color dimmed and is not a rug, even if it is
+//! very dark. A rug must also be visible to cameras: in a synthetic cloud, the underside of a box
+//! lies on the floor too.
 
 use super::{ASSIGNED_SLACKS, CELL_M, CloudBySuperpoint, Plane};
 use crate::superpoints::{Patch, Superpoints};
@@ -41,9 +41,9 @@ const IN_THE_WAY_M: f32 = 1.0;
 /// About this many superpoints are sampled for the floor's color: less than twice as many.
 const MOST_TRIED: usize = 200;
 
-/// Takes rugs off the floors they lie on, so that nothing joins them. `of_superpoint` has the plane
-/// of each superpoint. `cameras` are camera centers, meters; without any, every point counts as
-/// seen.
+/// Removes rugs from the planes of their floors, so that the two are not merged. `of_superpoint`
+/// has the plane of each superpoint. `cameras` are camera centers, meters; without any, every point
+/// counts as seen.
 pub(super) fn separate_rugs(
     scan: &CloudBySuperpoint,
     superpoints: &Superpoints,
@@ -87,7 +87,7 @@ pub(super) fn separate_rugs(
     }
 }
 
-/// The ground cells, [`CELL_M`] wide, that superpoints lie on.
+/// Returns the ground cells, [`CELL_M`] wide, that superpoints lie on.
 fn ground_cells(
     scan: &CloudBySuperpoint,
     superpoints: impl Iterator<Item = u32>,
@@ -96,7 +96,7 @@ fn ground_cells(
     superpoints.flat_map(|s| scan.points(s)).map(|p| (at(p.x), at(p.y))).collect()
 }
 
-/// Share of the rim of these cells with floor beside it.
+/// Returns the share of the rim of these cells with floor beside it.
 fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f32 {
     let around = |&(a, b): &(i32, i32), far: i32| {
         (-far..=far).flat_map(move |i| (-far..=far).map(move |j| (a + i, b + j)))
@@ -110,7 +110,8 @@ fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f
     beside_floor as f32 / rim.len().max(1) as f32
 }
 
-/// Whether cameras could see most of a group on a floor: nothing that rises from it is in the way.
+/// Returns whether cameras could see most of a group on a floor: nothing that rises from it is in
+/// the way.
 fn is_visible(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) -> bool {
     let points: Vec<Point3<f32>> = group.iter().flat_map(|&s| scan.points(s)).copied().collect();
     let Some(around) = Aabb::around(&points) else { return false };
@@ -137,7 +138,7 @@ fn is_visible(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) 
     cameras.is_empty() || seen as f32 >= MIN_SEEN * tried.len() as f32
 }
 
-/// The most common color of these superpoints.
+/// Returns the most common color of these superpoints.
 fn most_common_color(on: &[u32], patches: &[Patch]) -> Option<Lab> {
     let patch = |s: u32| &patches[s as usize];
     let alike = |s: u32| {
@@ -156,15 +157,15 @@ fn is_same_color(a: &Lab, b: &Lab) -> bool {
     Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOR
 }
 
-/// Whether it is another color, and not the floor's color under more or less light. Light scales
-/// all components of a color alike: in CIELAB, L* + 16, a* and b*.
+/// Returns whether it is another color, and not the floor's color under more or less light. Light
+/// scales all components of a color alike: in CIELAB, L* + 16, a* and b*.
 fn is_other_color(lab: &Lab, floor: &Lab) -> bool {
     let light = (lab.x + 16.0) / (floor.x + 16.0);
     !is_same_color(lab, floor)
         && (lab.y - light * floor.y).hypot(lab.z - light * floor.z) >= OTHER_HUE
 }
 
-/// Groups of connected superpoints.
+/// Groups connected superpoints.
 fn group_connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec<u32>> {
     let mut is_member = vec![false; superpoints.patches.len()];
     superpoints_of.iter().for_each(|&s| is_member[s as usize] = true);
@@ -193,14 +194,15 @@ mod tests {
     const RED: [u8; 3] = [150, 40, 45];
     const CAMERA: Point3<f32> = Point3::new(1.0, -2.0, 1.6);
 
-    /// Takes rugs off a floor of 4 by 4 superpoints of half a meter, of which `others` have another
-    /// color. Returns the superpoints taken off.
-    fn taken_off(others: &[(u32, [u8; 3])]) -> Vec<u32> {
-        taken_off_in(&[], &[], &[CAMERA], others)
+    /// Separates rugs from a floor of 4 by 4 superpoints of half a meter, of which `others` have
+    /// another color. Returns the separated superpoints.
+    fn separated_rugs(others: &[(u32, [u8; 3])]) -> Vec<u32> {
+        separated_rugs_in(&[], &[], &[CAMERA], others)
     }
 
-    /// The same with points above it, without some of its superpoints, seen by these cameras.
-    fn taken_off_in(
+    /// Does the same with points above the floor, without some of its superpoints, and with these
+    /// cameras.
+    fn separated_rugs_in(
         above: &[Point3<f32>],
         absent: &[u32],
         cameras: &[Point3<f32>],
@@ -252,36 +254,36 @@ mod tests {
     }
 
     #[test]
-    fn a_rug_of_another_color_is_no_floor() {
-        assert_eq!(taken_off(&[(5, RED), (6, RED), (9, RED), (10, RED)]), [5, 6, 9, 10]);
-        assert_eq!(taken_off(&[(12, RED)]), [12], "in a corner");
-        assert_eq!(taken_off(&[(5, [200, 170, 140])]), [5], "a light one");
+    fn rugs_of_another_color_are_separated_from_the_floor() {
+        assert_eq!(separated_rugs(&[(5, RED), (6, RED), (9, RED), (10, RED)]), [5, 6, 9, 10]);
+        assert_eq!(separated_rugs(&[(12, RED)]), [12], "in a corner");
+        assert_eq!(separated_rugs(&[(5, [200, 170, 140])]), [5], "a light rug");
     }
 
     #[test]
-    fn shadows_and_other_floors_are_floor() {
+    fn shadows_and_large_areas_are_not_rugs() {
         assert_eq!(
-            taken_off(&[(5, [60, 42, 27]), (6, [30, 21, 14])]),
+            separated_rugs(&[(5, [60, 42, 27]), (6, [30, 21, 14])]),
             Vec::<u32>::new(),
-            "under less light"
+            "shadows"
         );
         let tiles = [150, 150, 160];
         assert_eq!(
-            taken_off(&(0..7).map(|s| (s, tiles)).collect::<Vec<_>>()),
+            separated_rugs(&(0..7).map(|s| (s, tiles)).collect::<Vec<_>>()),
             Vec::<u32>::new(),
-            "nearly half of the floor"
+            "covers nearly half of the floor"
         );
     }
 
     #[test]
-    fn the_floor_of_the_next_room_meets_this_one_in_the_doorway_alone() {
+    fn floor_of_the_next_room_is_not_a_rug() {
         let next_room = [12, 13, 14, 15].map(|s| (s, RED));
-        assert_eq!(taken_off_in(&[], &[8, 9, 11], &[CAMERA], &next_room), Vec::<u32>::new());
-        assert_eq!(taken_off(&next_room), [12, 13, 14, 15], "a runner along the wall");
+        assert_eq!(separated_rugs_in(&[], &[8, 9, 11], &[CAMERA], &next_room), Vec::<u32>::new());
+        assert_eq!(separated_rugs(&next_room), [12, 13, 14, 15], "a runner along the wall");
     }
 
     #[test]
-    fn the_underside_of_a_box_is_no_rug_what_lies_under_a_table_is() {
+    fn areas_hidden_from_all_cameras_are_not_rugs() {
         let red = [(5, RED)];
         let steps =
             || (0..=25).flat_map(|a| (1..=20).map(move |b| (a as f32 * 0.02, b as f32 * 0.02)));
@@ -290,13 +292,13 @@ mod tests {
                 .map(|(x, y): (f32, f32)| Point3::new(0.5 + x, 0.5 + y, z))
         };
         let stool: Vec<_> = steps().flat_map(sides).collect();
-        assert_eq!(taken_off_in(&stool, &[], &[CAMERA], &red), Vec::<u32>::new());
+        assert_eq!(separated_rugs_in(&stool, &[], &[CAMERA], &red), Vec::<u32>::new());
         assert_eq!(
-            taken_off_in(&stool, &[], &[], &red),
+            separated_rugs_in(&stool, &[], &[], &red),
             [5],
-            "a cloud without cameras: nobody knows"
+            "without cameras every point counts as seen"
         );
         let table: Vec<_> = steps().map(|(x, y)| Point3::new(0.5 + x, 0.5 + y, 0.7)).collect();
-        assert_eq!(taken_off_in(&table, &[], &[CAMERA], &red), [5]);
+        assert_eq!(separated_rugs_in(&table, &[], &[CAMERA], &red), [5]);
     }
 }

@@ -43,7 +43,7 @@ impl PlanePart {
         ((d.dot(&self.along) / CELL_M).floor() as i32, (d.dot(&self.up) / CELL_M).floor() as i32)
     }
 
-    /// Whether a point, projected, falls on the sheet or next to it.
+    /// Returns whether a point, projected, falls on the sheet or next to it.
     pub(super) fn covers(&self, p: &Point3<f32>) -> bool {
         let (a, b) = self.cell(p);
         (-1..=1).any(|i| (-1..=1).any(|j| self.cells.contains(&(a + i, b + j))))

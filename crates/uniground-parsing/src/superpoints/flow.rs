@@ -70,7 +70,7 @@ pub(super) fn grow(
 /// Places one seed per occupied cell of the coarse grid: the voxel nearest the cell's center of
 /// mass.
 ///
-/// Seeds with hardly any surface around them are noise and are left out (their voxels may still
+/// Seeds with hardly any surface around them are noise and are left out (their voxels can still
 /// join a neighbor's supervoxel).
 fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
     let centers: Vec<Point3<f32>> = voxels.patches.par_iter().map(|p| p.center).collect();
@@ -99,7 +99,7 @@ fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
     seeds
 }
 
-/// A surface through a voxel occupies about eight of its neighbors; a stray point has none.
+/// A surface through a voxel occupies about eight of its neighbors; an isolated point has none.
 const MIN_SEED_NEIGHBORS: usize = 2;
 
 /// Returns the nearest supervoxel among the voxel's own and those of its neighbors; `None` if all
@@ -139,7 +139,8 @@ fn best_label(
     Some(best.1)
 }
 
-/// Distance of a voxel to a supervoxel in space, normal and color, each divided by its own unit.
+/// Returns the distance of a voxel to a supervoxel in space, normal and color, each divided by its
+/// own unit.
 fn distance(voxels: &VoxelCloud, v: u32, center: &Patch, settings: &SuperpointSettings) -> f32 {
     let voxel = &voxels.patches[v as usize];
     let space = (voxel.center - center.center).norm() / settings.seed_m;
@@ -150,8 +151,8 @@ fn distance(voxels: &VoxelCloud, v: u32, center: &Patch, settings: &SuperpointSe
         + settings.colour_weight * color
 }
 
-/// Unweighted means over the voxels of each supervoxel, so that dense parts of a scan do not pull
-/// the centers.
+/// Returns the unweighted means over the voxels of each supervoxel, so that dense parts of a scan
+/// do not pull the centers.
 fn recenter(voxels: &VoxelCloud, labels: &[u32], before: &[Patch]) -> Vec<Patch> {
     let mut sums = vec![(0_u32, Vector3::zeros(), Vector3::zeros(), Lab::zeros()); before.len()];
     for (voxel, &label) in voxels.patches.iter().zip(labels) {

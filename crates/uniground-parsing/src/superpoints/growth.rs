@@ -72,7 +72,7 @@ pub fn grow_superpoints(
     ))
 }
 
-/// The patches that remain; those that lost points are measured again.
+/// Returns the patches that remain; those that lost points are measured again.
 fn shrink_patches(
     before: &Superpoints,
     left: &[u32],
@@ -123,7 +123,7 @@ fn patch_of(cloud: &PointCloud, points: &[u32]) -> Patch {
 const REACH: f32 = 1.5;
 
 /// Returns the pairs of previous and new superpoints that touch: with points in the same voxel, or
-/// in two adjacent ones. The first `kept` points are those of before.
+/// in two adjacent ones. The first `kept` points are the previous ones.
 fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> Vec<(u32, u32)> {
     let mut near: VoxelMap<Vec<u32>> = VoxelMap::default();
     let mut add = |key: VoxelKey, superpoint: u32| {
@@ -152,7 +152,7 @@ fn borders(cloud: &PointCloud, of_point: &[u32], kept: usize, reach_m: f32) -> V
 mod tests {
     use super::*;
 
-    /// A square of one meter in the plane, with a point every centimeter, starting at `x`.
+    /// Returns a square of one meter in the plane, with a point every centimeter, starting at `x`.
     fn square(x: f32, z: f32, color: [u8; 3]) -> PointCloud {
         let at = (0..100).flat_map(|i| {
             (0..100).map(move |j| Point3::new(x + i as f32 * 0.01, j as f32 * 0.01, z))
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_added_changes_nothing() {
+    fn empty_addition_changes_nothing() {
         let floor = square(0.0, 0.0, [120; 3]);
         let (first, now, number) =
             grow(&floor, &addition((0..floor.len() as u32).collect(), PointCloud::default()));
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stays_keeps_its_superpoint_and_touches_what_is_new() {
+    fn remaining_points_keep_their_superpoints_and_touch_new_ones() {
         let (mut floor, more) = (square(0.0, 0.0, [120; 3]), square(1.0, 0.0, [120; 3]));
         // The red half, nearer to the origin, is removed.
         let reds = floor.positions.iter().zip(&mut floor.colors).filter(|(p, _)| p.x < 0.5);
@@ -215,7 +215,7 @@ mod tests {
         let old = number.iter().flatten().count() as u32;
         assert!(
             now.adjacent.iter().any(|&(a, b)| a < old && b >= old),
-            "they touch along the line between them"
+            "old and new superpoints touch along their border"
         );
         let mut points = vec![0; now.patches.len()];
         now.of_point.iter().for_each(|&s| points[s as usize] += 1);

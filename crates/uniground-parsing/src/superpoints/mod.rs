@@ -21,7 +21,7 @@ use uniground_types::settings::SuperpointSettings;
 use voxel_cloud::VoxelCloud;
 pub(super) use voxel_cloud::WIDEST_RING;
 
-/// Edge of the voxels from which this cloud's superpoints are made, meters.
+/// Returns the edge of the voxels from which this cloud's superpoints are made, meters.
 #[must_use]
 pub fn voxel_m(cloud: &PointCloud, settings: &SuperpointSettings) -> f32 {
     coarsen_settings(*settings, typical_spacing_m(&cloud.positions)).voxel_m
@@ -36,8 +36,8 @@ fn coarsen_settings(settings: SuperpointSettings, spacing_m: f32) -> SuperpointS
 }
 
 /// Maximum distance of seeds in voxels where voxels are coarsened. Seeds otherwise stay as many
-/// voxels apart as the settings say. The limit prevents too fine a voxel setting from spreading the
-/// seeds.
+/// voxels apart as the settings say. Without this limit, a very fine voxel setting would spread the
+/// seeds too far.
 const ENOUGH_SEED_VOXELS: f32 = 6.0;
 
 /// Minimum voxel edge in multiples of the typical point spacing.
@@ -139,7 +139,7 @@ pub fn compute(
     Ok(Superpoints { of_point, patches, adjacent, roughness_m })
 }
 
-/// Pairs `(low, high)` of neighbors after `label_of` has joined some of them, sorted.
+/// Returns the pairs `(low, high)` of neighbors after `label_of` has joined some of them, sorted.
 pub(super) fn relabel_pairs(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u32, u32)> {
     let mut pairs: Vec<(u32, u32)> = adjacent
         .iter()
@@ -152,7 +152,7 @@ pub(super) fn relabel_pairs(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u
     pairs
 }
 
-/// Mean of the values that share a label, for labels `0..count`.
+/// Returns the mean of the values that share a label, for labels `0..count`.
 fn mean_per_label(labels: &[u32], values: &[f32], count: usize) -> Vec<f32> {
     let mut sums = vec![(0.0_f32, 0.0_f32); count];
     for (&label, &value) in labels.iter().zip(values) {
@@ -171,7 +171,7 @@ mod tests {
         compute(cloud, &SuperpointSettings::default(), &Progress::silent()).unwrap()
     }
 
-    /// Two colored squares that meet at a right angle.
+    /// Returns two colored squares that meet at a right angle.
     fn corner() -> PointCloud {
         let mut cloud = PointCloud::default();
         for i in 0..50 {
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_colored_corner_is_not_straddled() {
+    fn superpoints_do_not_cross_a_colored_corner() {
         let cloud = corner();
         let superpoints = compute_silently(&cloud);
         let mut red = vec![0_u32; superpoints.patches.len()];
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_reach_over_a_gap_but_not_far() {
+    fn neighbors_reach_across_small_gaps_only() {
         // A thin pole in two pieces.
         let tied_over = |gap_m: f32| {
             let piece = |from: f32| {
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn finer_settings_never_give_coarser_superpoints() {
+    fn settings_finer_than_the_cloud_are_coarsened_to_its_density() {
         let asked = |voxel_m: f32| SuperpointSettings { voxel_m, ..SuperpointSettings::default() };
         let (fine, default) =
             (coarsen_settings(asked(0.002), 0.02), coarsen_settings(asked(0.025), 0.02));
@@ -234,12 +234,12 @@ mod tests {
         assert_eq!(
             coarsen_settings(asked(0.05), 0.02),
             asked(0.05),
-            "what the cloud bears is left alone"
+            "settings coarse enough for the cloud do not change"
         );
     }
 
     #[test]
-    fn odd_clouds_are_labelled_too() {
+    fn degenerate_clouds_are_labeled() {
         let same = PointCloud {
             positions: vec![Point3::new(1.0, 2.0, 3.0); 100],
             colors: vec![[9; 3]; 100],
@@ -265,7 +265,6 @@ mod tests {
             prop_assert!(superpoints.adjacent.iter().all(|&(a, b)| a < b && (b as usize) < counts.len()));
         }
 
-        /// The same points with another number of threads give the same labels.
         #[test]
         fn threads_do_not_change_labels(threads in 1_usize..5) {
             let cloud = corner();

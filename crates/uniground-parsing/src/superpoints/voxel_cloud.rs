@@ -37,7 +37,8 @@ impl ScatterMoments {
         self.scatter += before * (p.coords - self.mean).transpose();
     }
 
-    /// Moments of both sets together (Chan's pairwise update): no cancellation far from the origin.
+    /// Returns the moments of both sets together (Chan's pairwise update): no cancellation far from
+    /// the origin.
     fn merge(self, other: &Self) -> Self {
         let count = self.count + other.count;
         if count == 0.0 {
@@ -184,7 +185,7 @@ const NEAREST: usize = 8;
 /// Maximum distance of a neighbor, voxels.
 pub(crate) const WIDEST_RING: i64 = 4;
 
-/// Offsets to the voxels whose largest coordinate offset is `ring`.
+/// Returns the offsets to the voxels whose largest coordinate offset is `ring`.
 fn ring(ring: i64) -> Vec<i64> {
     let side = 2 * ring + 1;
     let offsets =

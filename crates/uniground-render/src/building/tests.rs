@@ -17,7 +17,7 @@ const WALLS: [([u8; 3], Vector3<f32>); 4] = [
     ([250, 120, 0], Vector3::new(0.0, -1.0, 0.0)),
     ([0, 120, 250], Vector3::new(0.0, 1.0, 0.0)),
 ];
-/// A few points at the rims of a wall may remain.
+/// A few points at the rims of a wall can remain.
 const SLIVER_PX: usize = 30;
 const TILTS_DEG: [f32; 2] = [15.0, 35.0];
 const AZIMUTHS_DEG: [f32; 7] = [-90.0, -30.0, 0.0, 75.0, 120.0, 180.0, 240.0];
@@ -82,9 +82,9 @@ impl Scene {
         self.instance(aabb, None, Support::Floor);
     }
 
-    /// A room of 6 by 4 m. Its ceiling is `top(x)` high for x from -3, over the share `covered` of
-    /// its width. An inner wall 10 cm thick runs from the south wall to 1 m before the north wall.
-    /// A red and a green cube stand on its two sides.
+    /// Returns a room of 6 by 4 m. Its ceiling is `top(x)` high for x from -3, over the share
+    /// `covered` of its width. An inner wall 10 cm thick runs from the south wall to 1 m before the
+    /// north wall. A red and a green cube stand on its two sides.
     fn room(top: impl Fn(f32) -> f32, covered: f32) -> Self {
         let mut scene = Self::default();
         scene.sheet([6.0, 4.0], FLOOR, Some(Structure::Floor), |u, v| {
@@ -126,8 +126,8 @@ impl Scene {
     }
 }
 
-/// Number of pixels of each color, seen from a side.
-fn counted(
+/// Returns a function that counts the pixels of a color in the view from `orbit`.
+fn pixel_counter(
     scene: &(RenderScene, Aabb),
     orbit: Orbit,
     cutaway: Cutaway,
@@ -141,15 +141,19 @@ fn orbit(azimuth_deg: f32, tilt_deg: f32) -> Orbit {
     Orbit { width: 480, height: 480, azimuth_deg, tilt_deg }
 }
 
-/// From every side, things and the walls beyond are visible; the ceiling and the walls on this side
-/// are not.
-fn one_looks_in(scene: &Scene) {
+/// Checks from every side that things and the far walls are visible, and that the ceiling and the
+/// near walls are not.
+fn assert_interior_is_visible(scene: &Scene) {
     let rendered = scene.rendered();
     let subjects = [scene.box_of(RED), scene.box_of(GREEN)];
     for azimuth_deg in AZIMUTHS_DEG {
         for tilt_deg in TILTS_DEG {
-            let pixels =
-                counted(&rendered, orbit(azimuth_deg, tilt_deg), Cutaway::Building, &subjects);
+            let pixels = pixel_counter(
+                &rendered,
+                orbit(azimuth_deg, tilt_deg),
+                Cutaway::Building,
+                &subjects,
+            );
             let from = format!("azimuth {azimuth_deg}, tilt {tilt_deg}");
             assert_eq!(pixels(CEILING), 0, "{from}");
             assert!(
@@ -158,8 +162,7 @@ fn one_looks_in(scene: &Scene) {
                 pixels(RED),
                 pixels(GREEN)
             );
-            // From steeply above, the eye may be over the room: then no wall in its way has its
-            // back to it.
+            // From steeply above, the eye can be over the room. Then no wall turns its back to it.
             let eye = orbit(azimuth_deg, tilt_deg).camera(&rendered.1).center();
             for (color, side) in WALLS {
                 let outside_m =
@@ -175,7 +178,7 @@ fn one_looks_in(scene: &Scene) {
                     outside if outside < -2.0 => {
                         assert!(pixels(color) > 500, "{from}: {} of {color:?}", pixels(color));
                     }
-                    // Walls seen edge on may be either.
+                    // Walls seen edge on can be either.
                     _ => {}
                 }
             }
@@ -184,25 +187,25 @@ fn one_looks_in(scene: &Scene) {
 }
 
 #[test]
-fn one_looks_into_a_room_with_a_full_ceiling() {
-    one_looks_in(&Scene::room(|_| 2.5, 1.0));
+fn interior_is_visible_under_a_full_ceiling() {
+    assert_interior_is_visible(&Scene::room(|_| 2.5, 1.0));
 }
 
 #[test]
-fn one_looks_into_a_room_under_a_sloped_ceiling() {
-    one_looks_in(&Scene::room(|x| 2.6 + 0.3 * x, 1.0));
+fn interior_is_visible_under_a_sloped_ceiling() {
+    assert_interior_is_visible(&Scene::room(|x| 2.6 + 0.3 * x, 1.0));
 }
 
 #[test]
-fn one_looks_into_a_room_whose_ceiling_was_scanned_in_part() {
-    one_looks_in(&Scene::room(|_| 2.5, 0.4));
+fn interior_is_visible_under_a_partly_scanned_ceiling() {
+    assert_interior_is_visible(&Scene::room(|_| 2.5, 0.4));
 }
 
 #[test]
-fn each_side_of_an_inner_wall_is_seen_from_its_own_room() {
+fn inner_wall_shows_only_the_side_that_faces_the_camera() {
     let rendered = Scene::room(|_| 2.5, 1.0).rendered();
     for (azimuth_deg, near, far) in [(180.0, INNER[0], INNER[1]), (0.0, INNER[1], INNER[0])] {
-        let pixels = counted(&rendered, orbit(azimuth_deg, 50.0), Cutaway::Building, &[]);
+        let pixels = pixel_counter(&rendered, orbit(azimuth_deg, 50.0), Cutaway::Building, &[]);
         assert!(
             pixels(near) > 1000 && pixels(far) < SLIVER_PX,
             "{azimuth_deg}: {} {}",
@@ -212,17 +215,17 @@ fn each_side_of_an_inner_wall_is_seen_from_its_own_room() {
     }
 }
 
-/// A cube close behind the inner wall, from far down: the wall is left out where the cube is a
-/// subject, and only there.
+/// A cube close behind the inner wall, seen from a low viewpoint. The wall is left out only if the
+/// cube is a subject.
 #[test]
-fn a_wall_before_a_subject_is_left_out() {
+fn wall_in_front_of_a_subject_is_not_drawn() {
     let mut scene = Scene::room(|_| 2.5, 1.0);
     scene.cube([0.5, -0.8], 0.4, [0, 80, 0]);
     let (rendered, cube) = (scene.rendered(), scene.box_of([0, 80, 0]));
     let from = orbit(180.0, 65.0);
     let (without, with) = (
-        counted(&rendered, from, Cutaway::Building, &[]),
-        counted(&rendered, from, Cutaway::Building, &[cube]),
+        pixel_counter(&rendered, from, Cutaway::Building, &[]),
+        pixel_counter(&rendered, from, Cutaway::Building, &[cube]),
     );
     assert!(without([0, 80, 0]) == 0 && without(INNER[0]) > 1000);
     assert!(
@@ -234,23 +237,23 @@ fn a_wall_before_a_subject_is_left_out() {
 }
 
 #[test]
-fn what_hangs_on_a_wall_goes_with_it_unless_it_is_meant() {
+fn things_on_an_open_wall_are_drawn_only_if_they_are_subjects() {
     const PICTURE: [u8; 3] = [90, 0, 0];
     let mut scene = Scene::room(|_| 2.5, 1.0);
     scene.sheet([1.0, 0.7], PICTURE, None, |u, v| Point3::new(u - 2.0, -1.96, 1.2 + 0.7 * v));
     let picture = scene.instances.last().unwrap().aabb;
     let rendered = scene.rendered();
     let from = |azimuth_deg, subjects: &[Aabb]| {
-        counted(&rendered, orbit(azimuth_deg, 35.0), Cutaway::Building, subjects)(PICTURE)
+        pixel_counter(&rendered, orbit(azimuth_deg, 35.0), Cutaway::Building, subjects)(PICTURE)
     };
-    assert!(from(90.0, &[]) > 200, "from within it is seen");
+    assert!(from(90.0, &[]) > 200, "visible from inside the room");
     assert_eq!(from(-90.0, &[]), 0);
     assert!(from(-90.0, &[picture]) > 200);
 }
 
 /// Without known parts of the building, the paper's filter is used. It can also be selected.
 #[test]
-fn the_paper_s_filter_is_at_hand() {
+fn paper_filter_is_selectable_and_the_fallback_without_structure() {
     let scene = Scene::room(|x| 2.6 + 0.3 * x, 1.0);
     let (known, extent) = scene.rendered();
     let unknown = RenderScene::new(scene.cloud.clone());
@@ -260,12 +263,12 @@ fn the_paper_s_filter_is_at_hand() {
     assert_eq!(paper, unknown.draw_from_outside(&camera, Cutaway::Building, &[]).picture);
     assert!(
         paper.pixels().filter(|p| p.0[..3] == CEILING).count() > 10_000,
-        "a sloped ceiling hides the room from it"
+        "with this filter a sloped ceiling hides the room"
     );
 }
 
 #[test]
-fn the_global_render_shows_the_room_under_its_ceiling() {
+fn global_render_leaves_out_the_ceiling() {
     let scene = Scene::room(|_| 2.5, 1.0);
     let (rendered, extent) = scene.rendered();
     let label =

@@ -5,8 +5,8 @@ use super::RgbdSettings;
 use super::surfaces::SurfaceGrid;
 use uniground_geometry::Vector3;
 
-/// Signed bend between two neighboring elements, radians: positive where the surface is concave (a
-/// valley).
+/// Returns the signed bend between two neighboring elements, radians: positive where the surface is
+/// concave (a valley).
 pub(super) fn signed_bend(surfaces: &SurfaceGrid, a: usize, b: usize) -> f32 {
     let (na, nb): (Vector3<f32>, Vector3<f32>) = (surfaces.normals[a], surfaces.normals[b]);
     let angle = na.dot(&nb).clamp(-1.0, 1.0).acos();
@@ -15,7 +15,7 @@ pub(super) fn signed_bend(surfaces: &SurfaceGrid, a: usize, b: usize) -> f32 {
     if (na - nb).dot(&across) > 0.0 { angle } else { -angle }
 }
 
-/// Patch label `0..n` of each element.
+/// Returns the patch label `0..n` of each element.
 pub(super) fn cut_patches(surfaces: &SurfaceGrid, settings: &RgbdSettings) -> Vec<u32> {
     let mut edges: Vec<(f32, u32, u32)> = surfaces
         .adjacent_pairs()

@@ -54,14 +54,14 @@ impl SurfaceGrid {
         surfaces
     }
 
-    /// The grid element of a full-resolution pixel.
+    /// Returns the grid element of a full-resolution pixel.
     pub fn cell_of(&self, u: u32, v: u32) -> usize {
         let (column, row) = ((u / self.stride) as usize, (v / self.stride) as usize);
         row.min(self.height - 1) * self.width + column.min(self.width - 1)
     }
 
-    /// Whether the surface continues from one element to another: their depths differ by no more
-    /// than noise and slant explain.
+    /// Returns whether the surface continues from one element to another: their depths differ by no
+    /// more than noise and slant explain.
     pub fn is_continuous(&self, a: usize, b: usize) -> bool {
         let (za, zb) = (self.depth_m[a], self.depth_m[b]);
         if za <= 0.0 || zb <= 0.0 {
@@ -75,7 +75,7 @@ impl SurfaceGrid {
         off_plane <= 0.006 + 0.005 * z * z && step.norm() <= 0.03 + 12.0 * self.spacing_per_m * z
     }
 
-    /// Pairs of each element with those right of and below it.
+    /// Returns the pairs of each element with those right of and below it.
     pub fn adjacent_pairs(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         let (w, n) = (self.width, self.width * self.height);
         (0..n).flat_map(move |i| {
@@ -182,7 +182,8 @@ fn depth_or_bridge(depth: &DepthImage, u: u32, v: u32) -> f32 {
     if count >= ENOUGH && high <= ONE_SURFACE * low { sum / count as f32 } else { 0.0 }
 }
 
-/// Mean color of a block of pixels: halves noise and texture before edges are detected.
+/// Returns the mean color of a block of pixels. This halves noise and texture before edges are
+/// detected.
 fn block_mean(colors: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
     let mut sum = [0_u32; 3];
     let mut count = 0;
@@ -209,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn cracks_are_bridged_but_neither_holes_nor_steps() {
+    fn cracks_are_bridged_but_holes_and_depth_steps_are_not() {
         let crack = image(|u, _| if u == 4 { 0.0 } else { 2.0 });
         assert_eq!((depth_or_bridge(&crack, 4, 4), depth_or_bridge(&crack, 3, 4)), (2.0, 2.0));
         let hole = image(|u, v| if u.abs_diff(4).max(v.abs_diff(4)) <= 2 { 0.0 } else { 2.0 });

@@ -39,7 +39,7 @@ struct RegionBorder {
 /// was queued.
 type MergeOffer = (Reverse<u32>, Reverse<(u32, u32)>, u32, u32);
 
-/// Thing label `0..n` of each element.
+/// Returns the thing label `0..n` of each element.
 pub(super) fn join_patches(
     surfaces: &SurfaceGrid,
     patches: &[u32],
@@ -103,7 +103,8 @@ pub(super) fn join_patches(
     patches.iter().map(|&p| labels[p as usize]).collect()
 }
 
-/// Cost of joining: color difference and concavity along the border, each divided by its own unit.
+/// Returns the cost of joining: color difference and concavity along the border, each divided by
+/// its own unit.
 fn join_cost(
     a: &PatchRegion,
     b: &PatchRegion,
@@ -133,8 +134,8 @@ fn join_cost(
 const SAME_PLANE_DEG: f32 = 8.0;
 
 impl PatchRegion {
-    /// Whether the points stay close to their plane within the sensor noise, which grows with
-    /// distance squared.
+    /// Returns whether the points stay close to their plane within the sensor noise, which grows
+    /// with distance squared.
     fn is_flat(&self) -> bool {
         let mean = self.position_sum / self.pixels;
         let covariance = self.moments / self.pixels - mean * mean.transpose();

@@ -88,7 +88,7 @@ mod tests {
     use uniground_testing::tiny_segmenter;
 
     #[test]
-    fn what_is_kept_is_what_was_encoded_and_the_disk_is_bounded() {
+    fn encodings_are_cached_until_removed_within_the_disk_quota() {
         let picture = |v: u8| RgbImage::from_pixel(40, 30, image::Rgb([v, 80, 90]));
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 1 << 20).unwrap();
         let first = frames.encode(FrameIndex(1), &picture(10)).unwrap();
@@ -98,6 +98,10 @@ mod tests {
         assert_ne!(frames.encode(FrameIndex(1), &picture(200)).unwrap(), first);
         let full = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 100).unwrap();
         full.encode(FrameIndex(1), &picture(10)).unwrap();
-        assert_ne!(full.encode(FrameIndex(1), &picture(200)).unwrap(), first, "nothing fits");
+        assert_ne!(
+            full.encode(FrameIndex(1), &picture(200)).unwrap(),
+            first,
+            "nothing fits into the cache"
+        );
     }
 }

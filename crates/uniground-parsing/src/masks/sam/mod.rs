@@ -37,7 +37,7 @@ const GRID: usize = 256;
 /// Overlap of the quarter windows across the middle, as a share of the picture.
 const QUARTER_OVERLAP: f32 = 0.1;
 
-/// A mask that may be accepted.
+/// A candidate mask.
 struct MaskCandidate {
     /// Predicted IoU times the square root of the stability.
     quality: f32,
@@ -259,7 +259,7 @@ impl SamMasks<'_> {
 }
 
 impl MaskCandidate {
-    /// Whether it contains a pixel of a picture of this size.
+    /// Returns whether it contains a pixel of a picture of this size.
     fn contains_pixel(&self, (x, y): (f32, f32), (width, height): (u32, u32)) -> bool {
         let cell = |at: f32, length: u32| {
             (((at + 0.5) / length as f32 * GRID as f32) as usize).min(GRID - 1)
@@ -269,14 +269,14 @@ impl MaskCandidate {
     }
 }
 
-/// IoU on the grid.
+/// Returns the IoU on the grid.
 fn overlap(a: &MaskCandidate, b: &MaskCandidate) -> f32 {
     let both: u32 = a.cells.iter().zip(&b.cells).map(|(x, y)| (x & y).count_ones()).sum();
     both as f32 / (a.area + b.area - both) as f32
 }
 
-/// For each cell of the grid over the picture: the cell of a window's low-resolution mask, or an
-/// index past its end outside of the window.
+/// Returns, for each cell of the grid over the picture, the cell of a window's low-resolution mask,
+/// or an index past its end outside of the window.
 fn cell_lookup(window: CropWindow, (width, height): (u32, u32), mask_size: usize) -> Vec<u32> {
     const OUTSIDE: u32 = u32::MAX;
     let low = |i: usize, length: u32, start: u32, reach: u32, scale: f32| {
@@ -334,7 +334,7 @@ pub(super) mod tests {
 
     /// Random weights: only the existence, bounds and reproducibility of the masks can be checked.
     #[test]
-    fn a_grid_of_points_gives_one_id_image_whatever_the_family() {
+    fn grid_prompts_give_one_id_image_for_every_family() {
         let open = SamSettings {
             points_per_side: 4,
             min_predicted_iou: -10.0,
@@ -355,7 +355,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_caller_who_leaves_is_noticed_between_two_calls() {
+    fn cancellation_is_checked_between_model_calls() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
         let progress = Progress::new(|_, _| {}, || true);
         let masks = SamMasks {
@@ -370,7 +370,7 @@ pub(super) mod tests {
 
     /// A part of a thing, with lower confidence than the whole.
     #[test]
-    fn the_order_decides_what_stays_visible() {
+    fn painting_order_decides_which_mask_is_on_top() {
         let segmenter = tiny_segmenter("tiny-segmenter");
         let size = segmenter.mask_size();
         let window = CropWindow {
@@ -413,26 +413,26 @@ pub(super) mod tests {
         // Ids follow the order of painting.
         let (images, by_size) =
             (painted(MaskOrder::AscendingQuality), painted(MaskOrder::LargerFirst).remove(0));
-        let [by_quality, wholes] = &images[..] else { panic!("two images were asked for") };
+        let [by_quality, wholes] = &images[..] else { panic!("expected two images") };
         assert_eq!(
             (wholes.count(), wholes.at((48, 32))),
             (1, 1),
-            "the large one covers more than a quarter of the picture"
+            "the large mask is left out: it covers more than a quarter of the picture"
         );
         assert_eq!(
             (by_quality.at((48, 32)), by_quality.at((20, 32))),
             (2, 2),
-            "the surer one covers its part"
+            "the more confident mask covers its part"
         );
         assert_eq!(
             (by_size.at((48, 32)), by_size.at((20, 32)), by_size.at((2, 2))),
             (2, 1, 0),
-            "the part lies on its whole"
+            "the part is painted over its whole"
         );
     }
 
     #[test]
-    fn a_patch_holds_what_is_inside_and_the_border() {
+    fn mask_patch_contains_the_inside_and_its_border() {
         let logits: Vec<f32> = (0..64_u8)
             .map(|i| {
                 if (2..5).contains(&(i % 8)) && (3..5).contains(&(i / 8)) {
@@ -451,7 +451,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_window_lies_where_it_was_cut() {
+    fn cell_lookup_places_the_window_where_it_was_cut() {
         let window = CropWindow { left: 50, top: 0, width: 50, height: 100, scale: (0.64, 0.32) };
         let lookup = cell_lookup(window, (100, 100), 32);
         assert_eq!(lookup[0], u32::MAX, "left of the window");
@@ -461,7 +461,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_better_of_two_that_say_the_same_stays() {
+    fn of_two_overlapping_masks_the_better_one_is_kept() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
         let sam = SamMasks {
             frames: &frames,

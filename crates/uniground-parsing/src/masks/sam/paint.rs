@@ -63,8 +63,8 @@ fn paint_image(masks: &[&MaskCandidate], segmenter: &Segmenter, frame: &Frame) -
     IdImage { width, height, ids }
 }
 
-/// Left, top, right and bottom of a mask in picture pixels, extended by two cells on every side,
-/// within its window.
+/// Returns the left, top, right and bottom of a mask in picture pixels, extended by two cells on
+/// every side, within its window.
 fn mask_bounds(mask: &MaskCandidate, width: u32, height: u32) -> [f32; 4] {
     let (mut low, mut high) = ([GRID; 2], [0; 2]);
     for (i, word) in mask.cells.iter().enumerate().filter(|(_, word)| **word != 0) {

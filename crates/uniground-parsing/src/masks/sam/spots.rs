@@ -27,8 +27,8 @@ enum SkipCondition {
 const SAME_SIZE: f32 = 2.0;
 
 impl PromptPoint {
-    /// Whether the existing masks make this prompt unnecessary. Its window must be the whole
-    /// picture, or the condition [`SkipCondition::Never`].
+    /// Returns whether the existing masks make this prompt unnecessary. Its window must be the
+    /// whole picture, or the condition [`SkipCondition::Never`].
     pub(super) fn is_answered(&self, picture: (u32, u32), found: &[MaskCandidate]) -> bool {
         let fits = |mask: &MaskCandidate| match self.unless {
             SkipCondition::Never => false,
@@ -42,8 +42,8 @@ impl PromptPoint {
     }
 }
 
-/// A grid of prompt points over a picture, row by row: always prompted, or only where no mask
-/// exists.
+/// Returns a grid of prompt points over a picture, row by row: always prompted, or only where no
+/// mask exists.
 pub(super) fn grid_points(
     (width, height): (u32, u32),
     per_side: u32,
@@ -100,8 +100,8 @@ pub(super) fn segment_centers(
         .collect()
 }
 
-/// Distance of each pixel to the nearest pixel of another id or to the picture's border, in thirds
-/// of a pixel (chamfer 3-4).
+/// Returns the distance of each pixel to the nearest pixel of another id or to the picture's
+/// border, in thirds of a pixel (chamfer 3-4).
 fn distance_to_border(segments: &IdImage) -> Vec<u32> {
     let (width, height) = (segments.width as i32, segments.height as i32);
     let mut distance = vec![u32::MAX; segments.ids.len()];
@@ -134,7 +134,7 @@ mod tests {
     use super::super::{CropWindow, MaskPatch};
     use super::*;
 
-    /// A picture with one segment that contains a smaller one, and a speck.
+    /// Returns a picture with one segment that contains a smaller one, and a speck.
     fn segments() -> IdImage {
         let id = |x: u32, y: u32| match (x, y) {
             (10..30, 10..30) => 5,
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn middles_lie_far_from_borders_and_specks_have_none() {
+    fn segment_centers_are_far_from_borders_and_specks_have_none() {
         let found = segment_centers(&segments(), &frame(), 0.001);
         assert_eq!(found.len(), 2);
         let ((x, y), (inner_x, inner_y)) = (found[0].at, found[1].at);
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mask_of_the_same_size_answers_and_one_of_another_does_not() {
+    fn prompt_is_skipped_only_for_a_mask_of_similar_size() {
         let spots = segment_centers(&segments(), &frame(), 0.001);
         let mask = |reach: usize| {
             let bits: Vec<bool> =
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_grid_what_masks_hold_is_left_out_unless_all_of_it_is_wanted() {
+    fn grid_points_under_masks_are_skipped_unless_always_prompted() {
         let window = CropWindow { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
         let left_half = [u64::MAX, u64::MAX, 0, 0].repeat(GRID);
         let mask = MaskCandidate {
