@@ -414,7 +414,7 @@ fn camera_centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
 fn blind_frame_warnings(frames: usize, blind: &[String]) -> Vec<String> {
     let mut warnings = Vec::new();
     if frames == 0 {
-        warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
+        warnings.push("the scan has no frames: instances come from geometry and point color alone and have no pictures".into());
     }
     if !blind.is_empty() {
         warnings.push(format!(
