@@ -64,7 +64,7 @@ impl AnnotatedRoom {
         Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
     }
 
-    /// Returns movable things with at least `min_points` annotated points. In a rotated world,
+    /// Returns movable objects with at least `min_points` annotated points. In a rotated world,
     /// their boxes are the bounds of their points.
     #[must_use]
     pub fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
@@ -193,7 +193,7 @@ impl SceneObject {
         self.size().product()
     }
 
-    /// Returns whether this lies flat on a slab of the building, or is embedded in it.
+    /// Returns whether this object lies flat on a slab of the building, or is embedded in it.
     fn is_part_of(&self, slab: &Self) -> bool {
         const FLAT_M: f32 = 0.1;
         const LET_IN_M: f32 = 0.02;

@@ -196,7 +196,7 @@ impl Annotations {
 }
 
 impl SceneObject {
-    /// Returns the part of the building that its name stands for.
+    /// Returns the part of the building that its name means.
     #[must_use]
     pub fn structure(&self) -> Option<Structure> {
         [Structure::Floor, Structure::Ceiling, Structure::Wall]
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn lookup_tables_have_six_or_nine_numbers() {
+    fn annotation_boxes_have_six_or_nine_numbers() {
         let (annotations, omissions) = read(
             "47333462.json",
             r#"[{"bbox_id": 0, "target": "coffee_table", "bbox_3d": [1, 2, 0.5, 2, 1, 0.4]},

@@ -239,7 +239,7 @@ mod tests {
     use uniground_types::settings::Normalisation;
 
     #[test]
-    fn a_matrix_spells_out_every_combination_in_order() {
+    fn matrix_expands_to_all_combinations_in_order() {
         let cells =
             expand_matrix("source=oracle,parsed; top_k=3,5", &Configuration::default()).unwrap();
         let names: Vec<&str> = cells.iter().map(|(name, _)| name.as_str()).collect();
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn built_in_parts_go_by_their_own_names() {
+    fn builtin_masks_and_encoder_are_recorded_by_name() {
         let cells =
             expand_matrix("masks=builtin,mine;encoder=builtin", &Configuration::default()).unwrap();
         let used: Vec<(&str, &str)> =

@@ -20,15 +20,15 @@ pub struct Share {
 /// `no_match` as a prediction of "not in this room".
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Abstention {
-    /// Number of expressions about absent things.
+    /// Number of expressions about absent objects.
     pub absent: usize,
     /// Number of `no_match` answers.
     pub said: usize,
     /// Share of `no_match` answers that are right. `None` when there are none.
     pub precision: Option<f32>,
-    /// Share of absent things answered with `no_match`. `None` when nothing is absent.
+    /// Share of absent objects answered with `no_match`. `None` when nothing is absent.
     pub recall: Option<f32>,
-    /// Share of present things answered with `no_match`.
+    /// Share of present objects answered with `no_match`.
     pub denied: Option<f32>,
 }
 
@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn intervals_hold_the_mean_and_narrow_with_more_values() {
+    fn intervals_contain_the_mean_and_narrow_with_more_values() {
         let few: Vec<(&str, f32)> = (0..40_u8).map(|i| ("a", f32::from(i % 2))).collect();
         let many: Vec<(&str, f32)> = (0..4000_u16).map(|i| ("a", f32::from(i % 2))).collect();
         let (low, high) = confidence_interval(&few, 7);

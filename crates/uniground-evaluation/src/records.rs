@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_record_is_named_by_its_line_and_field() {
+    fn decode_errors_name_line_and_field() {
         let text = "[\n {\"id\": 1},\n\n {\n  \"id\": \"two\"\n }, {\"id\": 3}]";
         let records = Record::parse_list(text).unwrap();
         assert_eq!(records.iter().map(|r| r.line).collect::<Vec<_>>(), [2, 4, 6]);

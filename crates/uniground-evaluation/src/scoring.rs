@@ -25,7 +25,7 @@ pub struct ScoredExpression {
     pub picture: Option<String>,
 }
 
-/// The score against the target's box. Expressions about absent things have none.
+/// The score against the target's box. Expressions about absent objects have none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TargetOutcome {
     pub name: Option<String>,

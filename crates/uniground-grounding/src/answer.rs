@@ -30,15 +30,15 @@ pub(super) fn to_timings(parsed: Duration, shortlisted: Duration, total: Duratio
 /// Everything stage 2 returns for a question.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Grounding {
-    /// The question as it was asked.
+    /// The text of the question.
     pub query: String,
     /// The status. Only `grounded` and `uncertain` have a box.
     pub status: Status,
     /// Why nothing was chosen; `None` unless the status is `no_match`.
     #[serde(default)]
     pub no_match_reason: Option<NoMatchReason>,
-    /// Where a vision-language model sees an object that is no instance; `None` unless the reason
-    /// is `not_listed`.
+    /// Where a vision-language model sees an object that is not an instance; `None` unless the
+    /// reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
     /// The paper's six fields (App. B.1).
@@ -48,8 +48,8 @@ pub struct Grounding {
     pub aabb: Option<Aabb>,
     /// Yaw-oriented box of the answer; `None` unless the status is `grounded` or `uncertain`.
     pub oriented_box: Option<OrientedBox>,
-    /// Belief in the answer, `0..=1`. For `no_match`, the belief that nothing fits; 0.5 where the
-    /// noun asked for is unknown.
+    /// Belief in the answer, `0..=1`. For `no_match`, the belief that nothing fits; 0.5 if the
+    /// requested noun is unknown.
     pub confidence: f32,
     /// The best candidates, best first.
     pub candidates: Vec<Candidate>,
@@ -63,7 +63,7 @@ pub struct Grounding {
     /// Number of matching instances, where the question asks for several; 0 for `no_match`.
     #[serde(default)]
     pub count: Option<u32>,
-    /// How the question was read.
+    /// The parsed question.
     pub parsed_query: ParsedQuerySummary,
     /// The convention for left, right, front and back: `paper`, `viewer`, or `observer` when the
     /// request has one. Words of the question ("facing the desk") override it.
@@ -72,7 +72,7 @@ pub struct Grounding {
     pub timings_ms: Timings,
 }
 
-/// Belief that nothing fits, where the noun asked for is unknown.
+/// Belief that nothing fits, if the requested noun is unknown.
 const NOBODY_KNOWS: f32 = 0.5;
 /// Maximum number of alternatives in an answer.
 const MAX_ALTERNATIVES: usize = 5;

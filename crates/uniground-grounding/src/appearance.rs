@@ -151,7 +151,7 @@ mod tests {
     use uniground_testing::tiny_encoder;
 
     #[test]
-    fn without_a_single_picture_names_decide_the_shortlist() {
+    fn instances_without_pictures_have_no_appearance_score() {
         let (encoder, query) = (tiny_encoder(), "the red chair");
         let looked = |rows: &[f32]| {
             let embeddings =
@@ -164,6 +164,10 @@ mod tests {
         rows[0] = 1.0;
         let half_seen = looked(&rows);
         assert_eq!(half_seen.shortlist().map(<[f32]>::len), Some(2));
-        assert_eq!(half_seen.fit("chair", 1, None), None, "what was never seen has no appearance");
+        assert_eq!(
+            half_seen.fit("chair", 1, None),
+            None,
+            "an instance without pictures has no appearance"
+        );
     }
 }

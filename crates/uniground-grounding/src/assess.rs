@@ -25,8 +25,8 @@ use uniground_language::{ME, Meaning, Phrase, Relation, RelationKind, zones};
 
 /// Factor of a score when a relation is contradicted. Not 0, because geometry is noisy.
 const CONTRADICTED: f32 = 0.05;
-/// The same factor for relations that depend on the viewer, and on what people mean by "between" or
-/// "in the corner".
+/// The same factor for relations that depend on the viewer, and on how people use "between" or "in
+/// the corner".
 const LOOSELY_CONTRADICTED: f32 = 0.2;
 /// How many anchors a relation tries, best first. This bounds the work in a scene of thousands of
 /// instances.
@@ -39,9 +39,9 @@ const IMPOSSIBLE: f32 = 0.01;
 const FOUND: f32 = 0.05;
 /// Share of the best fit from which another instance may be meant too.
 const MAY_BE_MEANT: f32 = 0.5;
-/// Below this score, no instance carries what is asked for.
+/// Below this score, no instance carries the requested object.
 const CARRIED: f32 = 0.25;
-/// Factor of a score when the anchor of a relation was not found. It may exist all the same.
+/// Factor of a score when the anchor of a relation was not found. It may exist undetected.
 const NOT_FOUND: f32 = 0.3;
 
 /// An instance that stands on or in an anchor to at least this degree counts as touching it. In an
@@ -70,8 +70,8 @@ pub struct Assessment {
     pub own: Vec<f32>,
     /// For each relation of the phrase, the best anchors of every instance.
     pub bonds: Vec<Vec<RelationMatch>>,
-    /// Whose left and right decided the rank among instances of the kind; empty where no rank is
-    /// asked for.
+    /// By whose view the rank among instances of the kind was decided; empty where the question has
+    /// no rank.
     pub place_seen_by: Vec<SeenBy>,
     pub total: Vec<f32>,
 }
@@ -298,7 +298,7 @@ impl<'a> Assessor<'a> {
                 joint
             }),
         };
-        // "on a stand": if none of the stands that were found holds it, it is on another one.
+        // "on a stand": if no detected stand holds it, it is on an undetected one.
         let found =
             bonds.iter().zip(fits).any(|(bond, fit)| bond.score >= CARRIED && *fit >= IMPOSSIBLE);
         if !found && relation.anchors.iter().any(|anchor| anchor.indefinite) && !relation.negated {
@@ -336,7 +336,7 @@ impl<'a> Assessor<'a> {
     }
 
     /// Returns how far each instance lies within the zone that instances of these nouns form: near
-    /// one of them. Where there are none, any instance may.
+    /// one of them. Without such instances, every instance counts as inside.
     fn match_zone(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<RelationMatch> {
         const REACH_M: f32 = 1.5;
         let named = |noun: &&str| {
@@ -388,8 +388,8 @@ impl<'a> Assessor<'a> {
         anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better_match)
     }
 
-    /// Something on a wall hangs there; an instance that stands on the floor or on another only
-    /// stands at the wall.
+    /// Returns the factor of "on the wall". Only instances that hang there count fully; an instance
+    /// on the floor or on another instance only stands at the wall.
     fn hanging_factor(&self, kind: RelationKind, target: usize, anchor: usize) -> f32 {
         let of = |i: usize| &self.scene.instances[i];
         let held_below = matches!(of(target).support, Support::Floor | Support::Instance { .. });
@@ -563,23 +563,23 @@ mod tests {
     use uniground_language::{Measure, Superlative, Trait};
     use uniground_testing::thing;
 
-    /// Something that somebody has named; `base` is the height of its underside.
+    /// Returns a named instance; `base` is the height of its underside.
     fn named(id: u32, name: &str, at: [f32; 2], size: [f32; 3], base: f32) -> Instance {
         let instance = thing(id, at, size, base, Support::Nothing, [90; 3]);
         Instance { given_name: Some(name.into()), ..instance }
     }
 
-    /// A lamp on the floor, 0.2 m wide.
+    /// Returns a lamp on the floor, 0.2 m wide.
     fn lamp(id: u32, x: f32) -> Instance {
         named(id, "lamp", [x, 0.0], [0.2, 0.2, 0.4], 0.0)
     }
 
-    /// 0.6 m by 0.8 m, a diagonal of 1 m, and 1 m high.
+    /// Returns a desk of 0.6 m by 0.8 m (diagonal 1 m) that is 1 m high.
     fn desk(id: u32, x: f32) -> Instance {
         named(id, "desk", [x, 0.0], [0.6, 0.8, 1.0], 0.0)
     }
 
-    /// A lamp with its underside so far above a desk's top.
+    /// Returns a lamp whose underside is `hovers` meters above a desk's top.
     fn lamp_over(id: u32, x: f32, hovers: f32) -> Instance {
         named(id, "lamp", [x, 0.0], [0.2, 0.2, 0.4], 1.0 + hovers)
     }
@@ -597,12 +597,12 @@ mod tests {
         of(&mut Assessor::new(scene, DirectionConvention::Viewer.into()))
     }
 
-    fn said(head: &str) -> Phrase {
+    fn noun_phrase(head: &str) -> Phrase {
         Phrase { head: head.into(), ..Phrase::default() }
     }
 
     fn relation(kind: RelationKind, anchors: &[&str]) -> Relation {
-        let anchors = anchors.iter().map(|head| said(head)).collect();
+        let anchors = anchors.iter().map(|head| noun_phrase(head)).collect();
         Relation { kind, text: kind.as_str().into(), anchors, negated: false, rank: 1 }
     }
 
@@ -638,14 +638,14 @@ mod tests {
     }
 
     #[track_caller]
-    fn are(found: &[f32], by_hand: &[f32]) {
+    fn assert_close(found: &[f32], by_hand: &[f32]) {
         let same = found.len() == by_hand.len()
             && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 2e-4);
-        assert!(same, "{found:?}, by hand {by_hand:?}");
+        assert!(same, "{found:?}, expected {by_hand:?}");
     }
 
     #[test]
-    fn a_relation_that_does_not_hold_leaves_a_twentieth_or_a_fifth() {
+    fn contradicted_relation_keeps_five_or_twenty_percent() {
         // On the desk, 6 cm above it (a half), and elsewhere: 0.05 + 0.95 · bond.
         let room = [
             desk(1, 0.0),
@@ -655,45 +655,48 @@ mod tests {
             lamp(5, 8.0),
         ];
         let phrase = lamp_that(vec![relation(RelationKind::On, &["desk"])]);
-        are(&totals(&room, &phrase), &[0.0, 0.0, 1.0, 0.525, 0.05]);
-        // To the left, by who looks: 0.2 where it is to the right.
+        assert_close(&totals(&room, &phrase), &[0.0, 0.0, 1.0, 0.525, 0.05]);
+        // Left depends on the viewer: a lamp on the right keeps 0.2.
         let room = [desk(1, 0.0), lamp(2, 3.0)];
         let phrase = lamp_that(vec![relation(RelationKind::LeftOf, &["desk"])]);
-        are(&totals(&room, &phrase), &[0.0, 0.2]);
+        assert_close(&totals(&room, &phrase), &[0.0, 0.2]);
         assert_eq!(contradiction_factor(RelationKind::Near), 0.05);
         assert_eq!(contradiction_factor(RelationKind::Between), 0.2);
     }
 
     #[test]
-    fn several_relations_multiply() {
+    fn scores_of_several_relations_multiply() {
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.06), lamp(3, 8.0)];
         let on = || relation(RelationKind::On, &["desk"]);
-        are(&totals(&room, &lamp_that(vec![on(), on()])), &[0.0, 0.525 * 0.525, 0.05 * 0.05]);
+        assert_close(
+            &totals(&room, &lamp_that(vec![on(), on()])),
+            &[0.0, 0.525 * 0.525, 0.05 * 0.05],
+        );
         let found = with_assessor(&room, |assessor| assessor.assess(&lamp_that(vec![on()])));
-        are(&found.nouns, &[0.0, 1.0, 1.0]);
-        are(&found.own, &[0.0, 1.0, 1.0]);
+        assert_close(&found.nouns, &[0.0, 1.0, 1.0]);
+        assert_close(&found.own, &[0.0, 1.0, 1.0]);
         assert_eq!(found.bonds.len(), 1);
         assert_eq!(found.bonds[0][1].anchor, Some(InstanceId(1)));
         assert!(found.place_seen_by.is_empty(), "{found:?}");
     }
 
     #[test]
-    fn comparisons_come_after_what_they_compare() {
+    fn comparisons_are_scored_after_other_relations() {
         // The closest to the door of those on the desk is the one on the desk.
         let door = named(4, "door", [6.0, 0.0], [0.1, 0.9, 2.0], 0.0);
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.0), lamp(3, 5.0), door];
         let closest = || relation(RelationKind::Closest, &["door"]);
         let on = || relation(RelationKind::On, &["desk"]);
         let by_hand = [0.0, 1.0, 0.05 * 0.05, 0.0];
-        are(&totals(&room, &lamp_that(vec![closest(), on()])), &by_hand);
-        are(&totals(&room, &lamp_that(vec![on(), closest()])), &by_hand);
+        assert_close(&totals(&room, &lamp_that(vec![closest(), on()])), &by_hand);
+        assert_close(&totals(&room, &lamp_that(vec![on(), closest()])), &by_hand);
         // Of all lamps it is the second: 0.05 + 0.95 · 0.45.
-        are(&totals(&room, &lamp_that(vec![closest()])), &[0.0, 0.477_5, 1.0, 0.0]);
+        assert_close(&totals(&room, &lamp_that(vec![closest()])), &[0.0, 0.477_5, 1.0, 0.0]);
     }
 
     #[test]
-    fn of_so_many_only_these_are_compared() {
-        // Two red lamps and one of half of it, the largest of them.
+    fn comparisons_with_a_count_rank_only_the_best_matches() {
+        // Two red lamps, and a half-red one that is the largest.
         let large = named(3, "lamp", [4.0, 0.0], [0.4, 0.4, 0.8], 0.0);
         let door = named(4, "door", [6.0, 0.0], [0.1, 0.9, 2.0], 0.0);
         let room = [red(1.0, lamp(1, 0.0)), red(1.0, lamp(2, 2.0)), red(0.3, large), door];
@@ -704,8 +707,8 @@ mod tests {
             let colors = vec![ColorName::Red];
             totals(&room, &Phrase { colors, count, superlative, ..lamp_that(relations) })
         };
-        are(&asked(None, None, &[]), &[1.0, 1.0, 0.5, 0.0]);
-        are(&asked(Some(2), None, &[]), &[1.0, 1.0, 0.5, 0.0]);
+        assert_close(&asked(None, None, &[]), &[1.0, 1.0, 0.5, 0.0]);
+        assert_close(&asked(Some(2), None, &[]), &[1.0, 1.0, 0.5, 0.0]);
         for (superlative, relations) in [(largest, &[][..]), (None, &closest[..])] {
             let all = asked(None, superlative, relations);
             let one = asked(Some(1), superlative, relations);
@@ -717,17 +720,17 @@ mod tests {
     }
 
     #[test]
-    fn leave_best_keeps_what_fits_as_well_as_the_last_of_them() {
+    fn keep_best_also_keeps_near_ties_with_the_last() {
         let left = |count, scores: &[f32]| {
             let mut scores = scores.to_vec();
             keep_best(count, &mut scores);
             scores
         };
         // 0.95 · 0.86 = 0.817.
-        are(&left(2, &[0.9, 0.5, 0.86, 0.1]), &[0.9, 0.0, 0.86, 0.0]);
-        are(&left(2, &[0.9, 0.82, 0.86, 0.81]), &[0.9, 0.82, 0.86, 0.0]);
+        assert_close(&left(2, &[0.9, 0.5, 0.86, 0.1]), &[0.9, 0.0, 0.86, 0.0]);
+        assert_close(&left(2, &[0.9, 0.82, 0.86, 0.81]), &[0.9, 0.82, 0.86, 0.0]);
         assert_eq!(left(2, &[1.0, 1.0, 0.95]), [1.0, 1.0, 0.95]);
-        are(&left(9, &[0.9, 0.1]), &[0.9, 0.1]);
+        assert_close(&left(9, &[0.9, 0.1]), &[0.9, 0.1]);
     }
 
     #[test]
@@ -737,34 +740,34 @@ mod tests {
         let (colors, traits) = (vec![ColorName::Red], vec![Trait::Large]);
         let of = |phrase: &Phrase| with_assessor(&room, |assessor| assessor.own_fits(phrase));
         let (nouns, own) = of(&Phrase { colors: colors.clone(), ..said("lamp") });
-        are(&nouns, &[1.0, 1.0, 1.0, 0.0]);
-        are(&own, &[1.0, 0.5, 0.5, 0.0]);
+        assert_close(&nouns, &[1.0, 1.0, 1.0, 0.0]);
+        assert_close(&own, &[1.0, 0.5, 0.5, 0.0]);
         // The small one is not large: 0.3.
-        are(&of(&Phrase { colors, traits, ..said("lamp") }).1, &[1.0, 0.5, 0.15, 0.0]);
+        assert_close(&of(&Phrase { colors, traits, ..said("lamp") }).1, &[1.0, 0.5, 0.15, 0.0]);
     }
 
     #[test]
-    fn what_it_must_not_be_leaves_little_where_names_tell() {
+    fn excluded_nouns_lower_the_fit_where_names_distinguish() {
         // "The stool that is not the bar stool": the plain one is a bar stool by 0.7, so the other
         // is one by 0.3 more, 1 - 0.95 · 0.3.
         let stool = |id, name| named(id, name, [id as f32, 0.0], [0.4; 3], 0.0);
         let room = [stool(1, "bar stool"), stool(2, "stool"), stool(3, "kettle")];
         let phrase = Phrase { other_things: vec!["bar stool".into()], ..said("stool") };
         let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&phrase));
-        are(&[own[0] / nouns[0], own[1] / nouns[1], own[2]], &[0.715, 1.0, 0.0]);
-        // All that may be meant are bar stools: names do not tell.
+        assert_close(&[own[0] / nouns[0], own[1] / nouns[1], own[2]], &[0.715, 1.0, 0.0]);
+        // All plausible instances are bar stools: names do not distinguish them.
         let room = [stool(1, "bar stool"), stool(2, "bar stool")];
         let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&phrase));
         assert_eq!(own, nouns);
-        // Something else altogether denies almost all: 1 - 0.95.
+        // Another kind of object keeps almost nothing: 1 - 0.95.
         let room = [stool(1, "kettle"), stool(2, "lamp")];
         let other = Phrase { other_things: vec!["kettle".into()], ..said("thing") };
         let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&other));
-        are(&[own[0] / nouns[0], own[1] / nouns[1]], &[0.05, 1.0]);
+        assert_close(&[own[0] / nouns[0], own[1] / nouns[1]], &[0.05, 1.0]);
     }
 
     #[test]
-    fn half_of_the_best_may_be_meant() {
+    fn likely_keeps_instances_with_at_least_half_of_the_best_fit() {
         let room = |shares: [f32; 3]| {
             let [a, b, c] = shares;
             [red(a, lamp(1, 0.0)), red(b, lamp(2, 2.0)), red(c, lamp(3, 4.0)), desk(4, 9.0)]
@@ -775,33 +778,33 @@ mod tests {
         // Fits of 0.5, 0.26667 and 0.23333: 0.53333 and 0.46667 of the best.
         let found = likely([0.14, 0.3, 0.16], 9);
         assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), [1, 2], "{found:?}");
-        are(&[found[0].1, found[1].1], &[1.0, 0.533_333]);
+        assert_close(&[found[0].1, found[1].1], &[1.0, 0.533_333]);
         assert_eq!(likely([0.14, 0.3, 0.16], 1), [(1, 1.0)]);
-        // Exactly half will do.
+        // Exactly half is enough.
         assert_eq!(likely([1.0, 0.3, 0.0], 9), [(0, 1.0), (1, 0.5)]);
         let room = room([1.0, 0.3, 0.0]);
         with_assessor(&room, |assessor| {
             assert_eq!(assessor.best(&asked), Some(0));
-            assert_eq!(assessor.best(&said("desk")), Some(3));
-            assert_eq!(assessor.best(&said("piano")), None);
-            assert_eq!(assessor.likely(&said("piano"), 9), []);
+            assert_eq!(assessor.best(&noun_phrase("desk")), Some(3));
+            assert_eq!(assessor.best(&noun_phrase("piano")), None);
+            assert_eq!(assessor.likely(&noun_phrase("piano"), 9), []);
         });
     }
 
     #[test]
-    fn the_middle_of_several_is_the_mean_of_their_middles() {
+    fn mean_position_averages_the_instance_centers() {
         let high = named(3, "lamp", [4.0, 3.0], [0.2, 0.2, 0.4], 3.0);
         let room = [lamp(1, 0.0), lamp(2, 2.0), high, desk(4, 90.0)];
         with_assessor(&room, |assessor| {
             // (0 + 2 + 4) / 3, (0 + 0 + 3) / 3, (0.2 + 0.2 + 3.2) / 3.
-            let middle = assessor.mean_position(&said("lamp")).unwrap();
-            are(middle.coords.as_slice(), &[2.0, 1.0, 1.2]);
-            assert_eq!(assessor.mean_position(&said("piano")), None);
+            let middle = assessor.mean_position(&noun_phrase("lamp")).unwrap();
+            assert_close(middle.coords.as_slice(), &[2.0, 1.0, 1.2]);
+            assert_eq!(assessor.mean_position(&noun_phrase("piano")), None);
         });
     }
 
     #[test]
-    fn the_room_has_the_walls_that_nobody_dismissed() {
+    fn dismissed_walls_are_not_part_of_the_room() {
         let gone = Instance { dismissed: true, ..wall(2, 4.0) };
         let floor = Instance {
             structure: Some(Structure::Floor),
@@ -814,19 +817,19 @@ mod tests {
             assert_eq!(walls, [-4.0]);
             // From -4.05 to 4.05, and as high as the scan.
             let (long, short) = room.outline.sides();
-            are(&[long, short, room.outline.size[2]], &[8.1, 6.0, 2.6]);
+            assert_close(&[long, short, room.outline.size[2]], &[8.1, 6.0, 2.6]);
         });
     }
 
     #[test]
-    fn an_anchor_counts_by_the_root_of_its_fit_and_is_never_the_thing_itself() {
+    fn anchor_counts_by_the_root_of_its_fit_and_is_never_the_target() {
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.06), desk(3, 5.0)];
         let on = relation(RelationKind::On, &["desk"]);
         with_assessor(&room, |assessor| {
             let bond = |anchors: &[(usize, f32)]| assessor.best_match(&on, 1, anchors);
             // √0.25 · 0.5.
             let found = bond(&[(2, 1.0), (0, 0.25)]);
-            are(&[found.score], &[0.25]);
+            assert_close(&[found.score], &[0.25]);
             assert_eq!(found.anchor, Some(InstanceId(1)));
             assert_eq!(bond(&[(1, 1.0)]), NO_BOND);
             assert_eq!(bond(&[]), NO_BOND);
@@ -837,11 +840,11 @@ mod tests {
         );
         assert_eq!((better_match(low, high), better_match(high, low)), (high, high));
         let other = RelationMatch { score: 0.3, anchor: None };
-        assert_eq!(better_match(high, other), high, "of equals the first");
+        assert_eq!(better_match(high, other), high, "the first of equals");
     }
 
     #[test]
-    fn many_anchors_are_tried_and_fewer_where_pairs_are() {
+    fn anchor_pairs_have_a_lower_limit_than_single_anchors() {
         // The lamp stands on the twentieth of twenty desks, and between it and the one before.
         let mut room: Vec<Instance> = (1..=20).map(|id| desk(id, id as f32 * 4.0)).collect();
         room.push(lamp_over(21, 80.0, 0.0));
@@ -849,14 +852,14 @@ mod tests {
         let mut fits = vec![0.0; 20];
         fits.extend([1.0, 1.0]);
         let on = scores(&room, &relation(RelationKind::On, &["desk"]), &fits);
-        are(&on[20..], &[1.0, 0.0]);
+        assert_close(&on[20..], &[1.0, 0.0]);
         let between = scores(&room, &relation(RelationKind::Between, &["desk"]), &fits);
-        // The sixteen first are looked at: the last of them is at 64 m.
+        // Only the first sixteen desks are tried; the last of them is at 64 m.
         assert!(between[21] < 0.2, "{between:?}");
     }
 
     #[test]
-    fn what_stands_in_front_of_a_wall_is_hardly_on_it() {
+    fn supported_instances_at_a_wall_keep_thirty_percent_of_on() {
         let supported = |id, support| Instance { support, ..lamp(id, 0.0) };
         let room = [
             wall(1, 0.1),
@@ -873,15 +876,15 @@ mod tests {
             assert_eq!(hangs(RelationKind::On, 0), [0.3, 0.3, 1.0, 1.0]);
             assert_eq!(hangs(RelationKind::On, 5), [1.0; 4]);
             assert_eq!(hangs(RelationKind::Leaning, 0), [1.0; 4]);
-            // 0.9 for what is flat against it, and 0.3 of that.
+            // 0.9 for an instance flat against the wall, and 0.3 of that for a supported one.
             let bond =
                 |t| assessor.best_match(&relation(RelationKind::On, &["wall"]), t, &[(0, 1.0)]);
-            are(&[bond(1).score, bond(3).score], &[0.27, 0.9]);
+            assert_close(&[bond(1).score, bond(3).score], &[0.27, 0.9]);
         });
     }
 
     #[test]
-    fn on_the_left_side_of_a_thing_may_be_on_it() {
+    fn on_the_left_side_of_an_anchor_may_mean_on_top_of_it() {
         // A quarter of the desk's width to the left of its middle: half of the way to its end, a
         // half of which counts in full. 2 · 0.075 / 0.3.
         let room = [desk(1, 0.0), lamp_over(2, -0.075, 0.0)];
@@ -893,9 +896,9 @@ mod tests {
             })
         };
         let (own, bond) = side(RelationKind::LeftOf, "on the left side of");
-        are(&[own, bond], &[0.5, 0.5]);
+        assert_close(&[own, bond], &[0.5, 0.5]);
         let (own, bond) = side(RelationKind::RightOf, "on the right side of");
-        are(&[own, bond], &[0.0, 0.0]);
+        assert_close(&[own, bond], &[0.0, 0.0]);
         assert_eq!(side(RelationKind::LeftOf, "left of").0, 0.0);
         assert_eq!(side(RelationKind::InFrontOf, "on the front side of").0, 0.0);
         let room = [desk(1, 0.0), lamp_over(2, 0.075, 0.06)];
@@ -903,58 +906,61 @@ mod tests {
             let text = "on the right of".to_owned();
             let relation = Relation { text, ..relation(RelationKind::RightOf, &["desk"]) };
             // Half on it: 0.5 · 0.5.
-            are(&[assessor.score_on_side(&relation, 1, 0)], &[0.25]);
+            assert_close(&[assessor.score_on_side(&relation, 1, 0)], &[0.25]);
         });
     }
 
     #[test]
-    fn what_hardly_fits_has_no_bond() {
+    fn targets_below_one_percent_fit_have_no_relation_match() {
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.0), lamp_over(3, 0.0, 0.0)];
         let on = relation(RelationKind::On, &["desk"]);
-        are(&scores(&room, &on, &[0.0, 0.01, 0.009_9]), &[0.0, 1.0, 0.0]);
+        assert_close(&scores(&room, &on, &[0.0, 0.01, 0.009_9]), &[0.0, 1.0, 0.0]);
         assert_eq!(anchors(&room, &on, &[0.0, 0.01, 0.009_9]), [None, Some(1), None]);
     }
 
     #[test]
-    fn a_negated_relation_counts_what_is_missing() {
+    fn negated_relation_scores_one_minus_the_relation() {
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.06), lamp(3, 5.0)];
         let on = Relation { negated: true, ..relation(RelationKind::On, &["desk"]) };
-        are(&scores(&room, &on, &[0.0, 1.0, 1.0]), &[1.0, 0.5, 1.0]);
+        assert_close(&scores(&room, &on, &[0.0, 1.0, 1.0]), &[1.0, 0.5, 1.0]);
     }
 
     #[test]
-    fn several_anchors_must_all_hold() {
+    fn relation_must_hold_for_all_anchors() {
         let shelf = named(2, "shelf", [0.0, 0.0], [0.6, 0.8, 0.97], 0.0);
         let room = [desk(1, 0.0), shelf, lamp_over(3, 0.0, 0.0)];
         // On the desk, and 3 cm above the shelf: 1 · 1 / (1 + 1/4).
         let both = relation(RelationKind::On, &["desk", "shelf"]);
-        are(&scores(&room, &both, &[0.0, 0.0, 1.0]), &[0.0, 0.0, 0.8]);
+        assert_close(&scores(&room, &both, &[0.0, 0.0, 1.0]), &[0.0, 0.0, 0.8]);
         assert_eq!(anchors(&room, &both, &[0.0, 0.0, 1.0]), [None, None, Some(1)]);
     }
 
     #[test]
-    fn between_takes_any_two_anchors_but_the_thing_itself() {
+    fn between_uses_two_distinct_anchors_other_than_the_target() {
         let room = [desk(1, 0.0), lamp(2, 2.0), named(3, "door", [4.0, 0.0], [0.6, 0.8, 1.0], 0.0)];
         let between = relation(RelationKind::Between, &["desk", "door"]);
-        are(&scores(&room, &between, &[0.0, 1.0, 0.0]), &[0.0, 1.0, 0.0]);
+        assert_close(&scores(&room, &between, &[0.0, 1.0, 0.0]), &[0.0, 1.0, 0.0]);
         assert_eq!(anchors(&room, &between, &[0.0, 1.0, 0.0]), [None, Some(1), None]);
         let pair = |room: &[Instance], t, a: &[(usize, f32)], b: &[(usize, f32)]| {
             with_assessor(room, |assessor| assessor.match_between(t, a, b))
         };
         // √(0.25 · 1) · 1.
-        are(&[pair(&room, 1, &[(0, 0.25)], &[(2, 1.0)]).score], &[0.5]);
-        are(&[pair(&room, 1, &[(0, 0.25)], &[(2, 0.16)]).score], &[0.2]);
+        assert_close(&[pair(&room, 1, &[(0, 0.25)], &[(2, 1.0)]).score], &[0.5]);
+        assert_close(&[pair(&room, 1, &[(0, 0.25)], &[(2, 0.16)]).score], &[0.2]);
         // Two of one kind: "between the desks".
         let two = [desk(1, 0.0), lamp(2, 2.0), desk(3, 4.0)];
         let of_one = relation(RelationKind::Between, &["desk"]);
-        are(&scores(&two, &of_one, &[0.0, 1.0, 0.0]), &[0.0, 1.0, 0.0]);
+        assert_close(&scores(&two, &of_one, &[0.0, 1.0, 0.0]), &[0.0, 1.0, 0.0]);
         // 0.35 · 4 m + 0.2 m aside.
         let aside = Instance {
             given_name: Some("lamp".into()),
             ..thing(2, [2.0, 1.6], [0.2, 0.2, 0.4], 0.0, Support::Floor, [90; 3])
         };
-        are(&scores(&[desk(1, 0.0), aside, desk(3, 4.0)], &of_one, &[0.0, 1.0, 0.0])[1..2], &[0.5]);
-        // Of two anchors one is the thing: nothing is left to be between.
+        assert_close(
+            &scores(&[desk(1, 0.0), aside, desk(3, 4.0)], &of_one, &[0.0, 1.0, 0.0])[1..2],
+            &[0.5],
+        );
+        // One of two anchors is the target: no pair is left.
         let near = [lamp(1, 0.0), lamp(2, 0.1), lamp(3, 4.0)];
         let both = [(0, 1.0), (1, 1.0)];
         assert_eq!(pair(&near, 1, &both, &both), NO_BOND);
@@ -968,26 +974,29 @@ mod tests {
         let room = [wall(1, -5.0), wall(2, 5.0), lamp(3, 5.0 - 0.05 - 0.5 - 0.1), lamp(4, 0.0)];
         let against = relation(RelationKind::AgainstWall, &[]);
         let found = scores(&room, &against, &[0.0, 0.0, 1.0, 0.0]);
-        are(&found, &[0.0, 0.0, 0.264_706, 0.0]);
+        assert_close(&found, &[0.0, 0.0, 0.264_706, 0.0]);
         assert_eq!(anchors(&room, &against, &[0.0, 0.0, 1.0, 0.0]), [None; 4]);
-        // "Near" without an anchor denies nothing.
-        are(&scores(&room, &relation(RelationKind::Near, &[]), &[0.0, 0.0, 1.0, 0.0]), &[1.0; 4]);
+        // "Near" without an anchor lowers no score.
+        assert_close(
+            &scores(&room, &relation(RelationKind::Near, &[]), &[0.0, 0.0, 1.0, 0.0]),
+            &[1.0; 4],
+        );
     }
 
     #[test]
-    fn what_can_not_be_checked_denies_nothing() {
+    fn unknown_anchors_keep_the_score_and_missing_ones_thirty_percent() {
         let room = [desk(1, 0.0), lamp(2, 3.0)];
         let of = |anchor: &str| scores(&room, &relation(RelationKind::On, &[anchor]), &[0.0, 1.0]);
-        are(&of("zorblax"), &[1.0, 1.0]);
-        are(&of("piano"), &[0.3, 0.3]);
-        are(&of("desk"), &[0.0, 0.0]);
-        // Of several the least sure.
+        assert_close(&of("zorblax"), &[1.0, 1.0]);
+        assert_close(&of("piano"), &[0.3, 0.3]);
+        assert_close(&of("desk"), &[0.0, 0.0]);
+        // Of several anchors, the least certain one counts.
         let both = relation(RelationKind::On, &["zorblax", "piano"]);
-        are(&scores(&room, &both, &[0.0, 1.0]), &[0.3, 0.3]);
+        assert_close(&scores(&room, &both, &[0.0, 1.0]), &[0.3, 0.3]);
     }
 
     #[test]
-    fn unchecked_is_what_was_not_found_or_is_not_known() {
+    fn unchecked_factor_is_one_for_unknown_words_and_lower_for_missing_instances() {
         let found = |fit: f32| Assessment {
             nouns: vec![0.0, fit],
             own: Vec::new(),
@@ -996,7 +1005,7 @@ mod tests {
             total: Vec::new(),
         };
         let share = |heads: &[&str], fits: &[f32]| {
-            let phrases: Vec<Phrase> = heads.iter().map(|head| said(head)).collect();
+            let phrases: Vec<Phrase> = heads.iter().map(|head| noun_phrase(head)).collect();
             let assessed: Vec<Assessment> = fits.iter().map(|fit| found(*fit)).collect();
             unchecked_factor(&phrases, &assessed, 0.3)
         };
@@ -1010,89 +1019,95 @@ mod tests {
     }
 
     #[test]
-    fn a_stand_may_be_another_than_those_that_were_found() {
+    fn indefinite_anchor_may_be_an_instance_that_was_not_found() {
         let on = |hovers: f32, indefinite, negated| {
             let room = [desk(1, 0.0), lamp_over(2, 0.0, hovers), lamp(3, 6.0)];
             let anchors = vec![Phrase { indefinite, ..said("desk") }];
             let on = Relation { anchors, negated, ..relation(RelationKind::On, &[]) };
             scores(&room, &on, &[0.0, 1.0, 1.0])
         };
-        // 12 cm above: 0.2, which is none; 6 cm: a half, which is one.
-        are(&on(0.12, true, false), &[0.3; 3]);
-        are(&on(0.06, true, false), &[0.0, 0.5, 0.0]);
-        are(&on(0.12, false, false), &[0.0, 0.2, 0.0]);
-        are(&on(0.12, true, true), &[1.0, 0.8, 1.0]);
+        // 12 cm above scores 0.2: not a match. 6 cm above scores 0.5: a match.
+        assert_close(&on(0.12, true, false), &[0.3; 3]);
+        assert_close(&on(0.06, true, false), &[0.0, 0.5, 0.0]);
+        assert_close(&on(0.12, false, false), &[0.0, 0.2, 0.0]);
+        assert_close(&on(0.12, true, true), &[1.0, 0.8, 1.0]);
     }
 
     #[test]
-    fn left_of_what_was_not_found_is_the_left_of_its_like() {
+    fn side_of_a_missing_anchor_ranks_targets_along_that_side() {
         let room = [lamp(1, 2.0), lamp(2, -1.0), lamp(3, 0.0), desk(4, -9.0)];
         let fits = [1.0, 1.0, 1.0, 0.0];
         let of = |kind, anchor: &str, negated| {
             scores(&room, &Relation { negated, ..relation(kind, &[anchor]) }, &fits)
         };
-        // Every place off leaves 0.45.
-        are(&of(RelationKind::LeftOf, "zorblax", false), &[0.202_5, 1.0, 0.45, 0.0]);
-        are(&of(RelationKind::RightOf, "zorblax", false), &[1.0, 0.202_5, 0.45, 0.0]);
-        are(&of(RelationKind::RightOf, "piano", false), &[0.3, 0.060_75, 0.135, 0.0]);
-        are(&of(RelationKind::RightOf, "piano", true), &[0.0, 0.239_25, 0.165, 0.0]);
-        are(&of(RelationKind::Behind, "piano", false), &[0.3; 4]);
+        // Each rank away multiplies by 0.45.
+        assert_close(&of(RelationKind::LeftOf, "zorblax", false), &[0.202_5, 1.0, 0.45, 0.0]);
+        assert_close(&of(RelationKind::RightOf, "zorblax", false), &[1.0, 0.202_5, 0.45, 0.0]);
+        assert_close(&of(RelationKind::RightOf, "piano", false), &[0.3, 0.060_75, 0.135, 0.0]);
+        assert_close(&of(RelationKind::RightOf, "piano", true), &[0.0, 0.239_25, 0.165, 0.0]);
+        assert_close(&of(RelationKind::Behind, "piano", false), &[0.3; 4]);
     }
 
     #[test]
-    fn a_zone_is_near_what_makes_it() {
+    fn zone_score_falls_with_distance_from_its_instances() {
         // Half at 1.5 m from the stove; surfaces touch at 0.3 m + 0.1 m.
         let stove = |id, x| named(id, "stove", [x, 0.0], [0.6, 0.6, 0.9], 0.0);
         let room = [stove(1, 0.0), lamp(2, 1.9), lamp(3, 3.4), lamp(4, 0.4)];
         let kitchen =
             |negated| Relation { negated, ..relation(RelationKind::Inside, &["kitchen"]) };
         let fits = [0.0, 1.0, 1.0, 0.009];
-        are(&scores(&room, &kitchen(false), &fits), &[0.0, 0.5, 0.2, 0.0]);
-        are(&scores(&room, &kitchen(true), &fits), &[1.0, 0.5, 0.8, 1.0]);
-        are(&scores(&room, &kitchen(false), &[0.0, 0.01, 0.0, 0.0]), &[0.0, 0.5, 0.0, 0.0]);
-        // Of two the nearer one.
+        assert_close(&scores(&room, &kitchen(false), &fits), &[0.0, 0.5, 0.2, 0.0]);
+        assert_close(&scores(&room, &kitchen(true), &fits), &[1.0, 0.5, 0.8, 1.0]);
+        assert_close(
+            &scores(&room, &kitchen(false), &[0.0, 0.01, 0.0, 0.0]),
+            &[0.0, 0.5, 0.0, 0.0],
+        );
+        // Of two stoves, the nearer one counts.
         let room = [stove(1, 0.0), lamp(2, 1.9), stove(3, 2.3)];
-        are(&scores(&room, &kitchen(false), &[0.0, 1.0, 0.0])[1..2], &[1.0]);
-        // Where nothing makes one, it says nothing, denied or not.
+        assert_close(&scores(&room, &kitchen(false), &[0.0, 1.0, 0.0])[1..2], &[1.0]);
+        // Without a stove the zone changes no score, negated or not.
         let room = [desk(1, 0.0), lamp(2, 1.9)];
-        are(&scores(&room, &kitchen(false), &[0.0, 1.0]), &[1.0, 1.0]);
-        are(&scores(&room, &kitchen(true), &[0.0, 1.0]), &[1.0, 1.0]);
+        assert_close(&scores(&room, &kitchen(false), &[0.0, 1.0]), &[1.0, 1.0]);
+        assert_close(&scores(&room, &kitchen(true), &[0.0, 1.0]), &[1.0, 1.0]);
     }
 
     #[test]
-    fn behind_a_wall_is_another_room() {
+    fn zones_do_not_extend_through_walls() {
         let stove = named(1, "stove", [0.0, 0.0], [0.6, 0.6, 0.9], 0.0);
         // Far away the gap is the one between circles: 7.914 - (0.8485 + 0.2828) / 2 = 7.3483 m,
-        // 1 / (1 + (7.3483 / 1.5)²) = 0.04, less than what a wall leaves.
+        // 1 / (1 + (7.3483 / 1.5)²) = 0.04, less than the factor of a wall.
         let room = [stove, lamp(2, 1.9), lamp(3, 7.914), wall(4, 1.0)];
         let kitchen = relation(RelationKind::Inside, &["kitchen"]);
         let found = scores(&room, &kitchen, &[0.0, 1.0, 1.0, 0.0]);
-        are(&found, &[0.0, 0.05, 0.04, 0.0]);
+        assert_close(&found, &[0.0, 0.05, 0.04, 0.0]);
     }
 
     #[test]
-    fn closest_and_farthest_are_places_in_an_order() {
+    fn closest_and_farthest_rank_by_distance() {
         let room = [desk(1, 0.0), lamp(2, 3.0), lamp(3, -2.0), lamp(4, 5.0)];
         let of = |kind, rank| {
             let relation = Relation { rank, ..relation(kind, &["desk"]) };
             scores(&room, &relation, &[0.0, 1.0, 1.0, 1.0])
         };
-        are(&of(RelationKind::Closest, 1), &[0.0, 0.45, 1.0, 0.202_5]);
-        are(&of(RelationKind::Closest, 2), &[0.0, 1.0, 0.45, 0.45]);
-        are(&of(RelationKind::Closest, 3), &[0.0, 0.45, 0.202_5, 1.0]);
-        are(&of(RelationKind::Closest, 0), &[0.0, 0.45, 1.0, 0.202_5]);
-        are(&of(RelationKind::Farthest, 1), &[0.0, 0.45, 0.202_5, 1.0]);
-        are(&of(RelationKind::Farthest, 2), &[0.0, 1.0, 0.45, 0.45]);
+        assert_close(&of(RelationKind::Closest, 1), &[0.0, 0.45, 1.0, 0.202_5]);
+        assert_close(&of(RelationKind::Closest, 2), &[0.0, 1.0, 0.45, 0.45]);
+        assert_close(&of(RelationKind::Closest, 3), &[0.0, 0.45, 0.202_5, 1.0]);
+        assert_close(&of(RelationKind::Closest, 0), &[0.0, 0.45, 1.0, 0.202_5]);
+        assert_close(&of(RelationKind::Farthest, 1), &[0.0, 0.45, 0.202_5, 1.0]);
+        assert_close(&of(RelationKind::Farthest, 2), &[0.0, 1.0, 0.45, 0.45]);
     }
 
     #[test]
-    fn the_closest_is_not_the_anchor_and_counts_by_the_root_of_its_fit() {
+    fn closest_excludes_the_anchor_and_counts_by_the_root_of_its_fit() {
         let room = [desk(1, 0.0), lamp(2, 3.0), lamp(3, 2.0)];
         let closest = relation(RelationKind::Closest, &["desk"]);
         with_assessor(&room, |assessor| {
             let found = assessor.match_by_distance(&closest, &[1.0; 3], &[vec![(0, 0.25)]]);
             // √0.25 · 1 and · 0.45.
-            are(&found.iter().map(|bond| bond.score).collect::<Vec<_>>(), &[0.0, 0.225, 0.5]);
+            assert_close(
+                &found.iter().map(|bond| bond.score).collect::<Vec<_>>(),
+                &[0.0, 0.225, 0.5],
+            );
             assert_eq!(found[2].anchor, Some(InstanceId(1)));
             assert_eq!(assessor.match_by_distance(&closest, &[1.0; 3], &[]), [NO_BOND; 3]);
             // Another desk may be meant: the better of both counts.
@@ -1101,13 +1116,13 @@ mod tests {
                 &[0.0, 1.0, 1.0],
                 &[vec![(0, 0.25), (1, 1.0)]],
             );
-            are(&[found[2].score], &[1.0]);
+            assert_close(&[found[2].score], &[1.0]);
             assert_eq!(found[2].anchor, Some(InstanceId(2)));
         });
     }
 
     #[test]
-    fn the_closest_to_several_has_the_least_sum() {
+    fn closest_to_several_anchors_has_the_smallest_distance_sum() {
         // From desks at 0 and 4: 3 + 3 for the one, 2 + 5 for the other.
         let at = |id, x, y| named(id, "lamp", [x, y], [0.2, 0.2, 0.4], 0.0);
         let room = [
@@ -1126,40 +1141,40 @@ mod tests {
                 found.iter().map(|bond| bond.score).collect::<Vec<_>>()
             })
         };
-        are(&of(&[(1, 1.0)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
+        assert_close(&of(&[(1, 1.0)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
         // The likeliest of the others counts, of equals the first.
-        are(&of(&[(1, 1.0), (4, 0.9)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
-        are(&of(&[(1, 1.0), (4, 1.0)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
+        assert_close(&of(&[(1, 1.0), (4, 0.9)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
+        assert_close(&of(&[(1, 1.0), (4, 1.0)]), &[0.0, 0.0, 1.0, 0.45, 0.0]);
     }
 
     #[test]
-    fn what_the_anchor_carries_is_the_closest_only_if_all_is() {
+    fn carried_instance_is_closest_only_if_all_candidates_are_carried() {
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.0), lamp(3, 2.0), lamp(4, 3.0)];
         let of = |kind| scores(&room, &relation(kind, &["desk"]), &[0.0, 1.0, 1.0, 1.0]);
-        are(&of(RelationKind::Closest), &[0.0, 0.202_5, 1.0, 0.45]);
-        // The farthest of them all the same is the farthest.
-        are(&of(RelationKind::Farthest), &[0.0, 0.202_5, 0.45, 1.0]);
+        assert_close(&of(RelationKind::Closest), &[0.0, 0.202_5, 1.0, 0.45]);
+        // The farthest does not change.
+        assert_close(&of(RelationKind::Farthest), &[0.0, 0.202_5, 0.45, 1.0]);
         // Two on it: the nearer to its middle first.
         let room = [desk(1, 0.0), lamp_over(2, 0.1, 0.0), lamp_over(3, 0.0, 0.0)];
         let closest = relation(RelationKind::Closest, &["desk"]);
-        are(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 0.45, 1.0]);
-        // Hardly on it, 12 cm above, is not carried.
+        assert_close(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 0.45, 1.0]);
+        // A lamp 12 cm above the desk is not carried.
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.12), lamp(3, 2.0)];
-        are(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 1.0, 0.45]);
-        // What hangs on a wall touches it, and is the closest to it.
+        assert_close(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 1.0, 0.45]);
+        // A picture on the wall touches it and is the closest to it.
         let picture = named(2, "lamp", [0.15, 2.5], [0.1, 0.4, 0.4], 1.0);
         let room = [wall(1, 0.0), picture, lamp(3, 1.0)];
         let closest = relation(RelationKind::Closest, &["wall"]);
-        are(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 1.0, 0.45]);
+        assert_close(&scores(&room, &closest, &[0.0, 1.0, 1.0]), &[0.0, 1.0, 0.45]);
     }
 
     #[test]
-    fn me_is_the_observer_or_nobody() {
+    fn me_refers_to_the_observer_and_is_ignored_without_one() {
         let room = [lamp(1, 1.0), lamp(2, 3.0), lamp(3, -2.0), desk(4, 0.0)];
         let fits = [1.0, 1.0, 1.0, 0.0];
         let of = |kind, negated, observer: bool| {
             with_assessor(&room, |assessor| {
-                // At the origin, looking along +X: left is +Y, what is ahead is at +X.
+                // At the origin, looking along +X: left is +Y, ahead is +X.
                 assessor.observer = observer.then(|| {
                     Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::zeros() }.into()
                 });
@@ -1177,32 +1192,32 @@ mod tests {
             of(RelationKind::Closest, false, false),
             [RelationMatch { score: 1.0, anchor: None }; 4]
         );
-        are(&scores(RelationKind::Closest, false), &[1.0, 0.202_5, 0.45, 0.0]);
-        are(&scores(RelationKind::Closest, true), &[0.0, 0.797_5, 0.55, 1.0]);
-        are(&scores(RelationKind::Farthest, false), &[0.202_5, 1.0, 0.45, 0.0]);
+        assert_close(&scores(RelationKind::Closest, false), &[1.0, 0.202_5, 0.45, 0.0]);
+        assert_close(&scores(RelationKind::Closest, true), &[0.0, 0.797_5, 0.55, 1.0]);
+        assert_close(&scores(RelationKind::Farthest, false), &[0.202_5, 1.0, 0.45, 0.0]);
         // The first is 0.9 m ahead; near halves at 0.3 m + 0.25 · 0.2828 m / 2 = 0.335355 m:
         // 1 / (1 + 7.2022) = 0.121918; 0.4 + 0.6 · 0.121918.
         let ahead = scores(RelationKind::InFrontOf, false);
-        are(&[ahead[0], ahead[2], ahead[3]], &[0.473_151, 0.0, 0.0]);
+        assert_close(&[ahead[0], ahead[2], ahead[3]], &[0.473_151, 0.0, 0.0]);
         let back = scores(RelationKind::Behind, false);
-        are(&back[..2], &[0.0, 0.0]);
+        assert_close(&back[..2], &[0.0, 0.0]);
         assert!(back[2] > 0.4 && back[3] == 0.0, "{back:?}");
     }
 
     #[test]
-    fn what_hardly_fits_is_nowhere_to_the_observer() {
+    fn targets_below_one_percent_fit_have_no_relation_to_the_observer() {
         let room = [lamp(1, 1.0), lamp(2, 1.0)];
         with_assessor(&room, |assessor| {
             assessor.directions = Directions::looking_along(Vector3::x()).unwrap();
             let me = Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::zeros() }.into();
             let ahead = relation(RelationKind::InFrontOf, &[ME]);
             let found = assessor.match_to_observer(&ahead, &me, &[0.01, 0.009_9]);
-            are(&[found[0].score, found[1].score], &[0.473_151, 0.0]);
+            assert_close(&[found[0].score, found[1].score], &[0.473_151, 0.0]);
         });
     }
 
     #[test]
-    fn a_side_of_an_instance_is_told_with_whose_view_it_is() {
+    fn side_score_reports_whose_view_decided() {
         // By the viewer's convention, from the open middle of the room: straight to the right.
         let room = [desk(1, 0.0), lamp(2, 2.0)];
         with_assessor(&room, |assessor| {
@@ -1216,15 +1231,15 @@ mod tests {
     }
 
     #[test]
-    fn a_superlative_multiplies_the_total() {
+    fn superlative_multiplies_the_total() {
         let large = named(2, "lamp", [4.0, 0.0], [0.4, 0.4, 0.8], 0.0);
         let room = [red(0.3, lamp(1, 0.0)), red(0.3, large), desk(3, 9.0)];
         let superlative = Some(Superlative { measure: Measure::Largest, rank: 1 });
         let phrase = Phrase { colors: vec![ColorName::Red], superlative, ..said("lamp") };
         with_assessor(&room, |assessor| {
             let found = assessor.assess(&phrase);
-            are(&found.own, &[0.5, 0.5, 0.0]);
-            are(&found.total, &[0.225, 0.5, 0.0]);
+            assert_close(&found.own, &[0.5, 0.5, 0.0]);
+            assert_close(&found.total, &[0.225, 0.5, 0.0]);
             assert_eq!(found.place_seen_by, [SeenBy::Directions; 3]);
         });
     }

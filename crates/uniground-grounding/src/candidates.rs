@@ -158,7 +158,7 @@ mod tests {
     use uniground_models::attributes::name_guesses;
     use uniground_testing::thing;
 
-    /// Named instances of one size in a row, with a wall behind them.
+    /// Returns named instances of one size in a row, with a wall behind them.
     fn room(names: &[&str]) -> Vec<Instance> {
         let named = |(i, name): (usize, &&str)| {
             let at = [i as f32, 0.0];
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_called_so_comes_before_what_stands_there() {
+    fn matching_names_rank_before_matching_places() {
         let names = [
             "grey trash can",
             "small wooden stool",
@@ -204,16 +204,16 @@ mod tests {
         assert_eq!(
             ids(&room, "the white beanbag next to the lamp", 2),
             [4, 3],
-            "colour tells members apart, class comes first"
+            "color distinguishes members, class comes first"
         );
-        assert_eq!(ids(&room, "the beanbag next to the stool", 2), [3, 4], "place before colour");
+        assert_eq!(ids(&room, "the beanbag next to the stool", 2), [3, 4], "place before color");
         let all = ids(&room, "the beanbag", 24);
-        assert!(all.len() <= names.len() && !all.contains(&6), "no wall unless asked for: {all:?}");
+        assert!(all.len() <= names.len() && !all.contains(&6), "no wall unless requested: {all:?}");
         assert_eq!(ids(&room, "the wall", 1), [6]);
     }
 
     #[test]
-    fn the_reasoner_s_candidates_are_those_that_fit_and_then_those_that_stand_there() {
+    fn reasoner_candidates_are_ordered_by_score() {
         let instances = room(&["red mug", "blue mug"]);
         let extent = Aabb { center: Point3::new(2.0, 1.0, 1.3), size: Vector3::new(8.0, 5.0, 2.6) };
         let scene = SceneView {

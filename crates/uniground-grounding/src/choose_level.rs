@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_fit_of_a_place_stays() {
+    fn only_the_best_fit_per_place_is_kept() {
         let room = [
             at(1, 0.0, Level::Thing, &[]),
             at(2, 1.0, Level::Thing, &[]),
@@ -86,7 +86,7 @@ mod tests {
             keep_best_per_place(&room, &mut fits);
             (1..=6).zip(fits).filter(|(_, fit)| *fit > 0.0).map(|(id, _)| id).collect::<Vec<u32>>()
         };
-        assert_eq!(stays([0.8; 6]), [1, 2, 3], "alike: things");
+        assert_eq!(stays([0.8; 6]), [1, 2, 3], "equal fits: things are kept");
         assert_eq!(stays([0.3, 0.2, 0.0, 0.9, 0.0, 0.0]), [4], "a bed of blanket and headboard");
         assert_eq!(stays([0.95, 0.2, 0.0, 0.9, 0.0, 0.0]), [1, 2], "a thing on something else");
         assert_eq!(

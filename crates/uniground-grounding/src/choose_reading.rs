@@ -55,7 +55,7 @@ mod tests {
     use uniground_testing::thing;
 
     #[test]
-    fn the_room_tells_which_reading_is_meant() {
+    fn scene_contents_decide_the_reading() {
         let named = |(id, name): (u32, &str)| {
             let instance = thing(id, [id as f32, 0.0], [0.4; 3], 0.0, Support::Floor, [90; 3]);
             Instance { given_name: Some(name.to_owned()), ..instance }
@@ -73,14 +73,14 @@ mod tests {
         };
         let put = "put the towel in the basket";
         assert_eq!(head(&["chair", "basket"], put), "basket");
-        // A towel that does not lie in the basket yet is to be put there.
+        // A towel outside of the basket is to be put there.
         assert_eq!(head(&["towel", "basket"], put), "basket");
         // Neither is in the scene: the answer says that the likeliest reading is not there.
         assert_eq!(head(&["chair", "lamp"], put), "towel");
         assert_eq!(
             head(&["chair", "desk"], "fetch the towel off the desk"),
             "towel",
-            "what it lies on is not asked for"
+            "the anchor is not the target"
         );
     }
 }

@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn somebody_looking_along_y_has_x_to_the_right() {
+    fn viewer_looking_along_y_has_x_on_the_right() {
         let seen = Directions::looking_along(Vector3::new(0.0, 2.0, -0.5)).unwrap();
         assert!(
             (seen.right - Vector3::x()).norm() < 1e-6 && (seen.front + Vector3::y()).norm() < 1e-6
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_are_faced_across_the_wall() {
+    fn windows_are_faced_perpendicular_to_the_wall() {
         use uniground_geometry::boxes::Aabb;
         // A window in the wall at +X, far to one side: the line to its middle is oblique, the view
         // is not.
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn the_paper_mirrors_left_and_right() {
+    fn paper_convention_mirrors_left_and_right() {
         assert_eq!(Directions::from(DirectionConvention::Paper).right, -Vector3::x());
     }
 }

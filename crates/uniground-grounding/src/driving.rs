@@ -1,5 +1,5 @@
-//! Checks approach poses against renders: in annotated rooms a robot is asked for things, stands at
-//! the returned pose, and looks.
+//! Checks approach poses against renders: in annotated rooms a robot gets questions, stands at the
+//! returned poses, and checks that the target is visible.
 
 use super::memory_scene::{MemoryScene, SceneAlbum};
 use super::pipeline::{Ask, answer};
@@ -240,17 +240,17 @@ fn right_answer(scene: &Arc<MemoryScene>, query: &str, truth: &Aabb) -> Option<I
 }
 
 #[test]
-fn in_the_sample_room_what_is_driven_to_is_seen_and_nothing_is_hit() {
+fn poses_in_the_sample_room_see_the_target_without_collisions() {
     let folder = Utf8PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples"));
     for tally in drive(&folder, "living_room") {
         assert!(tally.right >= 3 && tally.seen == tally.right && tally.hit == 0, "{tally:?}");
     }
 }
 
-/// The rooms lie beside the checkout where this project is built. `UNIGROUND_REQUIRE_SHARED=1`
-/// makes missing ones a failure.
+/// The rooms are in a folder beside the checkout where this project is built.
+/// `UNIGROUND_REQUIRE_SHARED=1` makes missing ones a failure.
 #[test]
-fn in_annotated_rooms_what_is_driven_to_is_seen_and_nothing_is_hit() {
+fn poses_in_annotated_rooms_see_the_target_without_collisions() {
     let folder = Utf8PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/scenes"));
     if !folder.join("room1.zip").is_file() {
         assert!(

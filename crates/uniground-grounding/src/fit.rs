@@ -1,5 +1,5 @@
-//! Scores how well instances fit what a phrase says of the target itself: noun x colors x traits.
-//! Relations are scored by [`assess`](super::assess).
+//! Scores how well instances fit what a phrase says about the target itself: noun x colors x
+//! traits. Relations are scored by [`assess`](super::assess).
 
 use super::SceneView;
 use super::choose_level::keep_best_per_place;
@@ -20,11 +20,11 @@ const SEEN_COLOR: f32 = 0.67;
 /// Factor where a name gives another color.
 const NAMED_OTHERWISE: f32 = 0.25;
 /// Factor for parts and wholes without a name. A room has some of any size, so where only measures
-/// tell what they are, they are a last resort.
+/// identify them, they are a last resort.
 const GUESSED: f32 = 0.55;
 /// Fit of "thing" and "one" to every instance.
 const ANYTHING: f32 = 0.8;
-/// A fit by measures from which it is meaningful.
+/// Minimum meaningful fit by measures.
 const LIKELY: f32 = 0.35;
 /// Factor for the fits of other instances where some instance has the noun as its name.
 const NOT_CALLED_SO: f32 = 0.85;
@@ -40,12 +40,11 @@ const NEAR_COLOR: f32 = 0.3;
 const WOOD: [&str; 6] = ["wooden", "wood", "oak", "pine", "walnut", "timber"];
 const WOODEN: [ColorName; 4] =
     [ColorName::Brown, ColorName::Orange, ColorName::Beige, ColorName::Yellow];
-/// Factor for an instance that is said to be of wood and has none of these colors: it may be
-/// painted.
+/// Factor for a wooden instance without any of these colors: it may be painted.
 const PAINTED: f32 = 0.5;
 /// An instance may be meant when its fit is at least this share of the best fit.
 pub(super) const PLAUSIBLE: f32 = 0.3;
-/// Factor at the wrong end of a comparison: for the smallest instance when "large" is asked for.
+/// Factor at the wrong end of a comparison: for the smallest instance when the phrase says "large".
 const OPPOSITE_TRAIT: f32 = 0.3;
 
 /// Returns the fit of every instance to a phrase's noun, or to another noun it may have, `0..=1`,
@@ -83,7 +82,7 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         _ => Default::default(),
     };
     let unnamed = |(index, instance): (usize, &Instance)| match meaning {
-        // A word without measures: only the appearance tells.
+        // A word without measures: only the appearance decides.
         Meaning::Unknown if instance.structure.is_none() => {
             by_appearance(&phrase.head, index, None).unwrap_or(0.0)
         }
@@ -299,7 +298,7 @@ mod tests {
     use uniground_models::attributes::Lexicon;
     use uniground_testing::thing;
 
-    /// A box of nothing in particular, standing on the floor.
+    /// Returns an unnamed box on the floor.
     fn sized(id: u32, size: [f32; 3]) -> Instance {
         thing(id, [id as f32 * 3.0, 0.0], size, 0.0, Support::Floor, [90; 3])
     }
@@ -308,12 +307,12 @@ mod tests {
         Instance { given_name: Some(name.into()), ..sized(id, [0.5; 3]) }
     }
 
-    /// As large as a chair.
+    /// Returns a box of the size of a chair.
     fn chair(id: u32) -> Instance {
         sized(id, [0.5, 0.5, 0.9])
     }
 
-    /// As large as a stool.
+    /// Returns a box of the size of a stool.
     fn stool(id: u32) -> Instance {
         sized(id, [0.38, 0.38, 0.5])
     }
@@ -335,23 +334,23 @@ mod tests {
         of(SceneView { instances, extent, names: &names, appearance: None })
     }
 
-    fn said_as(head: &str) -> Phrase {
+    fn noun_phrase(head: &str) -> Phrase {
         Phrase { head: head.into(), ..Phrase::default() }
     }
 
-    fn read(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
+    fn reading_fits(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
         with_scene(instances, |scene| fits_of_reading(scene, phrase, &phrase.meaning()))
     }
 
     #[track_caller]
-    fn are(found: &[f32], by_hand: &[f32]) {
+    fn assert_close(found: &[f32], by_hand: &[f32]) {
         let same = found.len() == by_hand.len()
             && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 1e-4);
-        assert!(same, "{found:?}, by hand {by_hand:?}");
+        assert!(same, "{found:?}, expected {by_hand:?}");
     }
 
     #[test]
-    fn anything_means_things_one_would_name() {
+    fn anything_prefers_notable_instances_over_specks_and_structure() {
         let wall = Instance { structure: Some(Structure::Wall), ..sized(5, [3.0, 0.1, 2.5]) };
         let room = [
             sized(1, [0.05, 0.2, 0.3]),
@@ -360,14 +359,14 @@ mod tests {
             sized(4, [0.3, 0.1, 0.1]),
             wall,
         ];
-        are(&read(&room, &said_as("thing")), &[0.8, 0.4, 0.24, 0.8, 0.0]);
-        // A name that says it is no thing comes first.
+        assert_close(&reading_fits(&room, &noun_phrase("thing")), &[0.8, 0.4, 0.24, 0.8, 0.0]);
+        // A name such as "not a thing" takes precedence.
         let room = [named(1, "not a thing"), named(2, "red chair"), named(3, "beige wall section")];
-        are(&read(&room, &said_as("thing")), &[0.0, 0.8, 0.0]);
+        assert_close(&reading_fits(&room, &noun_phrase("thing")), &[0.0, 0.8, 0.0]);
     }
 
     #[test]
-    fn parts_of_the_building_are_measured_or_named() {
+    fn structure_is_recognized_by_measurement_or_name() {
         let wall = |id, structure| Instance { structure, ..sized(id, [3.0, 0.1, 2.5]) };
         let room = [
             wall(1, Some(Structure::Wall)),
@@ -377,22 +376,22 @@ mod tests {
             named(5, "chair"),
             Instance { given_name: Some("chair".into()), ..wall(6, Some(Structure::Wall)) },
         ];
-        are(&read(&room, &said_as("wall")), &[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]);
-        are(&read(&room, &said_as("floor")), &[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_close(&reading_fits(&room, &noun_phrase("wall")), &[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]);
+        assert_close(&reading_fits(&room, &noun_phrase("floor")), &[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]
-    fn an_unknown_word_fits_only_what_is_called_so() {
+    fn unknown_nouns_match_only_given_names() {
         let room = [named(1, "old zorblax"), named(2, "chair"), chair(3)];
-        let asked = said_as("zorblax");
+        let asked = noun_phrase("zorblax");
         assert_eq!(asked.meaning(), Meaning::Unknown);
-        let found = read(&room, &asked);
+        let found = reading_fits(&room, &asked);
         assert!(found[0] > 0.8 && found[1..] == [0.0, 0.0], "{found:?}");
     }
 
     #[test]
-    fn measures_fit_a_noun_by_the_best_of_its_meanings() {
-        let asked = said_as("chair");
+    fn measured_fit_is_the_best_over_the_noun_meanings() {
+        let asked = noun_phrase("chair");
         let Meaning::Nouns(nouns) = asked.meaning() else { panic!("a chair is a noun") };
         for instance in [chair(1), stool(1), sized(1, [0.65, 0.6, 1.0])] {
             let best = nouns
@@ -401,49 +400,52 @@ mod tests {
                 .map(|(i, noun)| noun_fit(noun, &instance) * breadth(&asked, noun, i))
                 .fold(0.0, f32::max);
             assert!(best > 0.05, "{:?}: {best}", instance.aabb.size);
-            are(&read(std::slice::from_ref(&instance), &asked), &[best]);
+            assert_close(&reading_fits(std::slice::from_ref(&instance), &asked), &[best]);
             // A part or a whole is a guess.
             let part = Instance { level: Level::Part, ..instance };
-            are(&read(&[part], &asked), &[0.55 * best]);
+            assert_close(&reading_fits(&[part], &asked), &[0.55 * best]);
         }
     }
 
     #[test]
-    fn other_names_a_thing_may_have_leave_the_root_of_its_own_share() {
+    fn competing_name_guesses_scale_the_fit_by_the_root_of_its_share() {
         let own = noun_fit(Lexicon::get().find("chair").unwrap(), &chair(1));
         assert!(own > 0.7, "{own}");
         let guesses = guessed(chair(1), &[("chair", 0.2), ("suitcase", 0.5), ("crate", 0.1)]);
         // Its own fit is more than the guess of 0.2.
-        are(&read(&[guesses], &said_as("chair")), &[own * (own / (own + 0.6)).sqrt()]);
+        assert_close(
+            &reading_fits(&[guesses], &noun_phrase("chair")),
+            &[own * (own / (own + 0.6)).sqrt()],
+        );
     }
 
     #[test]
-    fn among_names_is_the_share_of_those_asked_for() {
+    fn share_among_names_is_the_share_of_requested_names() {
         let names = HashSet::from(["chair", "armchair"]);
         let guesses = [("chair", 0.2), ("stool", 0.6), ("armchair", 0.1)];
         let instance = guessed(chair(1), &guesses);
-        are(&[share_among_names(0.1, &names, &instance)], &[0.3 / 0.9]);
-        are(&[share_among_names(0.3, &names, &instance)], &[0.3 / 0.9]);
-        are(&[share_among_names(0.6, &names, &instance)], &[0.6 / 1.2]);
+        assert_close(&[share_among_names(0.1, &names, &instance)], &[0.3 / 0.9]);
+        assert_close(&[share_among_names(0.3, &names, &instance)], &[0.3 / 0.9]);
+        assert_close(&[share_among_names(0.6, &names, &instance)], &[0.6 / 1.2]);
         assert_eq!(share_among_names(0.0, &HashSet::new(), &instance), 0.0);
-        assert_eq!(share_among_names(0.0, &names, &chair(1)), 0.0, "no name at all");
+        assert_eq!(share_among_names(0.0, &names, &chair(1)), 0.0, "no guesses");
         assert_eq!(share_among_names(0.4, &names, &chair(1)), 1.0);
     }
 
     #[test]
-    fn a_name_keeps_eight_tenths_for_each_word_it_does_not_say() {
+    fn each_missing_word_in_a_name_keeps_eighty_percent() {
         let room = [named(1, "brown leather chair"), named(2, "chair"), named(3, "striped chair")];
         let asked = |words: &[&str]| Phrase {
             unchecked: words.iter().map(|word| (*word).to_owned()).collect(),
             ..said_as("chair")
         };
-        are(&read(&room, &asked(&[])), &[1.0, 1.0, 1.0]);
-        are(&read(&room, &asked(&["leather"])), &[1.0, 0.8, 0.8]);
-        are(&read(&room, &asked(&["leather", "striped"])), &[0.8, 0.64, 0.8]);
+        assert_close(&reading_fits(&room, &asked(&[])), &[1.0, 1.0, 1.0]);
+        assert_close(&reading_fits(&room, &asked(&["leather"])), &[1.0, 0.8, 0.8]);
+        assert_close(&reading_fits(&room, &asked(&["leather", "striped"])), &[0.8, 0.64, 0.8]);
     }
 
     #[test]
-    fn later_nouns_count_less_and_less_where_the_room_has_the_first() {
+    fn later_nouns_of_a_phrase_weigh_less() {
         let asked = |head: &str, could_be: &[&str]| Phrase {
             could_be: could_be.iter().map(|noun| (*noun).to_owned()).collect(),
             ..said_as(head)
@@ -452,22 +454,22 @@ mod tests {
             |room: &[Instance], phrase: &Phrase| with_scene(room, |scene| noun_fits(scene, phrase));
         let piano = asked("piano", &["kettle", "sofa"]);
         // 0.95, and 0.95² after it.
-        are(&fits(&[named(1, "sofa")], &piano), &[0.902_5]);
-        are(&fits(&[named(1, "kettle")], &piano), &[0.95]);
-        // The room has a piano: 0.85 of them. Once: a kettle besides makes no difference.
+        assert_close(&fits(&[named(1, "sofa")], &piano), &[0.902_5]);
+        assert_close(&fits(&[named(1, "kettle")], &piano), &[0.95]);
+        // The room has a piano: the others keep 0.85, applied only once.
         let room = [named(1, "piano"), named(2, "kettle"), named(3, "sofa")];
-        are(&fits(&room, &piano), &[1.0, 0.807_5, 0.767_125]);
-        // It has a kettle: that leaves the piano's part alone.
-        are(&fits(&room[1..2], &piano), &[0.95]);
+        assert_close(&fits(&room, &piano), &[1.0, 0.807_5, 0.767_125]);
+        // A kettle without a piano keeps its own weight.
+        assert_close(&fits(&room[1..2], &piano), &[0.95]);
         let room = [named(1, "kettle"), named(2, "sofa")];
-        are(&fits(&room, &piano), &[0.95, 0.767_125]);
-        // "Couch" for a sofa is another word for it, 0.95, and that is called so.
+        assert_close(&fits(&room, &piano), &[0.95, 0.767_125]);
+        // "Couch" is a synonym of sofa, 0.95, and counts as its name.
         let room = [named(1, "sofa"), named(2, "kettle")];
-        are(&fits(&room, &asked("couch", &["kettle"])), &[0.95, 0.807_5]);
+        assert_close(&fits(&room, &asked("couch", &["kettle"])), &[0.95, 0.807_5]);
     }
 
     #[test]
-    fn what_is_called_so_comes_before_what_may_be_one() {
+    fn instances_named_by_the_noun_rank_before_possible_ones() {
         let nouns = [Lexicon::get().find("chair").unwrap()];
         let first = |mut room: [Instance; 2], fits: [f32; 2], structure| {
             room[0].structure = structure;
@@ -479,35 +481,38 @@ mod tests {
             let other = guessed(stool(2), &[("stool", 0.8), ("chair", 0.7)]);
             [guessed(chair(1), &[("chair", 0.8), ("stool", 0.1)]), other]
         };
-        are(&first(room(), [0.9, 0.8], None), &[0.9, 0.68]);
-        // A fit of 0.35 says something, one below it nothing.
-        are(&first(room(), [0.35, 0.8], None), &[0.35, 0.68]);
-        are(&first(room(), [0.349, 0.8], None), &[0.349, 0.8]);
-        // A wall is called nothing.
-        are(&first(room(), [0.9, 0.8], Some(Structure::Wall)), &[0.9, 0.8]);
+        assert_close(&first(room(), [0.9, 0.8], None), &[0.9, 0.68]);
+        // A fit of 0.35 counts, a lower one does not.
+        assert_close(&first(room(), [0.35, 0.8], None), &[0.35, 0.68]);
+        assert_close(&first(room(), [0.349, 0.8], None), &[0.349, 0.8]);
+        // Structure does not count as named.
+        assert_close(&first(room(), [0.9, 0.8], Some(Structure::Wall)), &[0.9, 0.8]);
         let mut unnamed = room();
         unnamed[0].names.clear();
-        are(&first(unnamed, [0.9, 0.8], None), &[0.9, 0.8]);
+        assert_close(&first(unnamed, [0.9, 0.8], None), &[0.9, 0.8]);
     }
 
     #[test]
-    fn of_a_use_nothing_is_called_first() {
+    fn purposes_do_not_prefer_named_instances() {
         let room = [guessed(chair(1), &[("chair", 0.9)]), stool(2)];
         let fits = |phrase: &Phrase| with_scene(&room, |scene| noun_fits(scene, phrase));
-        let asked = said_as("chair");
-        let read_as = read(&room, &asked);
-        are(&fits(&asked), &[read_as[0], 0.85 * read_as[1]]);
+        let asked = noun_phrase("chair");
+        let read_as = reading_fits(&room, &asked);
+        assert_close(&fits(&asked), &[read_as[0], 0.85 * read_as[1]]);
         assert!(read_as[1] > 0.0, "{read_as:?}");
         let to_sit_on = Phrase { uses: vec!["sit on".into()], ..Phrase::default() };
-        let read_as = read(&room, &to_sit_on);
+        let read_as = reading_fits(&room, &to_sit_on);
         assert!(read_as.iter().all(|fit| *fit > 0.3), "{read_as:?}");
-        are(&fits(&to_sit_on), &read_as);
+        assert_close(&fits(&to_sit_on), &read_as);
     }
 
     #[test]
-    fn what_was_dismissed_fits_nothing() {
+    fn dismissed_instances_score_zero() {
         let room = [named(1, "chair"), Instance { dismissed: true, ..named(2, "chair") }];
-        are(&with_scene(&room, |scene| noun_fits(scene, &said_as("chair"))), &[1.0, 0.0]);
+        assert_close(
+            &with_scene(&room, |scene| noun_fits(scene, &noun_phrase("chair"))),
+            &[1.0, 0.0],
+        );
     }
 
     fn color_of(instance: &Instance, phrase: &Phrase) -> f32 {
@@ -520,9 +525,9 @@ mod tests {
     }
 
     #[test]
-    fn a_color_counts_as_far_as_it_is_there() {
+    fn color_fit_follows_the_color_share() {
         use ColorName::{Blue, Green, Red};
-        // 60 % are all of it: 0.3 / 0.6.
+        // A share of 60 % counts fully: 0.3 / 0.6.
         let half_red = colored(chair(1), &[(Red, 0.3), (Green, 0.7)]);
         let cases: [(&[ColorName], &[ColorName], f32); 9] = [
             (&[], &[], 1.0),
@@ -540,49 +545,52 @@ mod tests {
             let found = color_of(&half_red, &in_color(colors, other_than));
             assert!(
                 (found - by_hand).abs() < 1e-4,
-                "{colors:?} not {other_than:?}: {found}, by hand {by_hand}"
+                "{colors:?} not {other_than:?}: {found}, expected {by_hand}"
             );
         }
-        // "Bluish" leaves more where it is not, and changes nothing where it is.
+        // "Bluish" keeps more where the color is absent, and changes nothing where it is present.
         let roughly = |color| Phrase { roughly: true, ..in_color(&[color], &[]) };
-        are(&[color_of(&half_red, &roughly(Blue))], &[0.3]);
-        are(&[color_of(&half_red, &roughly(Red))], &[0.5]);
+        assert_close(&[color_of(&half_red, &roughly(Blue))], &[0.3]);
+        assert_close(&[color_of(&half_red, &roughly(Red))], &[0.5]);
     }
 
     #[test]
-    fn a_color_that_somebody_has_seen_counts_two_thirds() {
+    fn color_in_a_given_name_weighs_two_thirds() {
         use ColorName::{Green, Red};
         let half_red = |name: &str| colored(named(1, name), &[(Red, 0.3), (Green, 0.7)]);
         let red = in_color(&[Red], &[]);
         // 0.5 + 0.67 · (1 - 0.5), and 0.5 + 0.67 · (0.25 - 0.5).
-        are(&[color_of(&half_red("red chair"), &red)], &[0.835]);
-        are(&[color_of(&half_red("blue chair"), &red)], &[0.332_5]);
-        // A name without a colour says nothing of it.
-        are(&[color_of(&half_red("chair"), &red)], &[0.5]);
-        are(&[color_of(&half_red("red chair"), &in_color(&[], &[Red]))], &[0.165]);
+        assert_close(&[color_of(&half_red("red chair"), &red)], &[0.835]);
+        assert_close(&[color_of(&half_red("blue chair"), &red)], &[0.332_5]);
+        // A name without a color changes nothing.
+        assert_close(&[color_of(&half_red("chair"), &red)], &[0.5]);
+        assert_close(&[color_of(&half_red("red chair"), &in_color(&[], &[Red]))], &[0.165]);
     }
 
     #[test]
-    fn what_is_said_to_be_of_wood_and_has_no_color_of_wood_keeps_half() {
+    fn wooden_instances_without_a_wood_color_keep_half() {
         use ColorName::{Brown, Green};
         let wooden = |word: &str, colors: &[ColorName]| Phrase {
             unchecked: vec![word.into()],
             ..in_color(colors, &[])
         };
         let green = colored(chair(1), &[(Green, 1.0)]);
-        are(&[color_of(&green, &wooden("wooden", &[]))], &[0.5]);
-        are(&[color_of(&green, &wooden("oak", &[]))], &[0.5]);
-        are(&[color_of(&green, &wooden("leather", &[]))], &[1.0]);
-        // A colour that is said counts instead.
-        are(&[color_of(&green, &wooden("wooden", &[Green]))], &[1.0]);
-        are(&[color_of(&colored(chair(1), &[(Brown, 1.0)]), &wooden("wooden", &[]))], &[1.0]);
+        assert_close(&[color_of(&green, &wooden("wooden", &[]))], &[0.5]);
+        assert_close(&[color_of(&green, &wooden("oak", &[]))], &[0.5]);
+        assert_close(&[color_of(&green, &wooden("leather", &[]))], &[1.0]);
+        // A stated color counts instead.
+        assert_close(&[color_of(&green, &wooden("wooden", &[Green]))], &[1.0]);
+        assert_close(
+            &[color_of(&colored(chair(1), &[(Brown, 1.0)]), &wooden("wooden", &[]))],
+            &[1.0],
+        );
         // 0.15 brown: brown by 0.25, orange and beige by half of 0.15 each; 0.5 + 0.5 · 0.4.
         let hardly = colored(chair(1), &[(Brown, 0.15), (Green, 0.85)]);
-        are(&[color_of(&hardly, &wooden("wooden", &[]))], &[0.7]);
-        // A name that says it is enough.
+        assert_close(&[color_of(&hardly, &wooden("wooden", &[]))], &[0.7]);
+        // A name that says wood is enough.
         for (name, by_hand) in [("wooden chair", 1.0), ("oak chair", 1.0), ("chair", 0.5)] {
             let found = color_of(&colored(named(1, name), &[(Green, 1.0)]), &wooden("wooden", &[]));
-            assert!((found - by_hand).abs() < 1e-4, "{name}: {found}, by hand {by_hand}");
+            assert!((found - by_hand).abs() < 1e-4, "{name}: {found}, expected {by_hand}");
         }
     }
 
@@ -592,97 +600,97 @@ mod tests {
     }
 
     #[test]
-    fn large_is_by_rank_or_by_the_ratio_to_the_largest() {
+    fn size_traits_score_by_rank_or_ratio_to_the_extreme() {
         // 1, 0.74 and 0.2 m³: the middle one has half of the places below it, and
         // (0.74 - 0.5) / 0.4 = 0.6 of the largest; 0.3 + 0.7 · 0.6.
         let room = [sized(1, [1.0; 3]), sized(2, [1.0, 1.0, 0.74]), sized(3, [1.0, 1.0, 0.2])];
-        are(&trait_of(&room, &[1.0; 3], Trait::Large), &[1.0, 0.72, 0.3]);
+        assert_close(&trait_of(&room, &[1.0; 3], Trait::Large), &[1.0, 0.72, 0.3]);
         // Small the other way round, by rank: 0.2 / 0.74 and 0.2 / 1 are below a half.
-        are(&trait_of(&room, &[1.0; 3], Trait::Small), &[0.3, 0.65, 1.0]);
+        assert_close(&trait_of(&room, &[1.0; 3], Trait::Small), &[0.3, 0.65, 1.0]);
         // Of two of nearly one size: 0.2 / 0.25 = 0.8, 0.3 / 0.4; 0.3 + 0.7 · 0.75.
         let room = [sized(1, [1.0, 1.0, 0.25]), sized(2, [1.0, 1.0, 0.2])];
-        are(&trait_of(&room, &[1.0; 2], Trait::Small), &[0.825, 1.0]);
-        are(&trait_of(&room, &[1.0; 2], Trait::Large), &[1.0, 0.825]);
-        // Nine tenths are as large.
+        assert_close(&trait_of(&room, &[1.0; 2], Trait::Small), &[0.825, 1.0]);
+        assert_close(&trait_of(&room, &[1.0; 2], Trait::Large), &[1.0, 0.825]);
+        // From 90 % on, both are equally large.
         let room = [sized(1, [1.0; 3]), sized(2, [1.0, 1.0, 0.91])];
-        are(&trait_of(&room, &[1.0; 2], Trait::Large), &[1.0, 1.0]);
+        assert_close(&trait_of(&room, &[1.0; 2], Trait::Large), &[1.0, 1.0]);
     }
 
     #[test]
-    fn a_trait_compares_what_the_noun_may_mean() {
+    fn traits_compare_only_plausible_instances_of_the_noun() {
         let room = [sized(1, [1.0; 3]), sized(2, [0.5; 3]), sized(3, [2.0; 3])];
-        // Alone of its kind it is as large as can be, and where nothing is meant, too.
-        are(&trait_of(&room, &[0.0, 1.0, 0.0], Trait::Large), &[1.0, 1.0, 1.0]);
-        are(&trait_of(&room, &[0.0; 3], Trait::Large), &[1.0, 1.0, 1.0]);
-        // 0.3 of the best fit is enough: 1 m³ and 0.125 m³ are compared, 8 m³ is no rival.
-        are(&trait_of(&room, &[1.0, 0.3, 0.29], Trait::Large), &[1.0, 0.3, 1.0]);
-        are(&trait_of(&room, &[1.0, 0.29, 0.29], Trait::Large), &[1.0, 1.0, 1.0]);
-        are(&trait_of(&room, &[0.6, 0.2, 0.1], Trait::Large), &[1.0, 0.3, 1.0]);
-        // And with it the third: ranks of 0.5, 0 and 1.
-        are(&trait_of(&room, &[0.6, 0.2, 0.2], Trait::Large), &[0.65, 0.3, 1.0]);
+        // An instance without rivals scores 1, and so do all where no instance is plausible.
+        assert_close(&trait_of(&room, &[0.0, 1.0, 0.0], Trait::Large), &[1.0, 1.0, 1.0]);
+        assert_close(&trait_of(&room, &[0.0; 3], Trait::Large), &[1.0, 1.0, 1.0]);
+        // 0.3 of the best fit is enough: 1 m³ and 0.125 m³ are compared, 8 m³ is not.
+        assert_close(&trait_of(&room, &[1.0, 0.3, 0.29], Trait::Large), &[1.0, 0.3, 1.0]);
+        assert_close(&trait_of(&room, &[1.0, 0.29, 0.29], Trait::Large), &[1.0, 1.0, 1.0]);
+        assert_close(&trait_of(&room, &[0.6, 0.2, 0.1], Trait::Large), &[1.0, 0.3, 1.0]);
+        // The third is compared too: ranks of 0.5, 0 and 1.
+        assert_close(&trait_of(&room, &[0.6, 0.2, 0.2], Trait::Large), &[0.65, 0.3, 1.0]);
     }
 
     #[test]
-    fn tall_and_long_are_measured_along_their_sides() {
+    fn tall_and_long_use_height_and_footprint_length() {
         let room = [sized(1, [0.4, 2.0, 0.5]), sized(2, [1.0, 1.0, 2.0])];
-        are(&trait_of(&room, &[1.0; 2], Trait::Tall), &[0.3, 1.0]);
-        are(&trait_of(&room, &[1.0; 2], Trait::Low), &[1.0, 0.3]);
-        are(&trait_of(&room, &[1.0; 2], Trait::Long), &[1.0, 0.3]);
+        assert_close(&trait_of(&room, &[1.0; 2], Trait::Tall), &[0.3, 1.0]);
+        assert_close(&trait_of(&room, &[1.0; 2], Trait::Low), &[1.0, 0.3]);
+        assert_close(&trait_of(&room, &[1.0; 2], Trait::Long), &[1.0, 0.3]);
         // 1.6 m of 2 m: (0.8 - 0.5) / 0.4 = 0.75.
         let room = [sized(1, [0.4, 2.0, 0.5]), sized(2, [1.6, 1.0, 2.0])];
-        are(&trait_of(&room, &[1.0; 2], Trait::Long), &[1.0, 0.825]);
+        assert_close(&trait_of(&room, &[1.0; 2], Trait::Long), &[1.0, 0.825]);
     }
 
     #[test]
-    fn of_what_hangs_on_walls_the_tall_one_hangs_high() {
+    fn tall_means_high_for_instances_on_walls() {
         let hung = |id, base: f32, height: f32, support| {
             thing(id, [id as f32, 0.0], [0.5, 0.1, height], base, support, [90; 3])
         };
         let wall = Support::Wall { id: InstanceId(9) };
         // Tops at 1 m and 2 m, heights of 0.5 m and 0.3 m.
         let room = |support| [hung(1, 0.5, 0.5, wall), hung(2, 1.7, 0.3, support)];
-        are(&trait_of(&room(wall), &[1.0; 2], Trait::Tall), &[0.3, 1.0]);
-        are(&trait_of(&room(wall), &[1.0; 2], Trait::Low), &[1.0, 0.3]);
-        // One of them stands: heights count. 0.3 / 0.5: (0.6 - 0.5) / 0.4 = 0.25.
-        are(&trait_of(&room(Support::Floor), &[1.0; 2], Trait::Tall), &[1.0, 0.475]);
-        are(&trait_of(&room(Support::Floor), &[1.0, 0.3], Trait::Tall), &[1.0, 0.475]);
-        // What stands is hardly meant: only what hangs is compared.
-        are(&trait_of(&room(Support::Floor), &[0.9, 0.28], Trait::Tall), &[0.3, 1.0]);
+        assert_close(&trait_of(&room(wall), &[1.0; 2], Trait::Tall), &[0.3, 1.0]);
+        assert_close(&trait_of(&room(wall), &[1.0; 2], Trait::Low), &[1.0, 0.3]);
+        // One of them is on the floor: heights count. 0.3 / 0.5: (0.6 - 0.5) / 0.4 = 0.25.
+        assert_close(&trait_of(&room(Support::Floor), &[1.0; 2], Trait::Tall), &[1.0, 0.475]);
+        assert_close(&trait_of(&room(Support::Floor), &[1.0, 0.3], Trait::Tall), &[1.0, 0.475]);
+        // The one on the floor is not plausible: only the other is compared.
+        assert_close(&trait_of(&room(Support::Floor), &[0.9, 0.28], Trait::Tall), &[0.3, 1.0]);
     }
 
     #[test]
-    fn light_and_dark_go_by_rank_alone() {
+    fn light_and_dark_score_by_rank_only() {
         let room = [200_u8, 190, 20].map(|grey| Instance { mean_rgb: [grey; 3], ..chair(1) });
-        are(&trait_of(&room, &[1.0; 3], Trait::Light), &[1.0, 0.65, 0.3]);
-        are(&trait_of(&room, &[1.0; 3], Trait::Dark), &[0.3, 0.65, 1.0]);
+        assert_close(&trait_of(&room, &[1.0; 3], Trait::Light), &[1.0, 0.65, 0.3]);
+        assert_close(&trait_of(&room, &[1.0; 3], Trait::Dark), &[0.3, 0.65, 1.0]);
     }
 
     #[test]
-    fn round_and_rectangular_go_by_the_sides_of_the_footprint() {
+    fn round_and_rectangular_score_by_footprint_proportions() {
         let sides = [1.0, 0.875, 0.85, 0.75, 0.675, 0.5, 0.4];
         let room = sides.map(|short| sized(1, [short, 1.0, 0.3]));
         // (share - 0.5) / 0.35, from 0.3 to 1.
         let round = [1.0, 1.0, 1.0, 0.714_286, 0.5, 0.3, 0.3];
-        are(&trait_of(&room, &[1.0; 7], Trait::Round), &round);
-        are(&trait_of(&room, &[1.0; 7], Trait::Square), &round);
+        assert_close(&trait_of(&room, &[1.0; 7], Trait::Round), &round);
+        assert_close(&trait_of(&room, &[1.0; 7], Trait::Square), &round);
         // (1 - share) / 0.25.
         let long = [0.3, 0.5, 0.6, 1.0, 1.0, 1.0, 1.0];
-        are(&trait_of(&room, &[1.0; 7], Trait::Rectangular), &long);
+        assert_close(&trait_of(&room, &[1.0; 7], Trait::Rectangular), &long);
     }
 
     #[test]
-    fn three_tenths_of_the_best_may_be_meant() {
+    fn plausible_instances_have_at_least_thirty_percent_of_the_best_fit() {
         assert_eq!(most_plausible(&[1.0, 0.3, 0.299], usize::MAX), [(0, 1.0), (1, 0.3)]);
         assert_eq!(most_plausible(&[0.5, 0.16, 0.14], usize::MAX), [(0, 0.5), (1, 0.16)]);
-        // As many as are asked for: all stay, in order of index.
+        // Within the limit all are kept, in order of index.
         assert_eq!(most_plausible(&[0.4, 0.5], 2), [(0, 0.4), (1, 0.5)]);
         assert_eq!(most_plausible(&[], 2), []);
     }
 
     proptest! {
-        /// The larger of two is never less large, and no fit leaves its range.
+        /// The larger of two never scores lower, and every fit is in its range.
         #[test]
-        fn the_larger_is_larger(heights in prop::collection::vec(0.05_f32..2.0, 1..8)) {
+        fn size_traits_are_monotonic(heights in prop::collection::vec(0.05_f32..2.0, 1..8)) {
             let room: Vec<Instance> =
                 (1..).zip(&heights).map(|(id, h)| sized(id, [0.5, 0.5, *h])).collect();
             let nouns = vec![1.0; room.len()];
@@ -700,9 +708,9 @@ mod tests {
             }
         }
 
-        /// However many colours are said, a fit is one.
+        /// A color fit is in its range for any number of colors.
         #[test]
-        fn color_fits_are_shares(
+        fn color_fits_are_between_zero_and_one(
             shares in prop::array::uniform12(0.0_f32..1.0),
             wanted in prop::collection::vec(0_usize..12, 0..4),
             unwanted in prop::collection::vec(0_usize..12, 0..3),
@@ -719,7 +727,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_best_few_are_looked_at() {
+    fn number_of_plausible_instances_is_limited() {
         // The work on a question over thousands of instances is bounded by this.
         assert_eq!(
             most_plausible(&[0.5, 0.1, 0.9, 0.0, 0.8], usize::MAX),

@@ -1,14 +1,14 @@
-//! Scores how well one noun stands for another: synonyms, broader and narrower words, things that
+//! Scores how well one noun matches another: synonyms, broader and narrower words, objects that
 //! serve the same use.
 
 use uniground_language::{Meaning, Phrase};
 use uniground_models::attributes::{Kinship, Lexicon, Noun, WordNet};
 
-/// Fit of a broader word ("seat" for a sofa): a little less than that of the thing's own name.
+/// Fit of a broader word ("seat" for a sofa): a little less than that of the object's own name.
 const BROADER_WORD: f32 = 0.9;
 /// How much less a rare kind fits a broader word than a common one.
 const EXOTIC: f32 = 0.125;
-/// Fit of a thing whose given name is broader than the requested one: it may be meant.
+/// Fit of an object whose given name is broader than the requested one: it may be meant.
 pub(super) const BROADER_NAME: f32 = 0.5;
 /// The same where the name is the last word of the requested one: "stool" for a bar stool.
 const ITS_LAST_WORD: f32 = 0.7;
@@ -17,11 +17,11 @@ const ITS_LAST_WORD: f32 = 0.7;
 const OTHER_COMPOUND: f32 = 0.3;
 /// Fit of a synonym of the given name.
 const SYNONYM: f32 = 0.95;
-/// Fit of a thing that serves a use as others do; one that is named after the use has 1.
+/// Fit of an object that serves a use like others; an object named after the use has 1.
 const SERVES_ALIKE: f32 = 0.93;
 
-/// Returns the weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less
-/// for its narrower kinds, and less the rarer they are. Things that serve a use weigh the same,
+/// Returns the weight of the `i`-th meaning of a phrase's noun: 1 for the object of that name, less
+/// for its narrower kinds, and less the rarer they are. Objects that serve a use weigh the same,
 /// except those named after it: tea is poured from a teapot.
 pub(super) fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
     let names =
@@ -34,8 +34,8 @@ pub(super) fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
     }
 }
 
-/// Returns how well a thing's noun fits the requested noun: a synonym fits fully, a broader word a
-/// little less.
+/// Returns how well an object's noun fits the requested noun: a synonym fits fully, a broader word
+/// a little less.
 pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
     // "kitchen chair" may be given as one name.
     if phrase.unchecked.iter().any(|before| {
@@ -59,7 +59,7 @@ pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
                             SYNONYM
                         }
                 }
-                // "table" was given and "side table" is asked for: it may be one.
+                // The given name is "table" and the question says "side table": it may be one.
                 None if phrase.uses.is_empty()
                     && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) =>
                 {

@@ -126,7 +126,7 @@ pub fn rank_candidates(
     candidates::choose(&assessor, parsed, &scores, from, top_k)
 }
 
-/// Answers a question, read by the built-in grammar.
+/// Answers a question, parsed by the built-in grammar.
 #[must_use]
 pub fn ground(scene: SceneView, question: &Question) -> Grounding {
     let start = Instant::now();

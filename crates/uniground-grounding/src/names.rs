@@ -1,6 +1,6 @@
 //! An index of the names that a person or a vision-language model gave the instances: free phrases
-//! ("lime green bean bag chair"), parsed by the grammar once and compared with what a question asks
-//! for.
+//! ("lime green bean bag chair"), parsed by the grammar once and compared with the requested
+//! object.
 
 use super::kinds::kind_fit;
 use uniground_geometry::color::ColorName;
@@ -59,20 +59,20 @@ enum Kind {
 #[derive(Debug, Clone, PartialEq)]
 pub struct GivenName {
     kind: Kind,
-    /// What it names; for a part, the thing it belongs to.
+    /// What it names; for a part, the object it belongs to.
     phrase: Phrase,
-    /// The words that name the thing itself, in the singular, before any that lead elsewhere ("on
+    /// The words that name the object itself, in the singular, before any that lead elsewhere ("on
     /// the desk").
     words: Vec<String>,
 }
 
-/// Fit of a part to a question for the thing it belongs to.
+/// Fit of a part to a question for the object it belongs to.
 const PART: f32 = 0.35;
 /// Fit of a name that has all requested words, its noun among them.
 const SAME_WORDS: f32 = 0.9;
 /// Fit of a name that has all requested words beside its noun: a "bean bag chair" for "bean bag".
 const WORDS_BESIDE_ITS_NOUN: f32 = 0.6;
-/// Words after which a name describes other things.
+/// Words after which a name describes other objects.
 const ELSEWHERE: [&str; 17] = [
     "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against",
     "at", "by", "beneath", "of", "from", "holding",
@@ -95,7 +95,7 @@ const UNCLEAR: [&str; 7] = [
 ];
 
 impl GivenName {
-    /// Parses a name; `None` where it says that the thing could not be recognized.
+    /// Parses a name; `None` where it says that the object could not be recognized.
     #[must_use]
     pub fn read(text: &str) -> Option<Self> {
         let text = text.trim().trim_end_matches('.').to_lowercase();
@@ -168,8 +168,8 @@ impl GivenName {
         }
     }
 
-    /// Returns whether the name says that the instance carries what is asked for: "candlestick with
-    /// pink candle".
+    /// Returns whether the name says that the instance carries the requested object: "candlestick
+    /// with pink candle".
     #[must_use]
     pub fn carries(&self, asked: &Phrase, meaning: &Meaning) -> bool {
         let carried = self.phrase.with.iter().filter(|with| !with.absent);
@@ -177,7 +177,7 @@ impl GivenName {
             && carried.into_iter().any(|with| kind_fit(&with.phrase.head, asked, meaning) > 0.0)
     }
 
-    /// Returns whether it names a thing, rather than a stretch of a wall or noise.
+    /// Returns whether it names an object, rather than a stretch of a wall or noise.
     #[must_use]
     pub fn is_thing(&self) -> bool {
         matches!(self.kind, Kind::Thing | Kind::Part)
@@ -208,8 +208,8 @@ fn structure_in(words: &[String]) -> Option<Structure> {
     }
 }
 
-/// Returns the words of a name up to the first that leads to another thing. "and" leads to another
-/// thing, except between colors.
+/// Returns the words of a name up to the first that leads to another object. "and" leads to another
+/// object, except between colors.
 fn main_words(name: &str) -> impl Iterator<Item = String> {
     let is_color = |word: &String| ColorName::ALL.iter().any(|color| color.as_str() == word);
     let mut words: Vec<String> = Vec::new();
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn free_phrases_name_what_is_asked_for() {
+    fn free_form_names_match_the_requested_noun() {
         for (name, query) in [
             ("lime green bean bag chair", "the beanbag"),
             ("white two-door wardrobe", "the wardrobe"),
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn and_nothing_else() {
+    fn names_do_not_match_objects_they_only_mention() {
         for (name, query) in [
             ("small white lamp on a desk", "the desk"),
             ("white radiator cabinet under window", "the window"),

@@ -249,7 +249,7 @@ async fn apply_review<S: SceneSource>(
     Ok(())
 }
 
-/// What a model was shown, and of which scene.
+/// The scene, the context and the pictures that a model was shown.
 struct Shown<S> {
     source: Arc<S>,
     context: vlm::PromptContext,

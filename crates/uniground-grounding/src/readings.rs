@@ -9,7 +9,7 @@ use uniground_models::attributes::Noun;
 /// Weight of a noun relative to the one before it.
 const LATER_NOUN: f32 = 0.95;
 
-/// What a phrase says of the kind of its target, under each noun it may have, the likeliest first.
+/// The nouns and uses that a phrase's target may have, the likeliest first.
 pub(super) struct Readings(Vec<Reading>);
 
 /// One of these nouns.
@@ -95,7 +95,7 @@ mod tests {
         )
     }
 
-    fn said(head: &str, could_be: &[&str]) -> Phrase {
+    fn noun_phrase(head: &str, could_be: &[&str]) -> Phrase {
         Phrase {
             head: head.into(),
             could_be: could_be.iter().map(|noun| (*noun).to_owned()).collect(),
@@ -104,8 +104,8 @@ mod tests {
     }
 
     #[test]
-    fn each_noun_counts_and_the_likelier_one_more() {
-        let asked = said("alarm clock", &["radio"]);
+    fn all_possible_nouns_match_and_likelier_ones_weigh_more() {
+        let asked = noun_phrase("alarm clock", &["radio"]);
         let found = fits(&["radio", "kettle"], &asked);
         assert!(found[0] > 0.9 && found[1] == 0.0, "{found:?}");
         let found = fits(&["radio", "alarm clock"], &asked);
@@ -116,7 +116,7 @@ mod tests {
         assert_eq!(Readings::of(&asked).best_noun(&radio), "radio");
         assert!(
             Readings::of(&asked).called(&radio) > 0.9
-                && Readings::of(&said("kettle", &[])).called(&radio) == 0.0
+                && Readings::of(&noun_phrase("kettle", &[])).called(&radio) == 0.0
         );
     }
 }

@@ -7,7 +7,7 @@ use super::vlm::{PictureSettings, PromptContext, VisualEvidence};
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_parsing::pointed::find_identical;
 
-/// What lies at the place where a model saw an object.
+/// The result of a lookup at the position where a model saw an object.
 pub(super) enum Found {
     /// An instance of the scene that was not offered.
     Known(InstanceId),

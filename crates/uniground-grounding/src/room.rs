@@ -1,8 +1,8 @@
-//! The room that a thing stands in: walls around it, corners, the middle, and the direction of its
-//! own front.
+//! The room that an object stands in: walls around it, corners, the middle, and the direction of
+//! its own front.
 //!
-//! A scan may hold several rooms, or one with a recess. A thing is bounded by the next wall on each
-//! of its four sides, or by the outline of everything where no wall comes before it.
+//! A scan may hold several rooms, or one with a recess. An object is bounded by the next wall on
+//! each of its four sides, or by the outline of everything where no wall comes before it.
 
 use super::relations::fade;
 use super::solid::Solid;
@@ -19,12 +19,12 @@ pub struct Room {
     corners: Vec<(usize, usize)>,
 }
 
-/// How a viewer faces a thing.
+/// How a viewer faces an object.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Faced {
     /// Horizontal direction away from the viewer; `None` right in the middle of a room.
     pub ahead: Option<Vector3<f32>>,
-    /// Whether the thing has its back to a wall. In the open no side is the front, so people look
+    /// Whether the object has its back to a wall. In the open no side is the front, so people look
     /// from the middle of the room.
     pub has_a_front: bool,
 }
@@ -43,14 +43,14 @@ impl Room {
         Self { outline, walls, corners }
     }
 
-    /// Returns how close a thing is to a wall, or to one side of the room, `0..=1`.
+    /// Returns how close an object is to a wall, or to one side of the room, `0..=1`.
     #[must_use]
     pub fn against_wall(&self, thing: &Solid) -> f32 {
         let walls = self.walls.iter().map(|wall| fade(thing.horizontal_gap(wall), 0.25));
         self.gaps(thing).into_iter().map(|gap| fade(gap, 0.3)).chain(walls).fold(0.0, f32::max)
     }
 
-    /// Returns how close a thing is to two sides of the room, or two walls, that meet, `0..=1`.
+    /// Returns how close an object is to two sides of the room, or two walls, that meet, `0..=1`.
     #[must_use]
     pub fn in_corner(&self, thing: &Solid) -> f32 {
         let [a, b, c, d] = self.gaps(thing).map(|gap| fade(gap, 0.5));
@@ -59,7 +59,8 @@ impl Room {
         meeting.max(a.max(b) * c.max(d))
     }
 
-    /// Returns how near a thing is to the middle of the room, relative to the room's size, `0..=1`.
+    /// Returns how near an object is to the middle of the room, relative to the room's size,
+    /// `0..=1`.
     #[must_use]
     pub fn in_middle(&self, thing: &Solid) -> f32 {
         let gaps = self.gaps(thing);
@@ -71,7 +72,7 @@ impl Room {
         fade(aside(0), 0.45) * fade(aside(1), 0.45)
     }
 
-    /// Returns how a viewer faces a thing.
+    /// Returns how a viewer faces an object.
     #[must_use]
     pub fn faced(&self, thing: &Solid) -> Faced {
         let front = self.own_front(thing);
@@ -88,8 +89,8 @@ impl Room {
         }
     }
 
-    /// Returns the direction away from the wall that a thing stands against: a side of the room or
-    /// a wall within. `None` in the open and, unless the thing is long, in corners.
+    /// Returns the direction away from the wall that an object stands against: a side of the room
+    /// or a wall within. `None` in the open and, unless the object is long, in corners.
     #[must_use]
     pub fn own_front(&self, thing: &Solid) -> Option<Vector3<f32>> {
         const AT_THE_WALL_M: f32 = 0.35;
@@ -109,20 +110,20 @@ impl Room {
             .map(|(gap, _)| *gap)
             .fold(f32::INFINITY, f32::min);
         let flat = thing.sides().0 > 2.0 * thing.sides().1;
-        // In a corner only the shape of a long thing shows which wall it has at its back.
+        // In a corner only the shape of a long object shows which wall it has at its back.
         let clear = other > gap + NEXT_WALL_M || flat && thing.along().dot(&front).abs() < 0.3;
         (gap <= AT_THE_WALL_M && clear).then(|| Vector3::new(front.x, front.y, 0.0))
     }
 
-    /// Returns whether a person at one thing has to leave the room for the other: a wall crosses
+    /// Returns whether a person at one object has to leave the room for the other: a wall crosses
     /// the line between their middles.
     #[must_use]
     pub fn apart_by_a_wall(&self, a: &Solid, b: &Solid) -> bool {
         self.walls.iter().any(|wall| crosses(wall, a, b))
     }
 
-    /// Returns how much of the room lies on the side of a thing that `direction` (horizontal, unit)
-    /// points to, meters: up to the next wall.
+    /// Returns how much of the room lies on the side of an object that `direction` (horizontal,
+    /// unit) points to, meters: up to the next wall.
     #[must_use]
     pub fn depth(&self, thing: &Solid, direction: &Vector2<f32>) -> f32 {
         let [a, b] = self.axes();
@@ -132,7 +133,7 @@ impl Room {
             .map_or(0.0, |(_, gap)| gap)
     }
 
-    /// Returns the distances from a thing to the bounds of its room, on both sides along each of
+    /// Returns the distances from an object to the bounds of its room, on both sides along each of
     /// [`axes`](Self::axes); meters.
     fn gaps(&self, thing: &Solid) -> [f32; 4] {
         let mut gaps = [0.0; 4];
@@ -166,9 +167,9 @@ impl Room {
     }
 }
 
-/// Returns whether a wall stands between the middles of two things, and is as high as they are.
+/// Returns whether a wall stands between the middles of two objects, and is as high as they are.
 fn crosses(wall: &Solid, a: &Solid, b: &Solid) -> bool {
-    /// A thing nearer to the middle of a wall is in it, or hangs on it.
+    /// An object nearer to the middle of a wall is in it, or hangs on it.
     const IN_THE_WALL_M: f32 = 0.15;
     let along = wall.along();
     let place = |p: Point2<f32>| {
@@ -210,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_walls_and_the_middle_are_the_room_s() {
+    fn corner_wall_and_middle_scores_follow_the_room() {
         let room = room();
         assert!(room.in_corner(&cube(2.7, 2.2)) > 0.9);
         assert!(room.in_corner(&cube(0.0, 2.2)) < 0.1 && room.against_wall(&cube(0.0, 2.2)) > 0.9);
@@ -219,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_within_the_outline_are_corners() {
+    fn inner_corners_count_as_corners() {
         // An L-shaped room: two walls meet at (0, 0.5), in the middle of its outline.
         let walls =
             vec![boxed([-1.5, 0.5, 1.3], [3.0, 0.1, 2.6]), boxed([0.0, 1.5, 1.3], [0.1, 2.0, 2.6])];
@@ -237,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_rooms_each_has_its_middle_and_its_walls() {
+    fn each_of_two_rooms_has_its_own_middle_and_walls() {
         // A wall across at x = 1: rooms of 4 and of 2 meters.
         let two = Room::new(outline(), vec![boxed([1.0, 0.0, 1.3], [0.1, 5.0, 2.6])]);
         assert!(two.in_middle(&cube(-1.0, 0.0)) > 0.95 && two.in_middle(&cube(2.0, 0.0)) > 0.95);
@@ -250,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_behind_a_wall_is_apart() {
+    fn objects_on_both_sides_of_a_wall_are_apart() {
         let low = boxed([1.0, -1.5, 0.3], [0.1, 2.0, 0.6]);
         let two = Room::new(outline(), vec![boxed([1.0, 1.0, 1.3], [0.1, 3.0, 2.6]), low]);
         assert!(two.apart_by_a_wall(&cube(0.5, 0.5), &cube(1.5, 0.5)));
@@ -266,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_at_a_wall_has_its_front_to_the_room() {
+    fn objects_at_a_wall_face_the_room() {
         assert!(
             room()
                 .own_front(&boxed([0.0, 2.3, 1.0], [0.8, 0.4, 2.0]))

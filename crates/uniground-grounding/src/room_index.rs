@@ -1,6 +1,5 @@
-//! An index of a room for the search among many rooms: the names of its things, and their colors.
-//! Small enough to store for a million rooms, it tells which of them to look at; their instances
-//! tell the rest.
+//! An index of a room for the search among many rooms: the names and colors of its objects. It is
+//! small enough to store for a million rooms, and selects the rooms whose instances are searched.
 
 use super::names::GivenName;
 use super::readings::Readings;
@@ -10,17 +9,17 @@ use uniground_geometry::scene::{Instance, Level};
 use uniground_language::{ME, Meaning, Phrase, parse};
 use uniground_models::attributes::color_fit;
 
-/// Number of guesses that count: later ones say what a thing might be mistaken for.
+/// Number of guesses that count: later ones are likely mistakes.
 const GUESSES: usize = 3;
 /// A guess with a lower belief is ignored.
 const LEAST_GUESS: f32 = 0.05;
 /// Factor for parts and wholes: a room has some of any size.
 const NOT_A_THING: f32 = 0.55;
-/// A color that fits less than this does not describe the thing.
+/// A color that fits less than this does not describe the object.
 const LEAST_COLOR: f32 = 0.2;
 /// The same for a color that fits less than this share of the best: it is only similar to it.
 const OF_THE_BEST: f32 = 0.6;
-/// Fit of a thing that carries the requested one, as far as its name says.
+/// Fit of an object whose name says that it carries the requested one.
 const CARRIES: f32 = 0.6;
 /// Factor of a fit where the color is another, or unknown.
 const OTHER_COLOR: f32 = 0.4;
@@ -28,18 +27,18 @@ const OTHER_COLOR: f32 = 0.4;
 const WITHOUT_ANCHOR: f32 = 0.3;
 const WITHOUT_TARGET: f32 = 0.02;
 
-/// Things of a room that have a name and a color in common.
+/// Objects of a room that have a name and a color in common.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
     /// The name in lower case, as given or guessed.
     pub name: String,
-    /// A color that describes the things; `None` where no color does.
+    /// A color that describes the objects; `None` where no color does.
     pub color: Option<ColorName>,
     /// The highest belief that one of them has this name, `0..=1`.
     pub weight: f32,
 }
 
-/// Returns the entries of a room's things, in order of name and color. The building itself is in
+/// Returns the entries of a room's objects, in order of name and color. The building itself is in
 /// every room, so it is left out.
 #[must_use]
 pub fn entries(instances: &[Instance]) -> Vec<Entry> {
@@ -75,7 +74,7 @@ fn colors_of(instance: &Instance) -> Vec<Option<ColorName>> {
     if colors.is_empty() { vec![None] } else { colors }
 }
 
-/// What a question looks for in a room: its target, and the anchors of the target.
+/// The objects that a question looks for in a room: its target, and the anchors of the target.
 pub struct Sought {
     phrases: Vec<SoughtPhrase>,
     /// Whether the first of them is the target itself. False where the target has no noun ("what is
@@ -114,7 +113,7 @@ impl Sought {
         Self { phrases, has_target, target: target.text() }
     }
 
-    /// Returns how many things the question names.
+    /// Returns how many objects the question names.
     #[must_use]
     pub fn len(&self) -> usize {
         self.phrases.len()
@@ -126,7 +125,7 @@ impl Sought {
         self.phrases.is_empty()
     }
 
-    /// Returns how well a name fits the thing at an index, `0..=1`.
+    /// Returns how well a name fits the object at an index, `0..=1`.
     #[must_use]
     pub fn fit(&self, at: usize, name: &GivenName) -> f32 {
         let SoughtPhrase { phrase, readings } = &self.phrases[at];
@@ -134,13 +133,13 @@ impl Sought {
         if called == 0.0 && name.carries(phrase, &phrase.meaning()) { CARRIES } else { called }
     }
 
-    /// Returns the colors of the thing at an index.
+    /// Returns the colors of the object at an index.
     #[must_use]
     pub fn colors(&self, at: usize) -> &[ColorName] {
         &self.phrases[at].phrase.colors
     }
 
-    /// Returns the weight of a room's entry for the thing at an index; `fit` is how well its name
+    /// Returns the weight of a room's entry for the object at an index; `fit` is how well its name
     /// fits.
     #[must_use]
     pub fn weigh_entry(&self, at: usize, fit: f32, color: Option<ColorName>, weight: f32) -> f32 {
@@ -149,8 +148,8 @@ impl Sought {
         fit * weight * if has_color { 1.0 } else { OTHER_COLOR }
     }
 
-    /// Returns how likely a room has what is sought, given the weights of its best entries for each
-    /// of the things. Only for comparison with other rooms.
+    /// Returns how likely a room has all sought objects, given the weights of its best entries for
+    /// each of them. Only for comparison with other rooms.
     #[must_use]
     pub fn weigh_room(&self, entries: &[f32]) -> f32 {
         let of = |(at, found): (usize, &f32)| match at {
@@ -173,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_room_is_known_by_what_its_things_are_called_and_their_colors() {
+    fn room_entries_list_names_and_colors() {
         let wall = Instance { structure: Some(Structure::Wall), ..named(4, "wall", [200; 3]) };
         let room = [
             named(1, "Mug", [200, 20, 20]),
@@ -189,7 +188,7 @@ mod tests {
             known,
             [("desk lamp".into(), Some("blue"), 1.0), ("mug".into(), Some("red"), 1.0)]
         );
-        // A guessed name counts as far as the guess is believed.
+        // A guessed name counts by the belief in the guess.
         let guessed = Instance { given_name: None, ..named(1, "", [90; 3]) };
         let guessed =
             Instance { names: uniground_models::attributes::name_guesses(&guessed), ..guessed };
@@ -203,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn the_room_with_the_thing_and_what_stands_beside_it_is_likelier() {
+    fn rooms_with_target_and_anchor_rank_first() {
         let sought = Sought::of("the red mug next to the printer");
         assert_eq!(sought.len(), 2);
         let fit = |at: usize, name: &str| sought.fit(at, &GivenName::read(name).unwrap());

@@ -1,4 +1,5 @@
-//! What the question pipeline needs from a scene, wherever the scene comes from.
+//! The data and operations that the question pipeline needs from a scene, independent of its
+//! source.
 
 use super::names::NameIndex;
 use super::picture_cache::PictureCache;
@@ -110,7 +111,7 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     }
 }
 
-/// Why there is no answer, whatever the source of the scene.
+/// Why there is no answer, for any source of the scene.
 #[derive(Debug, thiserror::Error)]
 pub enum QuestionError {
     /// The encoder failed.

@@ -1,4 +1,4 @@
-//! An instance as relations see it: an upright box with a yaw, and distances that do not depend on
+//! An instance as relations use it: an upright box with a yaw, and distances that do not depend on
 //! the orientation of the world.
 
 use uniground_geometry::boxes::{Aabb, OrientedBox};
@@ -231,7 +231,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn distances_by_hand() {
+    fn distances_match_hand_computed_values() {
         let boxed = |x: f32, y: f32, size: f32, yaw_rad: f32| {
             Solid::from(OrientedBox {
                 center: Point3::new(x, y, 0.5),
@@ -258,7 +258,7 @@ pub(super) mod tests {
 
     proptest! {
         #[test]
-        fn distances_turn_with_the_world(a in any_solid(), b in any_solid(), by in -3.0_f32..3.0) {
+        fn distances_ignore_rotation(a in any_solid(), b in any_solid(), by in -3.0_f32..3.0) {
             let (ta, tb) = (turned(&a, by), turned(&b, by));
             prop_assert!((a.gap(&b) - ta.gap(&tb)).abs() < 1e-3);
             prop_assert!((a.footprint_overlap(&b) - ta.footprint_overlap(&tb)).abs() < 2e-3);
@@ -267,7 +267,7 @@ pub(super) mod tests {
 
         /// Boxes along the axes have the distances of axis-aligned boxes.
         #[test]
-        fn aligned_boxes_agree_with_the_plain_formula(a in prop::array::uniform6(0.1_f32..2.0), b in prop::array::uniform6(0.1_f32..2.0)) {
+        fn aligned_boxes_match_axis_aligned_distances(a in prop::array::uniform6(0.1_f32..2.0), b in prop::array::uniform6(0.1_f32..2.0)) {
             let make = |v: [f32; 6]| Aabb { center: Point3::new(v[0], v[1], v[2]), size: Vector3::new(v[3], v[4], v[5]) };
             let (a, b) = (make(a), make(b));
             prop_assert!((Solid::from(a).gap(&b.into()) - a.gap(&b)).abs() < 1e-4);

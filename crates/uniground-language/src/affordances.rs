@@ -1,5 +1,5 @@
-//! Reads things that are named by their purpose: "something to sit on", "what you would grab to put
-//! out a fire".
+//! Reads objects that are named by their purpose: "something to sit on", "what you would grab to
+//! put out a fire".
 //!
 //! The uses are those of the lexicon; `uses.tsv` has other words for them.
 
@@ -17,7 +17,7 @@ pub(super) struct Affordance {
     pub uses: Vec<String>,
     /// The clause's words: "pour wine from" fits wine bottles better than teapots.
     pub words: Vec<String>,
-    /// Tokens within the clause that describe the thing: "something soft and green to sink into".
+    /// Tokens within the clause that describe the object: "something soft and green to sink into".
     pub described: std::ops::Range<usize>,
     /// Number of tokens of the clause; the rest of the query follows.
     pub taken: usize,
@@ -89,7 +89,7 @@ const OPENERS: &[&str] = &[
 /// Words that end the clause and begin the circumstances.
 const CIRCUMSTANCES: [&str; 4] = ["while", "when", "whilst", "without"];
 
-/// Small words: they decide between uses ("write on", "write with"), but are no use by themselves.
+/// Particles distinguish uses ("write on", "write with"), but are not uses themselves.
 const PARTICLES: [&str; 16] = [
     "on", "in", "at", "by", "from", "with", "to", "for", "into", "out", "away", "up", "off", "the",
     "a", "of",
@@ -128,8 +128,8 @@ impl Wording {
         }
     }
 
-    /// Returns how well the words say this use: the number of required words and particles that are
-    /// said, so that "drink from" counts like "drink water". `None` when a required word is
+    /// Returns how well the words match this use: the number of required words and particles that
+    /// match, so that "drink from" counts like "drink water". Returns `None` if a required word is
     /// missing.
     fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
         cost::count();
@@ -145,8 +145,8 @@ impl Wording {
     }
 }
 
-/// Maximum number of clauses that begin like a purpose and are none, before the search ends. Real
-/// questions have fewer.
+/// Maximum number of clauses that begin like a purpose but are not one, before the search ends.
+/// Real questions have fewer.
 const MAX_ATTEMPTS: usize = 8;
 
 /// Finds the clause at the start of a query, or after clauses that name nothing: "it's getting
@@ -178,8 +178,8 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     None
 }
 
-/// Returns the words that begin the clause at or after `start`, where only words without content
-/// may stand between; otherwise the index of the word at which the search ended.
+/// Returns the words that begin the clause at or after `start`, if only words without content are
+/// between; otherwise the index of the word at which the search ended.
 fn find_opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, usize> {
     loop {
         let rest = &words[start.min(words.len())..];
@@ -190,7 +190,7 @@ fn find_opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize
                 Err(start)
             };
         }
-        // "please bring me", "find": before the opener only words without content may stand.
+        // "please bring me", "find": before the opener, only words without content are allowed.
         match words::longest_match(rest) {
             Some((Meaning::Filler | Meaning::Determiner | Meaning::And, length)) => start += length,
             _ if start > 0 && rest.first() == Some(&BREAK) => start += 1,
@@ -199,8 +199,8 @@ fn find_opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize
     }
 }
 
-/// Returns the purpose that the clause from `begin` on, after its opener, states; `None` where that
-/// is no use of the lexicon.
+/// Returns the purpose that the clause from `begin` on, after its opener, states; `None` if the
+/// lexicon has no such use.
 fn parse_clause(words: &[&str], begin: usize) -> Option<Affordance> {
     let purpose = (begin..words.len())
         .find(|&i| is_purpose(words[i]))
@@ -245,7 +245,7 @@ fn parse_clause(words: &[&str], begin: usize) -> Option<Affordance> {
 /// Returns the uses that begin with the verb of a clause, where the clause matches no use exactly:
 /// "heat up my soup".
 fn uses_with_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
-    /// Verbs that may belong to any use.
+    /// Verbs that can belong to any use.
     const LIGHT: [&str; 16] = [
         "get", "go", "put", "take", "have", "make", "keep", "do", "see", "know", "look", "check",
         "use", "hold", "find", "be",
@@ -265,8 +265,8 @@ fn uses_with_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
         .collect()
 }
 
-/// Returns whether a purpose follows the word for a thing soon: "something soft to sit on", not
-/// "the thing on the table".
+/// Returns whether a purpose follows soon after the word for an object: "something soft to sit on",
+/// not "the thing on the table".
 fn has_purpose_clause(words: &[&str], opener: usize) -> bool {
     const SOON: usize = 5;
     // "the object is a chair with ...": a noun says what it is.
@@ -321,10 +321,10 @@ fn begins(words: &[&str], opener: &str) -> Option<usize> {
     opener.split(' ').all(|wanted| said.next() == Some(&wanted)).then(|| words.len() - said.len())
 }
 
-/// Returns whether the clause ends before word `i`: at a pause, circumstances, or a relation to a
-/// thing.
+/// Returns whether the clause ends before word `i`: at a pause, circumstances, or a relation to an
+/// object.
 fn ends_clause(words: &[&str], i: usize) -> bool {
-    // "something to sit on that is blue": the rest describes the thing.
+    // "something to sit on that is blue": the rest describes the object.
     let describes = matches!(words[i..], ["that" | "which", "is" | "are", ..]);
     if words[i] == BREAK || CIRCUMSTANCES.contains(&words[i]) || describes {
         return true;
@@ -336,7 +336,7 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
     ) {
         return false;
     }
-    // "sit on", "read by": a particle of the verb unless a thing follows. In "work on my laptop",
+    // "sit on", "read by": a particle of the verb unless an object follows. In "work on my laptop",
     // the laptop need not be in the scene.
     let next = words.get(i + length).copied().unwrap_or(BREAK);
     if matches!(words[i], "on" | "in" | "with")
@@ -366,7 +366,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn purposes_are_found_and_the_rest_is_left() {
+    fn purpose_clause_ends_before_the_rest_of_the_query() {
         for (query, spoken, rest) in [
             (
                 "something to sit on while working on the laptop",
@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn a_purpose_may_be_said_in_part() {
+    fn unmatched_words_returns_words_outside_the_known_use() {
         for (query, left) in [
             ("something to sit on", ""),
             ("what you would drink water from", ""),
@@ -430,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_no_purposes() {
+    fn named_objects_are_not_read_as_purposes() {
         for query in [
             "the chair",
             "find the table to the left",

@@ -1,6 +1,6 @@
-//! Finds where in a sentence the target may be named. People say what they do before they name a
-//! thing ("pop two slices in the toaster"), and why ("my back hurts, I'll take the old wooden
-//! chair"). So later beginnings are read as well, and the scene decides which of them it supports
+//! Finds where a sentence can name the target. People say what they do before they name an object
+//! ("pop two slices in the toaster"), and why ("my back hurts, I'll take the old wooden chair"). So
+//! later beginnings are read as well, and the scene decides which of them it supports
 //! (`uniground_grounding::choose_reading`).
 
 use super::pieces::longest_noun;
@@ -12,8 +12,8 @@ use uniground_models::attributes::WordNet;
 /// Maximum number of beginnings that are read, because each costs a reading.
 const MOST_READINGS: usize = 6;
 
-/// Verbs that move one thing to another: "chuck the peel in the bin" asks for the bin unless a peel
-/// is in it already.
+/// Verbs that move one object to another: "chuck the peel in the bin" asks for the bin unless a
+/// peel is in it already.
 const DESTINED: [&str; 40] = [
     "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour",
     "tip", "hang", "lay", "set", "leave", "store", "pack", "load", "shove", "slide", "stow",
@@ -32,7 +32,7 @@ pub(super) fn readings(
     read: impl Fn(&[String]) -> ParsedQuery,
 ) -> (ParsedQuery, Vec<ParsedQuery>) {
     let first = read(tokens);
-    // For food and drink, the container may be meant: "the milk is in the larger fridge".
+    // For food and drink, the question may mean the container: "the milk is in the larger fridge".
     let is_held = ["food", "beverage", "foodstuff", "nutriment"]
         .iter()
         .any(|kind| WordNet::get().is_a(&first.target.head, kind));
@@ -85,13 +85,13 @@ fn is_viewpoint(clause: &[String]) -> bool {
     })
 }
 
-/// Words at which the target may begin, by index.
+/// Words at which the target can begin, by index.
 struct Beginnings {
     /// Whether the sentence begins with the target: an article, a description, or its noun.
     at_once: bool,
     /// Articles of the objects of actions: "straighten the picture".
     objects: Vec<usize>,
-    /// Beginnings of clauses, and destinations of things that are moved.
+    /// Beginnings of clauses, and destinations of objects that are moved.
     others: Vec<usize>,
 }
 
@@ -143,14 +143,13 @@ impl Beginnings {
                 Some(Word::Determiner) if clause.to_another && !clause.looks => {
                     found.others.push(at);
                 }
-                // "wait by the door", "careful with the pot": no target was named that could be
-                // there.
+                // "wait by the door", "careful with the pot": no possible target was named.
                 Some(Word::Determiner)
                     if clause.said && !(clause.led && clause.named) && !clause.looks =>
                 {
                     found.objects.push(at);
                 }
-                // "it's on the table", "it won't go through the door" describe the thing named
+                // "it's on the table", "it won't go through the door" describe the object named
                 // before.
                 Some(Word::OfTarget | Word::Pronoun)
                     if !clause.said
@@ -181,25 +180,25 @@ impl Beginnings {
 }
 
 /// The state of the reader within a clause.
-// Each flag is a word that waits for the word it belongs to.
+// Each flag records a word whose partner has not been read yet.
 #[allow(clippy::struct_excessive_bools)]
 #[derive(Default)]
 struct Clause {
-    /// A thing, or an unknown word, was read.
+    /// An object, or an unknown word, was read.
     said: bool,
-    /// A thing was read: not only unknown words without an article.
+    /// An object was read: not only unknown words without an article.
     named: bool,
     /// An article was read.
     determined: bool,
     /// The last word was a noun, or an unknown word.
     at_noun: bool,
-    /// The last word with content leads to another thing: "next to", "with", "of".
+    /// The last word with content leads to another object: "next to", "with", "of".
     led: bool,
-    /// The clause moves a thing somewhere.
+    /// The clause moves an object somewhere.
     destined: bool,
     /// The previous word is a preposition of the destination.
     to_another: bool,
-    /// The clause gives a viewpoint, or more about a thing named before: it names nothing itself.
+    /// The clause gives a viewpoint, or more about an object named before: it names nothing itself.
     looks: bool,
 }
 
@@ -207,10 +206,10 @@ fn is_article(word: &str) -> bool {
     matches!(words::longest_match(&[word]), Some((Word::Determiner, 1)))
 }
 
-/// Returns whether a clause begins by naming a thing, rather than by saying more of one named
+/// Returns whether a clause begins by naming an object, rather than by saying more of one named
 /// before.
 fn is_naming(clause: &[&str]) -> bool {
-    // "it's the pot with the lid": the thing is named once more.
+    // "it's the pot with the lid": the object is named once more.
     let once_more = usize::from(
         clause.len() > 1 && matches!(clause[0], "it's" | "that's") && is_article(clause[1]),
     );
@@ -233,11 +232,11 @@ fn is_naming(clause: &[&str]) -> bool {
     })
 }
 
-/// Returns whether a reading distinguishes its target from other things.
+/// Returns whether a reading distinguishes its target from other objects.
 fn is_distinguishing(query: &ParsedQuery) -> bool {
     let target = &query.target;
     match target.meaning() {
-        // "the one on the left" says more of a thing named before.
+        // "the one on the left" says more of an object named before.
         Meaning::Anything if matches!(target.head.as_str(), "one" | "ones") => false,
         Meaning::Anything => {
             !target.colors.is_empty() || !target.with.is_empty() || !target.relations.is_empty()
@@ -265,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn what_somebody_does_names_no_thing() {
+    fn verbs_of_actions_are_not_read_as_targets() {
         for (query, first) in [
             ("vacuum the biggest rug in the room", "rug"),
             ("could you straighten the picture over the bed", "picture"),
@@ -288,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn where_a_thing_is_put_and_later_clauses_are_read_as_well() {
+    fn destinations_and_later_clauses_give_additional_readings() {
         for (query, also) in [
             ("pop two slices in the toaster", "toaster"),
             ("chuck this peel away, in the bin next to the desk", "bin"),
@@ -300,7 +299,7 @@ mod tests {
         ] {
             assert!(heads(query).iter().any(|head| head == also), "{query}: {:?}", heads(query));
         }
-        // The anchor of the target is not asked for.
+        // The anchor of the target is not a target.
         for query in [
             "fetch the red mug off the desk",
             "the theremin next to the sofa",

@@ -40,8 +40,8 @@ fn end_of_clause(tokens: &[String], from: usize) -> usize {
     (from..tokens.len()).find(|&i| tokens[i] == BREAK).unwrap_or(tokens.len())
 }
 
-/// Removes who did what with the target, which does not distinguish it: "has anybody seen the mug",
-/// "where did my son drop his bag".
+/// Removes clauses about who did what with the target, because they do not distinguish it: "has
+/// anybody seen the mug", "where did my son drop his bag".
 fn remove_finding_clause(tokens: &mut Vec<String>) {
     const WHO: [&str; 12] = [
         "i",
@@ -89,8 +89,8 @@ fn remove_finding_clause(tokens: &mut Vec<String>) {
     }
 }
 
-/// Removes what is to be done with the target, after it was named: "leave it by the door", "can you
-/// see if my keys are there".
+/// Removes the requested action after the target was named: "leave it by the door", "can you see if
+/// my keys are there".
 fn remove_request(tokens: &mut Vec<String>) {
     const POLITE: [&str; 7] = ["can", "could", "would", "will", "you", "please", "just"];
     const VERBS: [&str; 30] = [
@@ -119,7 +119,7 @@ fn remove_request(tokens: &mut Vec<String>) {
     }
 }
 
-/// Rewrites "what the telly stands on" to a thing with the telly.
+/// Rewrites "what the telly stands on" to an object with the telly.
 fn rewrite_what_it_stands_on(tokens: &mut Vec<String>) {
     const PLACED: [&str; 11] = [
         "is", "stands", "stood", "sits", "sat", "standing", "sitting", "lies", "lying", "hangs",
@@ -138,8 +138,8 @@ fn rewrite_what_it_stands_on(tokens: &mut Vec<String>) {
     }
 }
 
-/// Removes what people do with the target, where it is no known use: "the ladder thing you stand
-/// on". It names no other thing.
+/// Removes a clause about what people do with the target, if it is not a known use: "the ladder
+/// thing you stand on". The clause names no other object.
 pub(super) fn remove_use_clause(tokens: &mut Vec<String>) {
     const LONGEST: usize = 4;
     let follows_a_noun = |i: usize| longest_noun(&[tokens[i].as_str()]).is_some();
@@ -188,7 +188,7 @@ fn split_joined_clauses(tokens: &mut Vec<String>) {
     for i in 1..tokens.len() {
         let begins = match tokens[i].as_str() {
             "so" | "but" => is(tokens, i + 1, &WHO) || is_article(tokens, i + 1),
-            // "and vacuum around it", "and count along that side" name no second thing.
+            // "and vacuum around it", "and count along that side" name no second object.
             "and" | "then" => {
                 let does = is(tokens, i + 1, &WANTED)
                     || meaning(tokens, i + 1).is_none() && is_article(tokens, i + 2);
@@ -204,7 +204,7 @@ fn split_joined_clauses(tokens: &mut Vec<String>) {
     }
 }
 
-/// Removes a comparison: in "the taller plant, like a small palm", the palm is no second thing.
+/// Removes a comparison: in "the taller plant, like a small palm", the palm is not a second object.
 fn remove_comparison(tokens: &mut Vec<String>) {
     let begins = |i: &usize| {
         let likened = is(tokens, *i, &["like"]) && is(tokens, i + 1, &["a", "an"])
@@ -228,7 +228,7 @@ fn remove_bright(tokens: &mut Vec<String>) {
     }
 }
 
-/// Removes what a thing lacks: in "the lamp needs a new bulb", the bulb is not in the scene.
+/// Removes what an object needs: in "the lamp needs a new bulb", the bulb is not in the scene.
 fn remove_lacking_clause(tokens: &mut Vec<String>) {
     let begins = |i: &usize| {
         is(tokens, *i, &["needs", "wants", "requires", "deserves"])
@@ -241,7 +241,7 @@ fn remove_lacking_clause(tokens: &mut Vec<String>) {
 }
 
 /// Reads "look at that thing on the wall", where it is the whole question, as a request for the
-/// thing.
+/// object.
 fn rewrite_look_at(tokens: &mut Vec<String>) {
     let starts = |i: usize| i == 0 || tokens[i - 1] == BREAK;
     let Some(at) = (0..tokens.len())
@@ -281,7 +281,7 @@ fn rewrite_where_another_is(tokens: &mut Vec<String>) {
     }
 }
 
-/// Removes the rejected thing in front of the target: "not the cup by the laptop, the other cup".
+/// Removes the rejected object in front of the target: "not the cup by the laptop, the other cup".
 fn remove_rejected_object(tokens: &mut Vec<String>) {
     let first = (0..tokens.len()).find(|&i| tokens[i] != BREAK && !is(tokens, i, &["no"]));
     let Some(not) = first.filter(|&i| tokens[i] == "not" && is_article(tokens, i + 1)) else {
@@ -308,7 +308,7 @@ fn rewrite_bedside(tokens: &mut Vec<String>) {
     }
 }
 
-/// Repeats the noun for two things: "between the blue and the yellow picture" names two pictures.
+/// Repeats the noun for two objects: "between the blue and the yellow picture" names two pictures.
 fn repeat_shared_noun(tokens: &mut Vec<String>) {
     let is_color =
         |i: usize| matches!(meaning(tokens, i), Some(Meaning::Color(_) | Meaning::Trait(_)));
@@ -338,7 +338,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn what_tells_nothing_of_the_thing_is_left_out() {
+    fn clauses_that_do_not_describe_the_target_are_removed() {
         for (said, meant) in [
             ("has anybody seen my mug", "seen my mug"),
             ("where did my son drop his bag", "his bag"),

@@ -34,7 +34,7 @@ pub(super) fn apply_corrections(tokens: Vec<String>) -> Vec<String> {
     let noun = (0..at).find_map(|i| named_object(&tokens[i..at]));
     let (Some(noun), after) = (noun, &tokens[at + length..]) else { return tokens };
     let mut meant: Vec<String> = Vec::with_capacity(after.len() + noun.len());
-    // "no, next to the door": the same thing in another place.
+    // "no, next to the door": the same object in another place.
     let of_the_same = matches!(
         words::longest_match(&run(after)),
         Some((Meaning::Relation(_) | Meaning::With { .. }, _))
@@ -84,7 +84,7 @@ fn count_withdrawn_words(tokens: &[String], at: usize) -> Option<usize> {
     (end < tokens.len()).then_some(end - at)
 }
 
-/// Returns the thing named at the start of `tokens`; words for anything name none.
+/// Returns the object named at the start of `tokens`; words such as "thing" name none.
 fn named_object(tokens: &[String]) -> Option<Vec<String>> {
     let run = run(tokens);
     let length =
@@ -102,7 +102,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn the_last_word_counts() {
+    fn later_correction_replaces_the_earlier_description() {
         for (said, meant) in [
             ("Give me the brown bag. No, I mean the box.", "the box ,"),
             ("the red chair, sorry, the green one", "the green chair"),

@@ -85,9 +85,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(400))]
         /// A bound linear in the length holds at every length. Lengths are not compared with each
-        /// other: a short text may break off before the words that cost most.
+        /// other: a short text can end before the words that cost most.
         #[test]
-        fn reading_is_linear(parts in prop::collection::vec((prop::sample::select(&WORDS[..]), prop::sample::select(&MARKS[..])), 1..12)) {
+        fn parsing_cost_is_linear_in_query_length(parts in prop::collection::vec((prop::sample::select(&WORDS[..]), prop::sample::select(&MARKS[..])), 1..12)) {
             let pattern: String = parts.iter().flat_map(|(word, mark)| [*word, *mark]).collect();
             for chars in [MAX_CHARS / 8, MAX_CHARS / 4, MAX_CHARS / 2, MAX_CHARS] {
                 let (steps, bound) = (steps(&pattern, chars), 20_000 + 380 * chars as u64);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn punctuation_alone_costs_nothing() {
+    fn repeated_punctuation_stays_below_the_step_limit() {
         for mark in [
             ",",
             ".",

@@ -1,5 +1,5 @@
-//! Judges whether a reading covers everything that was said. Where it does not, a parser with world
-//! knowledge may do better.
+//! Decides whether a reading covers the whole question. If it does not, a parser with world
+//! knowledge can do better.
 //!
 //! The judgment depends on the reading alone, not on its words, nor on the scene: the same words
 //! always go to the same parser.
@@ -12,9 +12,9 @@ use std::fmt;
 pub enum Doubt {
     /// Most words are of another language than English.
     Foreign,
-    /// No noun and no known purpose says what is asked for, or what it is near.
+    /// No noun and no known purpose names the target or its anchor.
     Unnamed,
-    /// A thing is described by its purpose, and no known use has all of these words.
+    /// An object is described by its purpose, and no known use has all of these words.
     Purpose(String),
     /// A relation without an anchor: the anchor was not understood.
     Unanchored(String),
@@ -72,7 +72,7 @@ impl ParsedQuery {
 impl Phrase {
     fn doubt(&self) -> Option<Doubt> {
         self.name_doubt().or_else(|| {
-            // For a carried thing, "on it" means on its carrier.
+            // For a carried object, "on it" means on its carrier.
             let carried = self
                 .with
                 .iter()
@@ -104,7 +104,7 @@ impl Phrase {
         self.relations.iter().flat_map(|relation| &relation.anchors).find_map(Self::doubt)
     }
 
-    /// Returns a doubt about what names the thing: its noun, or its purpose.
+    /// Returns the doubt about the noun or the purpose that names the object.
     fn name_doubt(&self) -> Option<Doubt> {
         if !affordances::unmatched_words(&self.uses, &self.purpose).is_empty() {
             return Some(Doubt::Purpose(self.purpose.join(" ")));
@@ -120,7 +120,7 @@ mod tests {
     use crate::{RelationKind, parse};
 
     #[test]
-    fn what_is_read_to_the_last_word_leaves_no_doubt() {
+    fn fully_read_questions_have_no_doubt() {
         for query in [
             "the red mug on the coffee table",
             "facing the window, the second chair from the left",
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_reading_lacks_is_told() {
+    fn doubt_names_the_unread_part() {
         let words =
             |words: &[&str]| Doubt::Words(words.iter().map(|word| (*word).to_owned()).collect());
         for (query, expected) in [
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_relation_to_nothing_is_not_understood() {
+    fn relation_without_an_anchor_is_in_doubt() {
         let mut query = parse("the lamp next to the sofa");
         query.target.relations[0].anchors.clear();
         assert_eq!(query.doubt(), Some(Doubt::Unanchored("next to".into())));
@@ -168,7 +168,7 @@ mod tests {
 
     /// No parser can know the observer's position.
     #[test]
-    fn who_i_am_is_no_doubt() {
+    fn missing_observer_position_is_not_a_doubt() {
         for query in ["the chair closest to me", "the nearest chair"] {
             let read = parse(query);
             assert!(!read.not_understood.is_empty() && read.doubt().is_none(), "{read:?}");

@@ -18,10 +18,10 @@ use super::{
     Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative,
 };
 
-/// What a relation belongs to when it follows a thing that is not the target.
+/// What a relation belongs to when it follows an object that is not the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Attach {
-    /// The last thing named: in "the cup on the table by the door", the table is by the door.
+    /// The last object named: in "the cup on the table by the door", the table is by the door.
     Nearest,
     /// The target: the cup is by the door.
     Target,
@@ -41,7 +41,7 @@ enum Role {
         absent: bool,
     },
     View(Look),
-    /// The thing that the viewer sits at and looks at.
+    /// The object that the viewer sits at and looks at.
     Seated,
     /// A phrase beyond the limit: read, but not used.
     Surplus,
@@ -57,7 +57,7 @@ struct Frame {
     role: Role,
     /// Unknown words since the last noun.
     unknown: Vec<String>,
-    /// An article came after the noun: another thing follows, in no relation that was understood.
+    /// An article came after the noun: another object follows, in no relation that was understood.
     another: bool,
     /// "a", "an", "some" before the noun.
     indefinite: bool,
@@ -91,30 +91,30 @@ fn read(tokens: &[String]) -> ParsedQuery {
     nearest
 }
 
-// Each flag is a word that waits for the word it belongs to.
+// Each flag records a word whose partner has not been read yet.
 #[allow(clippy::struct_excessive_bools)]
 struct Reader {
     attach: Attach,
     query: ParsedQuery,
-    /// The target, or a further statement about it, lies at the bottom. Empty between clauses.
+    /// The target, or a further statement about it, is at the bottom. Empty between clauses.
     stack: Vec<Frame>,
     target: Option<Phrase>,
     relations: u32,
     negated: bool,
-    /// Whether the last color was one it must not have: "not red or white".
+    /// Whether the last color was an excluded one: "not red or white".
     last_negated: bool,
-    /// Nouns the target must not be.
+    /// Nouns that the target must not have.
     other_things: Vec<String>,
     ordinal: Option<u32>,
     number: Option<u32>,
-    /// "of" stands between two nouns.
+    /// "of" was read between two nouns.
     of: bool,
     same: bool,
     /// A comparison in front of its noun: "the closest chair to".
     compared: Option<(RelationKind, u32, String)>,
     /// Relations to the viewer's position; a later phrase may give it.
     from_here: Vec<Relation>,
-    /// A new sentence about another thing than the target begins.
+    /// A new sentence about another object than the target begins.
     there_is: bool,
 }
 
@@ -151,7 +151,7 @@ impl Reader {
             match piece {
                 Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
                 // "that is not plastic": cannot be checked, but the negation does not apply to the
-                // next thing.
+                // next object.
                 Piece::Unknown(word) if std::mem::take(&mut self.negated) => {
                     self.query.not_understood.push(format!("not {word}"));
                 }
@@ -309,7 +309,7 @@ impl Reader {
                     self.push(Role::With { absent: false });
                 }
             }
-            // A description comes next: "it is facing the door" describes the thing, not a viewer.
+            // A description comes next: "it is facing the door" describes the object, not a viewer.
             Meaning::OfTarget => {
                 self.unwind(0);
                 self.top();
@@ -439,7 +439,7 @@ impl Reader {
             self.name_by_unknown();
         }
         match self.stack.last() {
-            // "orange and black desk": one thing of two colors.
+            // "orange and black desk": one object of two colors.
             Some(frame) if frame.phrase.head.is_empty() => {}
             Some(Frame { role: Role::Anchor { .. }, .. }) => {
                 self.pop();
@@ -454,8 +454,8 @@ impl Reader {
         }
     }
 
-    /// Handles "it" within a relation: the thing that the viewer looks at, or the target of a
-    /// sentence about another thing.
+    /// Handles "it" within a relation: the object that the viewer looks at, or the target of a
+    /// sentence about another object.
     fn pronoun(&mut self) {
         if !self.awaits_anchor() {
             return;

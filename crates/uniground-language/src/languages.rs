@@ -4,7 +4,7 @@ use super::tokens::{BREAK, correct_small_word, correct_spelling};
 use super::words;
 use uniground_models::attributes::{Lexicon, WordNet};
 
-/// Function words of other languages that are no English words.
+/// Function words of other languages that are not English words.
 const SMALL: &[&str] = &[
     // German
     "der", "das", "dem", "ein", "eine", "einen", "einem", "ist", "wo", "auf", "neben", "unter",
@@ -54,7 +54,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn other_languages_are_told_from_english_with_slips() {
+    fn other_languages_are_distinguished_from_misspelled_english() {
         for query in [
             "Wo ist der rote Stuhl?",
             "die Tasse auf dem Tisch",

@@ -39,24 +39,24 @@ use uniground_models::attributes::{Lexicon, Noun};
 /// `passed_over`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ParsedQuery {
-    /// What is asked for.
+    /// The requested object.
     pub target: Phrase,
     /// The target under a second reading, where the words allow one: in "the cup on the table by
     /// the door" either may be by the door.
     pub other_reading: Option<Phrase>,
-    /// The viewer whose left, right, front and back are meant; `None` when the words give no
-    /// viewer.
+    /// The viewer whose left, right, front and back the question uses; `None` when the words give
+    /// no viewer.
     pub viewpoint: Option<Viewpoint>,
     /// The viewer's position, if the words give it: "standing at the door", "from the sofa".
     /// "Nearest" means nearest to it.
     pub standpoint: Option<Phrase>,
-    /// Whether the question asks for one thing, or for several.
+    /// Whether the question asks for one object, or for several.
     pub quantity: Quantity,
     /// Whether most words are of another language than English. The other fields mean little then.
     pub foreign: bool,
     /// Words that could not be used or checked, and nouns that the lexicon does not have.
     pub not_understood: Vec<String>,
-    /// Words before the target's name that say what somebody does or why. They do not describe the
+    /// Words before the target's name that give an action or a reason. They do not describe the
     /// target, and do not lower the confidence.
     pub passed_over: Vec<String>,
     /// Readings with a target that the words name later ("pop two slices in the toaster"), in
@@ -68,7 +68,7 @@ pub struct ParsedQuery {
 /// Head of an anchor that is the observer: "closest to me".
 pub const ME: &str = "me";
 
-/// How many things a question asks for.
+/// How many objects a question asks for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Quantity {
     /// "the chair"
@@ -85,11 +85,11 @@ pub enum Quantity {
 pub struct Viewpoint {
     /// Whether the viewer looks towards the anchor or away from it.
     pub look: Look,
-    /// The thing that the viewer looks at, looks from, or has behind.
+    /// The object that the viewer looks at, looks from, or has behind.
     pub anchor: Phrase,
 }
 
-/// The direction in which a viewer looks, relative to a thing in the room (the anchor).
+/// The direction in which a viewer looks, relative to an object in the room (the anchor).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
     /// "facing the window"
@@ -125,10 +125,10 @@ impl Look {
     }
 }
 
-/// A noun phrase, with everything that is said of the thing it names.
+/// A noun phrase with all attributes and relations of the object it names.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Phrase {
-    /// The noun as the query says it; empty when the phrase has none ("the red one").
+    /// The noun in the words of the query; empty when the phrase has none ("the red one").
     pub head: String,
     /// Its purpose: "something to sit on". Uses of the lexicon.
     pub uses: Vec<String>,
@@ -141,7 +141,7 @@ pub struct Phrase {
     pub purpose: Vec<String>,
     /// Colors it must have. If there are two, they share its surface: each has to be there.
     pub colors: Vec<ColorName>,
-    /// Whether the colors are approximate ("pinkish"): a similar color may be meant.
+    /// Whether the colors are approximate ("pinkish"): a similar color fits too.
     pub roughly: bool,
     /// Colors it must not have: "not red".
     pub other_than: Vec<ColorName>,
@@ -149,22 +149,22 @@ pub struct Phrase {
     pub traits: Vec<Trait>,
     /// Words in front of the noun that cannot be checked: "leather", "patterned".
     pub unchecked: Vec<String>,
-    /// Number of things: "two monitors".
+    /// Number of objects: "two monitors".
     pub count: Option<u32>,
-    /// What the thing carries or has: "the table with the book on it".
+    /// What the object carries or has: "the table with the book on it".
     pub with: Vec<With>,
     /// Relations, all of which must hold. Their anchors are phrases with relations of their own.
     pub relations: Vec<Relation>,
-    /// Whether any such thing is meant: "a stand". Set on anchors only.
+    /// Whether any such object is meant: "a stand". Set on anchors only.
     pub indefinite: bool,
-    /// Rank among things of the kind: "the largest", "the second from the left".
+    /// Rank among objects of the kind: "the largest", "the second from the left".
     pub superlative: Option<Superlative>,
 }
 
-/// A thing that an object carries or lacks.
+/// An object that another object carries or lacks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct With {
-    /// The thing that is carried or lacking.
+    /// The object that is carried or lacking.
     pub phrase: Phrase,
     /// Whether it must not be there: "without".
     pub absent: bool,
@@ -188,7 +188,7 @@ impl Phrase {
     #[must_use]
     pub fn meaning(&self) -> Meaning {
         match self.head.as_str() {
-            // A zone is no thing, but a place for things.
+            // A zone is an area, not an object.
             head if zones::nouns_of_zone(head).is_some() => Meaning::Unknown,
             head if words::is_anything(head) && !self.uses.is_empty() => {
                 Meaning::Nouns(Lexicon::get().nouns_for_uses(&self.uses))
@@ -245,19 +245,19 @@ fn structure_of(word: &str) -> Option<Structure> {
 /// Attributes that follow from a comparison with others or from the shape of the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trait {
-    /// Large volume of the box, among things of that noun.
+    /// Large volume of the box, among objects of that noun.
     Large,
-    /// Small volume of the box, among things of that noun.
+    /// Small volume of the box, among objects of that noun.
     Small,
-    /// Large height of the box, among things of that noun.
+    /// Large height of the box, among objects of that noun.
     Tall,
-    /// Small height of the box, among things of that noun; also said as "short".
+    /// Small height of the box, among objects of that noun; also said as "short".
     Low,
-    /// Large longer side of the footprint, among things of that noun.
+    /// Large longer side of the footprint, among objects of that noun.
     Long,
-    /// High lightness (CIELAB) of the mean color, among things of that noun.
+    /// High lightness (CIELAB) of the mean color, among objects of that noun.
     Light,
-    /// Low lightness (CIELAB) of the mean color, among things of that noun.
+    /// Low lightness (CIELAB) of the mean color, among objects of that noun.
     Dark,
     /// About as deep as wide. A box cannot distinguish round from square.
     Round,
@@ -300,7 +300,7 @@ impl Trait {
     }
 }
 
-/// A relation of a thing to one or more anchors.
+/// A relation of an object to one or more anchors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Relation {
     /// The kind, which selects the geometry that is scored.
@@ -319,13 +319,13 @@ pub struct Relation {
 /// A rank by some measure: `rank` 1 is the extreme itself, 2 the second from it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Superlative {
-    /// The measure by which things are ranked.
+    /// The measure by which objects are ranked.
     pub measure: Measure,
     /// Rank from 1; has no meaning for [`Measure::Middle`].
     pub rank: u32,
 }
 
-/// Measures by which things of one noun are ranked. Sides and front follow the question's
+/// Measures by which objects of one noun are ranked. Sides and front follow the question's
 /// directions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measure {

@@ -116,7 +116,7 @@ pub(super) fn rewrite_viewpoints(tokens: &[String]) -> Vec<String> {
 }
 
 /// Returns the meaning of the clause at the start of `tokens`, and the number of tokens before the
-/// thing it refers to.
+/// object it refers to.
 fn parse_clause(
     tokens: &[String],
     starts: bool,
@@ -128,7 +128,7 @@ fn parse_clause(
     while OPENERS.contains(&word(i)) {
         (opened, i) = (true, i + 1);
     }
-    // "they are under the counter" is about things.
+    // "they are under the counter" is about objects.
     if !opened && matches!(word(i), "he" | "he's" | "they" | "they're") {
         return None;
     }
@@ -224,7 +224,7 @@ fn is_room(tokens: &[String], i: usize) -> bool {
     ROOMS.contains(&word(room)) && !Lexicon::get().is_known(word(room + 1))
 }
 
-/// Returns the viewer's position by the preposition at `i`. A viewer in front of a thing looks at
+/// Returns the viewer's position by the preposition at `i`. A viewer in front of an object looks at
 /// it.
 fn viewpoint_at(tokens: &[String], i: usize) -> Option<(&'static [&'static str], usize)> {
     let begins = |words: &&[&str]| {
@@ -249,7 +249,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn somebody_stands_looks_and_walks() {
+    fn viewer_clauses_are_rewritten_to_standard_forms() {
         for (said, meant) in [
             (
                 "if i sit on the sofa and look across the room the lamp",

@@ -7,7 +7,7 @@ use futures::future::BoxFuture;
 use std::sync::Arc;
 use uniground_models::chat::{Budget, CallRecord, ChatModel, Session};
 
-/// A parsed query, with its record.
+/// A parsed query, with a record of how it was parsed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
     /// The parsed query, by the model or, where it was not used or not usable, by the grammar.
@@ -65,8 +65,8 @@ pub struct VlmParser {
 }
 
 impl VlmParser {
-    /// Asks the model; if it cannot be used, the grammar's reading stands. The grammar always
-    /// decides how many things are asked for.
+    /// Asks the model, and falls back to the grammar's reading. The grammar always decides how many
+    /// objects are requested.
     async fn ask(&self, query: &str, grammar: ParsedQuery) -> Reading {
         let mut session = Session::new(self.model.as_ref(), self.budgets.clone(), 1);
         let read = match session.ask("parse", vlm::request(query)).await {

@@ -1,10 +1,10 @@
 //! The kinds of spatial relations.
 
-/// A relation between a thing and its anchors. `uniground_grounding::relations` has the geometry of
-/// each kind.
+/// A relation between an object and its anchors. `uniground_grounding::relations` has the geometry
+/// of each kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RelationKind {
-    /// "next to", "by": a small gap between the surfaces, against the things' sizes.
+    /// "next to", "by": a small gap between the surfaces, against the objects' sizes.
     Near,
     /// The opposite of near.
     Far,
@@ -140,7 +140,7 @@ impl RelationKind {
         )
     }
 
-    /// Returns the relation of the anchor to the thing: "there is a lamp on it" says that it
+    /// Returns the relation of the anchor to the object: "there is a lamp on it" says that it
     /// carries a lamp.
     #[must_use]
     pub fn inverse(self) -> Self {

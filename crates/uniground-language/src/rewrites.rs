@@ -141,7 +141,7 @@ fn rewrite_stranded_preposition(tokens: &mut Vec<String>) {
     }
 }
 
-/// Returns where a clause about the noun at an index begins, and the article of the thing it
+/// Returns where a clause about the noun at an index begins, and the article of the object it
 /// mentions: "the desk [that] [the] printer is on".
 fn relative_clause(clause: &[&str], i: usize) -> Option<(usize, usize)> {
     let that = i + longest_noun(&clause[i..])?;
@@ -279,8 +279,8 @@ fn remove_over(tokens: &mut Vec<String>) {
     }
 }
 
-/// Removes when and why the target is wanted, which does not distinguish it: "put the board away
-/// before somebody slips on it".
+/// Removes clauses about when and why the target is needed, because they do not distinguish it:
+/// "put the board away before somebody slips on it".
 fn remove_circumstances(tokens: &mut Vec<String>) {
     const SUBJECTS: [&str; 13] = [
         "somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people",
@@ -382,8 +382,8 @@ fn rewrite_on_parts(tokens: &mut [String]) {
     }
 }
 
-/// Joins the purpose of a named thing to one word that cannot be checked: "a lamp for reading",
-/// "the pot to brew tea in". Exception: the two together are a thing's name ("tea pot").
+/// Joins the purpose of a named object to one word that cannot be checked: "a lamp for reading",
+/// "the pot to brew tea in". Exception: the two together are an object's name ("tea pot").
 fn join_purposes(tokens: &mut Vec<String>) {
     let lexicon = Lexicon::get();
     let mut i = 1;
@@ -475,7 +475,7 @@ fn rewrite_in_front_of_me(tokens: &mut Vec<String>) {
     }
 }
 
-/// Rewrites "in green tones", "in shades of red", "in white" to the thing's own color.
+/// Rewrites "in green tones", "in shades of red", "in white" to the object's own color.
 fn rewrite_shades(tokens: &mut Vec<String>) {
     const TONES: [&str; 12] = [
         "tone", "tones", "shade", "shades", "hue", "hues", "tint", "tints", "color", "colors",
@@ -531,7 +531,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn many_ways_become_one() {
+    fn different_wordings_are_rewritten_to_one_form() {
         for (said, meant) in [
             ("the picture in green tones", "the picture green"),
             ("the one in shades of red", "the one red"),
@@ -596,7 +596,7 @@ mod tests {
             ("it 's got a lamp ontop of it", "it's has a lamp on top of it"),
         ] {
             assert_eq!(rewrite(tokenize(said)).join(" "), meant.replace('|', " "), "{said}");
-            // A token may have several words.
+            // A token can have several words.
             if meant.contains('|') {
                 assert!(
                     rewrite(tokenize(said))

@@ -1,4 +1,4 @@
-//! Rewrites ends, corners and sides of things and of the room to the few forms that the tables
+//! Rewrites ends, corners and sides of objects and of the room to the few forms that the tables
 //! have.
 
 use super::tokens::BREAK;
@@ -58,8 +58,8 @@ fn rewrite_utmost(tokens: &mut Vec<String>) {
     }
 }
 
-/// Joins the orientation of a thing to one word that cannot be checked: "it is facing left". A box
-/// does not show it.
+/// Joins the orientation of an object to one word that cannot be checked: "it is facing left". A
+/// box does not show it.
 fn join_orientation(tokens: &mut Vec<String>) {
     const WAYS: [&str; 15] = [
         "left",
@@ -104,7 +104,7 @@ fn join_orientation(tokens: &mut Vec<String>) {
     }
 }
 
-/// Returns the words for beside a thing, or on it at that side, by the preposition.
+/// Returns the words for beside an object, or on it at that side, by the preposition.
 fn at_a_side<'a>(preposition: &str, side: &'a str) -> Vec<&'a str> {
     match preposition {
         "on" | "at" | "in" => vec!["on", "the", side, "side", "of"],
@@ -218,7 +218,7 @@ fn before(tokens: &[String], end: usize) -> Option<(usize, Option<&'static str>)
     (start > 0 && is(start - 1, &PREPOSITIONS)).then(|| (start - 1, side))
 }
 
-/// What follows "of" after `at`: nothing, the room (with its end), or another thing.
+/// What follows "of" after `at`: nothing, the room (with its end), or another object.
 enum Of {
     Nothing,
     Room(usize),
@@ -295,7 +295,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn ends_corners_and_sides_have_few_ways_to_be_said() {
+    fn ends_corners_and_sides_are_rewritten_to_standard_forms() {
         for (said, meant) in [
             ("the chair in the far left corner of the room", "the chair in the corner on the left"),
             ("the plant in one corner", "the plant in the corner"),

@@ -1,4 +1,4 @@
-//! Removes what people say of themselves before the question: "my hands are dirty and the tap
+//! Removes what people say about themselves before the question: "my hands are dirty and the tap
 //! drips, where can I wash them?" asks for a place to wash.
 
 use super::affordances;
@@ -6,7 +6,7 @@ use super::tokens::BREAK;
 use super::words::{self, Meaning};
 use uniground_models::attributes::Lexicon;
 
-/// Words with which people refer to themselves, or sigh.
+/// Words with which people refer to themselves, and exclamations.
 const OF_THEMSELVES: &[&str] = &[
     "i",
     "i'm",
@@ -78,7 +78,8 @@ const WISHES: [&str; 12] = [
     "sit",
 ];
 
-/// Returns the query from its first question or wish on, if people speak of themselves before it.
+/// Returns the query from its first question or wish on, if people speak about themselves before
+/// it.
 pub(super) fn drop_situation(mut tokens: Vec<String>) -> Vec<String> {
     let starts: Vec<usize> = std::iter::once(0)
         .chain((0..tokens.len()).filter(|&i| tokens[i] == BREAK).map(|i| i + 1))
@@ -134,7 +135,7 @@ mod tests {
     use crate::tokens::tokenize;
 
     #[test]
-    fn the_question_is_what_is_asked() {
+    fn statements_before_the_question_are_removed() {
         for (said, left) in [
             (
                 "My hands are dirty and the tap drips. Where can I wash my hands?",

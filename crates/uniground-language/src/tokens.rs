@@ -53,8 +53,8 @@ const MIN_SLIP_CHARS: usize = 5;
 /// Minimum length of a word for which two wrong letters are corrected.
 const TWO_SLIPS_FROM_CHARS: usize = 8;
 
-/// Returns the noun of the lexicon that a misspelled word stands for: "refridgerator". `None` when
-/// no single one is similar.
+/// Returns the noun of the lexicon for a misspelled word: "refridgerator". `None` when no single
+/// one is similar.
 pub(super) fn correct_spelling(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
     if !word.is_ascii() || WordNet::get().is_english(word) {
@@ -104,8 +104,8 @@ pub(super) fn join_words(first: &str, second: &str) -> Option<&'static str> {
     })
 }
 
-/// Returns the word of the grammar that a misspelled word stands for: "somethng". `None` for
-/// English words, and for nouns of the lexicon.
+/// Returns the word of the grammar for a misspelled word: "somethng". `None` for English words, and
+/// for nouns of the lexicon.
 pub(super) fn correct_small_word(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
     if length < MIN_SLIP_CHARS
@@ -149,13 +149,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slips_are_forgiven_other_words_are_not() {
+    fn misspelled_words_are_corrected_but_other_words_are_not() {
         assert_eq!(correct_spelling("refrigeratr"), Some("refrigerator"));
         assert_eq!(correct_spelling("tabel"), Some("table"));
         assert_eq!(correct_spelling("bookcse"), Some("bookcase"));
         assert_eq!(correct_spelling("bal"), Some("ball"));
         assert_eq!(join_words("wheel", "barow"), Some("wheelbarrow"));
-        assert_eq!(join_words("book", "case"), None, "known as it stands");
+        assert_eq!(join_words("book", "case"), None, "the lexicon has \"book case\"");
         for (first, second) in
             [("red", "chair"), ("the", "bed"), ("chair", "table"), ("lamp", "xyzzy")]
         {
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn forms_of_a_verb_have_one_stem() {
+    fn verb_forms_have_the_same_stem() {
         for (a, b) in [
             ("sitting", "sit"),
             ("tells", "tell"),

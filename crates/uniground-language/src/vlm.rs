@@ -17,7 +17,7 @@ pub(super) const PROMPT_VERSION: u32 = 2;
 const MAX_DEPTH: u32 = 5;
 /// Maximum number of parts; no sentence has more.
 const MAX_PARTS: usize = 64;
-/// Maximum number of nouns for one thing.
+/// Maximum number of nouns for one object.
 const MAX_NOUNS: usize = 8;
 
 const SYSTEM: &str = "You turn a question about an object in a room into JSON. Answer with the JSON object alone.\n\
@@ -201,7 +201,7 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     let mut could_be: Vec<String> =
         nouns.filter(|noun| !words::is_anything(noun)).take(MAX_NOUNS).collect();
     let mut head = json.noun.trim().to_lowercase();
-    // Nouns describe the target better than the need it meets.
+    // Nouns describe the target better than its purpose.
     if words::is_anything(&head) && !could_be.is_empty() {
         head = could_be.remove(0);
     }
@@ -241,7 +241,7 @@ mod tests {
     use crate::parse;
 
     #[test]
-    fn a_model_s_json_is_the_grammar_s_reading() {
+    fn model_json_is_decoded_like_the_grammar_result() {
         let text = r#"Sure: ```json
             {"target": {"noun": "mug", "colours": ["red"], "relations": [{"kind": "on", "words": "on", "anchors": [{"noun": "coffee table"}]}]},
              "viewpoint": null, "not_understood": []}
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_asked_for_is_refused_by_name() {
+    fn invalid_model_replies_are_rejected_with_the_reason() {
         for (text, expected) in [
             ("I can not help with that.", "no JSON object"),
             ("{\"goal\": 1}", "missing field `target`"),

@@ -13,13 +13,13 @@ pub(super) enum Meaning {
     With {
         absent: bool,
     },
-    /// "the same": other things at the anchor identify it: "on the same desk as the lamp".
+    /// "the same": other objects at the anchor identify it: "on the same desk as the lamp".
     Same,
     /// "as" after "the same".
     As,
-    /// A viewpoint; the thing that the viewer looks at or from follows.
+    /// A viewpoint; the object that the viewer looks at or from follows.
     View(Look),
-    /// "sitting at": the viewer looks at the next thing from a seat at it.
+    /// "sitting at": the viewer looks at the next object from a seat at it.
     Seated,
     /// "as you walk in": from the door.
     Entering,
@@ -35,7 +35,7 @@ pub(super) enum Meaning {
     Or,
     /// "with nothing on it"
     Bare,
-    /// "to its left": beside the thing that the viewer looks at.
+    /// "to its left": beside the object that the viewer looks at.
     Side(Measure),
     /// "and": another anchor of the same relation.
     And,
@@ -43,17 +43,17 @@ pub(super) enum Meaning {
     Of,
     /// "it is": the next words describe the target.
     OfTarget,
-    /// "that is": the next words describe the last thing named.
+    /// "that is": the next words describe the last object named.
     OfLast,
     /// "there is": a new subject.
     ThereIs,
-    /// "it": stands for the thing under discussion.
+    /// "it": refers to the object under discussion.
     Pronoun,
-    /// "how many", "all": every one is meant.
+    /// "how many", "all": the question means all of them.
     All,
     /// "the", "a": a noun phrase begins.
     Determiner,
-    /// Has no meaning.
+    /// Has no meaning of its own.
     Filler,
 }
 
@@ -157,7 +157,7 @@ pub(super) fn is_rough_color(text: &str) -> bool {
     ["ish", "orangey", "yellowy", "coloured", "colored"].iter().any(|ending| text.ends_with(ending))
 }
 
-/// Returns whether a noun may stand for anything.
+/// Returns whether a noun can mean any object.
 pub(super) fn is_anything(head: &str) -> bool {
     matches!(
         head,
@@ -231,8 +231,8 @@ pub(super) fn is_part_of_furniture(head: &str) -> bool {
     )
 }
 
-/// Returns whether a word is a part of a thing or of a room: "the back of the chair" is the chair,
-/// "the end of the table" the table.
+/// Returns whether a word is a part of an object or of a room: "the back of the chair" is the
+/// chair, "the end of the table" the table.
 pub(super) fn is_part(head: &str) -> bool {
     matches!(
         head,
@@ -265,7 +265,7 @@ mod tests {
     use std::collections::HashSet;
 
     #[test]
-    fn every_line_has_a_meaning_and_every_run_of_words_one_line() {
+    fn every_line_has_a_meaning_and_no_phrase_is_listed_twice() {
         let mut seen = HashSet::new();
         for (meaning, phrases) in table_lines() {
             assert!(Meaning::from_table_name(meaning).is_some(), "{meaning}");

@@ -1,5 +1,5 @@
-//! Zones of a room, recognized by the things that stand in them: a kitchen has a stove, a sink and
-//! a refrigerator.
+//! Zones of a room, recognized by the objects in them: a kitchen has a stove, a sink and a
+//! refrigerator.
 
 /// Names of each zone, and nouns of the lexicon that make one.
 const ZONES: &[(&[&str], &[&str])] = &[
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn zones_have_one_meaning_and_few_words() {
+    fn zone_names_are_unique_and_short() {
         let all: Vec<&str> = ZONES.iter().flat_map(|(names, _)| *names).copied().collect();
         let mut once = all.clone();
         once.sort_unstable();

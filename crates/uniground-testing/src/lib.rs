@@ -1,7 +1,7 @@
 //! Instances and tiny networks for the unit tests of the other crates. A dev-dependency only.
 
 #![warn(missing_docs)]
-// Tests want a panic with the cause.
+// A panic with the cause fails the test.
 #![allow(clippy::expect_used, clippy::missing_panics_doc)]
 
 use camino::{Utf8Path, Utf8PathBuf};
@@ -12,8 +12,8 @@ use uniground_geometry::scene::{Instance, InstanceId, Support};
 use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::{DualEncoder, Models, OnnxRuntime, RuntimeSettings, Segmenter};
 
-/// Returns an object whose box has this size (x, y, z in metres) and whose underside is `base`
-/// metres above the floor at height 0.
+/// Returns an object whose box has this size (x, y, z in meters) and whose underside is `base`
+/// meters above the floor at height 0.
 #[must_use]
 pub fn thing(
     id: u32,

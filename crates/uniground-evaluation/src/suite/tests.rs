@@ -1,7 +1,7 @@
 use super::*;
 use uniground_geometry::{Point3, Vector3};
 
-/// A folder with these files.
+/// Creates a temporary folder with these files.
 fn folder(files: &[(&str, &str)]) -> (tempfile::TempDir, Utf8PathBuf) {
     let temporary = tempfile::tempdir().unwrap();
     let root = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
@@ -85,7 +85,7 @@ fn query_lists_are_joined_with_annotations_and_invalid_queries_are_reported() {
 }
 
 #[test]
-fn a_suite_file_names_its_scenes() {
+fn suite_file_lists_its_own_scenes() {
     let (_keep, root) = folder(&[
         ("data/a.json", ROOM),
         (
@@ -105,7 +105,7 @@ fn a_suite_file_names_its_scenes() {
 }
 
 #[test]
-fn scanrefer_counts_a_class_over_its_own_objects() {
+fn scanrefer_uniqueness_counts_only_objects_of_the_list() {
     let (_keep, root) = folder(&[
         ("scene0011_00.scene.json", ROOM),
         (
@@ -138,7 +138,7 @@ fn scanrefer_counts_a_class_over_its_own_objects() {
 }
 
 #[test]
-fn tables_carry_the_splits_of_referit3d() {
+fn referit3d_splits_are_read_from_tables() {
     let (_keep, root) = folder(&[
         ("scene0515_00.scene.json", ROOM),
         (
@@ -260,7 +260,7 @@ fn unscorable_suites_are_errors_with_a_reason() {
 }
 
 #[test]
-fn a_sample_depends_on_ids_and_seed_alone() {
+fn sample_depends_only_on_ids_and_seed() {
     let expressions: String = (0..50)
         .map(|i| {
             format!("{}{{\"query\": \"q{i}\", \"target_id\": null}}", if i > 0 { "," } else { "" })

@@ -267,7 +267,7 @@ struct OpenedScene {
     extent: Aabb,
     masks: String,
     embeddings: Option<Embeddings>,
-    /// Embeddings of photographs that may show things that are not instances. `None` where
+    /// Embeddings of photographs that may show objects that are not instances. `None` where
     /// everything is annotated.
     frame_embeddings: Option<FrameEmbeddings>,
     frames: Vec<FrameRef>,

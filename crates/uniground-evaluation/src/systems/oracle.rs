@@ -93,7 +93,7 @@ pub fn instances_of(
     instances
 }
 
-/// Only the yaw of a tilted box is representable by an oriented box. Most things stand upright.
+/// Only the yaw of a tilted box is representable by an oriented box. Most objects stand upright.
 fn oriented_box_of(object: &SceneObject) -> OrientedBox {
     let own = object.rotated_box();
     let (_, _, yaw_rad) = own.rotation.euler_angles();

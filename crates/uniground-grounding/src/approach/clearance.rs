@@ -64,7 +64,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_distance_is_that_of_the_nearest_site(width in 1_usize..24, height in 1_usize..24, sites in prop::collection::vec(0_usize..576, 0..12)) {
+        fn distance_equals_the_distance_to_the_nearest_site(width in 1_usize..24, height in 1_usize..24, sites in prop::collection::vec(0_usize..576, 0..12)) {
             let sites: Vec<usize> = sites.into_iter().map(|site| site % (width * height)).collect();
             let found = distances(width, height, |cell| sites.contains(&cell));
             for (cell, distance) in found.into_iter().enumerate() {

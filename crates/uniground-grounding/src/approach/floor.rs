@@ -26,7 +26,7 @@ const OCCUPIED_THRESHOLD: f32 = 0.65;
 pub(super) enum Cell {
     /// Floor was seen, and nothing above it that is lower than the robot.
     Floor,
-    /// An object stands there or hangs too low.
+    /// An object on the floor, or one that hangs too low.
     Obstacle,
     /// Neither: never seen, or no floor.
     Unknown,

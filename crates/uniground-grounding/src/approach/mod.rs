@@ -8,8 +8,8 @@
 //! support of an object is an obstacle like any other: for a mug on a table the robot stands at the
 //! table.
 //!
-//! Nothing is assumed about unseen areas: a robot never stands on unknown floor, nor drives over
-//! it.
+//! Unseen areas are never assumed to be free: a robot neither stands on unknown floor nor drives
+//! over it.
 
 mod clearance;
 mod floor;

@@ -13,7 +13,7 @@ use uniground_geometry::{Point2, Point3};
 const CELL_M: f32 = 0.05;
 /// Width of a cell in multiples of the point spacing. Smaller cells would leave holes in floors.
 const POINTS_PER_CELL_SIDE: f32 = 1.5;
-/// Height of a voxel, meters: half of its side, because the eyes look over table tops at grazing
+/// Height of a voxel, meters: half of its side, because the camera looks over table tops at grazing
 /// angles.
 pub(super) const LAYER_M: f32 = 0.025;
 /// Layers of a column.
@@ -140,7 +140,7 @@ pub struct Occupancy {
 
 impl Occupancy {
     /// Bins a parsed cloud. `instance_of_point` has the instance of every point, 0 for none.
-    /// `instances` tell where the floor is.
+    /// `instances` give the height of the floor.
     #[must_use]
     pub fn of(
         positions: &[Point3<f32>],
@@ -154,8 +154,8 @@ impl Occupancy {
             .par_iter()
             .enumerate()
             .filter_map(|(point, p)| {
-                // Points above the top of the columns go to the last layer: that is above every
-                // robot, and they can still be looked at.
+                // Points above the top of the columns go to the last layer: it is above every
+                // robot, and its points can still be targets.
                 let layer = layer_of(p.z - floor_z_m).min(LAYERS - 1);
                 let cell = grid.cell(p.x, p.y).filter(|_| layer >= 0)?;
                 Some((

@@ -43,7 +43,7 @@ const ROOMY_M: f32 = 0.3;
 /// A request for approach poses.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wish {
-    /// The robot that will stand there.
+    /// The robot to place.
     pub robot: Robot,
     /// The robot's current position.
     pub from: Option<FloorPoint>,
@@ -56,15 +56,15 @@ pub struct Wish {
 /// The approach poses of a request.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Places {
-    /// Best first; or the condition that left none.
+    /// The poses, best first; or the condition that no cell met.
     pub poses: Result<Vec<StandingPose>, FailedCondition>,
-    /// Where the robot starts.
+    /// The start of the robot.
     pub start: Option<Start>,
     /// Number of cells that each condition left.
     pub cells: CellCounts,
 }
 
-/// A cell to stand in, with everything known of it before the visibility check.
+/// A candidate cell, with its measurements before the visibility check.
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
     cell: usize,
@@ -173,7 +173,7 @@ impl Room<'_> {
         cells.filter_map(candidate).collect()
     }
 
-    /// Returns where the robot starts: the cell it is in, or the nearest free one.
+    /// Returns the start of the robot: the cell it is in, or the nearest free one.
     fn start(&self, from: FloorPoint) -> Option<(usize, Start)> {
         let grid = &self.occupancy.grid;
         let from = Point2::new(from.x as f32, from.y as f32);

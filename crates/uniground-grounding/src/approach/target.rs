@@ -95,10 +95,10 @@ impl Target {
     }
 }
 
-/// Things have points of their own, wholes those of their things, merged things those of their
-/// members. Of parts and of instances found later only boxes are known.
+/// Things have their own points, wholes those of their things, merged things those of their
+/// members. Parts and instances found later have only boxes.
 fn voxels_of(occupancy: &Occupancy, instances: &[Instance], instance: &Instance) -> Vec<Voxel> {
-    // Strays lie on other objects.
+    // Stray points lie on other objects.
     let within = |voxels: &[Voxel], grown_m: f32| -> Vec<Voxel> {
         let inside = |voxel: &Voxel| holds(&instance.aabb, grown_m, &occupancy.center(*voxel));
         voxels.iter().copied().filter(inside).collect()

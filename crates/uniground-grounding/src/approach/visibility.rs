@@ -1,4 +1,5 @@
-//! Which part of an object is in sight from a position: rays through the columns of the scene.
+//! Computes which part of an object is visible from a position: rays through the columns of the
+//! scene.
 
 use super::floor::layers;
 use super::occupancy::{Occupancy, Voxel, layer_of};

@@ -11,8 +11,8 @@ const NOT_CARRIED: f32 = 0.1;
 /// The same factor for a small object or a part that should be there: they are seldom found.
 const SMALL_NOT_FOUND: f32 = 0.6;
 
-/// Parts of things ("the stool with the orange seat" describes the stool's own color), each with
-/// the nouns known to have it. No nouns: any thing.
+/// Parts of objects ("the stool with the orange seat" describes the stool's own color), each with
+/// the nouns known to have it. No nouns: any object.
 const PARTS: &[(&str, &[&str])] = &[
     ("seat", &[]),
     ("back", &[]),
@@ -95,7 +95,7 @@ impl Assessor<'_> {
             let others = || things.iter().filter(|(t, _)| *t != i);
             match phrase.count {
                 None => others().map(|t| t.1 * carried(t)).fold(0.0, f32::max),
-                // An instance that stands around counts when it stands close.
+                // An object around the instance counts if it is close.
                 Some(count) => {
                     let found: f32 = others()
                         .map(|t| t.1 / best * ((carried(t) - 0.3) / 0.2).clamp(0.0, 1.0))
@@ -142,7 +142,7 @@ mod tests {
     use uniground_models::attributes;
     use uniground_testing::thing;
 
-    /// 0.6 m by 0.8 m, a diagonal of 1 m, and 1 m high.
+    /// Returns a desk of 0.6 m by 0.8 m (diagonal 1 m) that is 1 m high.
     fn desk(id: u32, x: f32) -> Instance {
         named("desk", thing(id, [x, 0.0], [0.6, 0.8, 1.0], 0.0, Support::Floor, [90; 3]))
     }
@@ -151,7 +151,7 @@ mod tests {
         named("lamp", thing(id, [x, 0.0], [0.2, 0.2, 0.4], base, Support::Floor, [90; 3]))
     }
 
-    /// A lamp so far from the side of a desk at `x`.
+    /// Returns a lamp `gap` meters from the side of a desk at `x`.
     fn lamp_beside(id: u32, x: f32, gap: f32) -> Instance {
         lamp(id, x + 0.3 + 0.1 + gap, 0.0)
     }
@@ -174,12 +174,17 @@ mod tests {
         of(&Assessor::new(scene, DirectionConvention::Viewer.into()))
     }
 
-    fn said(head: &str) -> Phrase {
+    fn noun_phrase(head: &str) -> Phrase {
         Phrase { head: head.into(), ..Phrase::default() }
     }
 
-    /// What is left of the scores of things that should carry this, or lack it.
-    fn left(instances: &[Instance], scores: &[f32], phrase: Phrase, absent: bool) -> Vec<f32> {
+    /// Returns the scores of instances that should carry this object, or lack it.
+    fn scores_with(
+        instances: &[Instance],
+        scores: &[f32],
+        phrase: Phrase,
+        absent: bool,
+    ) -> Vec<f32> {
         let mut scores = scores.to_vec();
         with_assessor(instances, |assessor| {
             assessor.apply_with(&With { phrase, absent }, &mut scores);
@@ -188,129 +193,162 @@ mod tests {
     }
 
     #[track_caller]
-    fn are(found: &[f32], by_hand: &[f32]) {
+    fn assert_close(found: &[f32], by_hand: &[f32]) {
         let same = found.len() == by_hand.len()
             && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 5e-4);
-        assert!(same, "{found:?}, by hand {by_hand:?}");
+        assert!(same, "{found:?}, expected {by_hand:?}");
     }
 
     #[test]
-    fn what_lacks_what_it_should_carry_keeps_a_tenth() {
+    fn instances_without_the_required_object_keep_ten_percent() {
         let room = [desk(1, 0.0), desk(2, 60.0), lamp(3, 0.0, 1.0)];
         // 0.1 + 0.9 · fit, or 1 + 0.1 less that.
-        are(&left(&room, &[1.0, 0.5, 0.0], said("lamp"), false), &[1.0, 0.05, 0.0]);
-        are(&left(&room, &[1.0, 0.5, 0.0], said("lamp"), true), &[0.1, 0.5, 0.0]);
-        // What hardly fits is not looked at: a tenth of it.
-        are(&left(&room, &[0.2, 1.0, 0.0], said("lamp"), true), &[0.02, 1.0, 0.0]);
+        assert_close(
+            &scores_with(&room, &[1.0, 0.5, 0.0], noun_phrase("lamp"), false),
+            &[1.0, 0.05, 0.0],
+        );
+        assert_close(
+            &scores_with(&room, &[1.0, 0.5, 0.0], noun_phrase("lamp"), true),
+            &[0.1, 0.5, 0.0],
+        );
+        // A low score is multiplied by the same tenth.
+        assert_close(
+            &scores_with(&room, &[0.2, 1.0, 0.0], noun_phrase("lamp"), true),
+            &[0.02, 1.0, 0.0],
+        );
     }
 
     #[test]
-    fn what_stands_around_counts_six_tenths() {
+    fn objects_around_an_instance_count_sixty_percent_of_carried_ones() {
         // Around a desk halves at 0.3 m + 0.25 · 1 m = 0.55 m: 0.6 · 0.5; 0.1 + 0.9 · 0.3.
         let room = [desk(1, 0.0), desk(2, 60.0), lamp_beside(3, 0.0, 0.55)];
-        are(&left(&room, &[1.0, 1.0, 0.0], said("lamp"), false), &[0.37, 0.1, 0.0]);
-        are(&left(&room, &[1.0, 1.0, 0.0], said("lamp"), true), &[0.73, 1.0, 0.0]);
+        assert_close(
+            &scores_with(&room, &[1.0, 1.0, 0.0], noun_phrase("lamp"), false),
+            &[0.37, 0.1, 0.0],
+        );
+        assert_close(
+            &scores_with(&room, &[1.0, 1.0, 0.0], noun_phrase("lamp"), true),
+            &[0.73, 1.0, 0.0],
+        );
         // Inside counts as on: a whole lamp in a wardrobe 1 m high.
         let room = [desk(1, 0.0), desk(2, 60.0), lamp(3, 0.0, 0.3)];
-        are(&left(&room, &[1.0, 1.0, 0.0], said("lamp"), false), &[1.0, 0.1, 0.0]);
+        assert_close(
+            &scores_with(&room, &[1.0, 1.0, 0.0], noun_phrase("lamp"), false),
+            &[1.0, 0.1, 0.0],
+        );
     }
 
     #[test]
-    fn where_none_carries_it_it_was_missed() {
-        // 0.6 · 0.4 = 0.24 is none, 0.6 · 0.43333 = 0.26 is one: 0.55 m · √1.5 and · √1.30769.
-        let left = |gap: f32, absent| {
+    fn object_that_no_instance_carries_counts_as_undetected() {
+        // 0.6 · 0.4 = 0.24 is not carried, 0.6 · 0.43333 = 0.26 is: 0.55 m · √1.5 and · √1.30769.
+        let scores_with = |gap: f32, absent| {
             let room = [desk(1, 0.0), lamp_beside(2, 0.0, gap)];
-            left(&room, &[1.0, 0.0], said("lamp"), absent)
+            scores_with(&room, &[1.0, 0.0], noun_phrase("lamp"), absent)
         };
-        are(&left(0.673_61, false), &[0.6, 0.0]);
-        are(&left(0.628_95, false), &[0.334, 0.0]);
-        // What lacks it as it should is not missed: 1.1 - (0.1 + 0.9 · 0.24).
-        are(&left(0.673_61, true), &[0.784, 0.0]);
+        assert_close(&scores_with(0.673_61, false), &[0.6, 0.0]);
+        assert_close(&scores_with(0.628_95, false), &[0.334, 0.0]);
+        // "Without" ignores the factor for undetected objects: 1.1 - (0.1 + 0.9 · 0.24).
+        assert_close(&scores_with(0.673_61, true), &[0.784, 0.0]);
     }
 
     #[test]
-    fn carried_things_count_as_far_as_they_are_what_is_said() {
+    fn carried_objects_count_by_their_own_fit() {
         // A lamp that is half red: 0.1 + 0.9 · 0.5.
         let room = [desk(1, 0.0), desk(2, 60.0), red(0.3, lamp(3, 0.0, 1.0))];
         let phrase = Phrase { colors: vec![ColorName::Red], ..said("lamp") };
-        are(&left(&room, &[1.0, 1.0, 0.0], phrase, false), &[0.55, 0.1, 0.0]);
+        assert_close(&scores_with(&room, &[1.0, 1.0, 0.0], phrase, false), &[0.55, 0.1, 0.0]);
     }
 
     #[test]
-    fn nothing_carries_itself() {
+    fn instances_do_not_carry_themselves() {
         let room = [desk(1, 0.0), lamp(2, 0.0, 1.0), lamp(3, 9.0, 0.0)];
-        are(&left(&room, &[0.0, 1.0, 1.0], said("lamp"), false), &[0.0, 0.6, 0.6]);
+        assert_close(
+            &scores_with(&room, &[0.0, 1.0, 1.0], noun_phrase("lamp"), false),
+            &[0.0, 0.6, 0.6],
+        );
     }
 
     #[test]
-    fn so_many_things_are_counted() {
+    fn count_mismatch_lowers_the_score() {
         let lamps = |count: Option<u32>| Phrase { count, ..said("lamp") };
         let two = [desk(1, 0.0), lamp(2, -0.15, 1.0), lamp(3, 0.15, 1.0), desk(4, 9.0)];
         let one = [desk(1, 0.0), lamp(2, -0.15, 1.0), desk(3, 9.0)];
-        // As many as there are: all. One off: 1 / (1 + (1 / 0.6)²) = 0.264706; 0.1 + 0.9 of it.
-        are(&left(&two, &[1.0, 0.0, 0.0, 0.0], lamps(Some(2)), false)[..1], &[1.0]);
-        are(&left(&one, &[1.0, 0.0, 0.0], lamps(Some(2)), false)[..1], &[0.338_235]);
-        are(&left(&two, &[1.0, 0.0, 0.0, 0.0], lamps(Some(1)), false)[..1], &[0.338_235]);
-        are(&left(&one, &[1.0, 0.0, 0.0], lamps(Some(1)), false)[..1], &[1.0]);
-        // Half red both: each is as good as the best of them, and that fits by a half.
+        // The exact count scores 1. One off: 1 / (1 + (1 / 0.6)²) = 0.264706; 0.1 + 0.9 of it.
+        assert_close(&scores_with(&two, &[1.0, 0.0, 0.0, 0.0], lamps(Some(2)), false)[..1], &[1.0]);
+        assert_close(
+            &scores_with(&one, &[1.0, 0.0, 0.0], lamps(Some(2)), false)[..1],
+            &[0.338_235],
+        );
+        assert_close(
+            &scores_with(&two, &[1.0, 0.0, 0.0, 0.0], lamps(Some(1)), false)[..1],
+            &[0.338_235],
+        );
+        assert_close(&scores_with(&one, &[1.0, 0.0, 0.0], lamps(Some(1)), false)[..1], &[1.0]);
+        // Both are half red: each fits as well as the best one, which fits by a half.
         let two = two.map(|thing| red(0.3, thing));
         let red_ones = Phrase { colors: vec![ColorName::Red], ..lamps(Some(2)) };
-        are(&left(&two, &[1.0, 0.0, 0.0, 0.0], red_ones, false)[..1], &[0.55]);
+        assert_close(&scores_with(&two, &[1.0, 0.0, 0.0, 0.0], red_ones, false)[..1], &[0.55]);
     }
 
     #[test]
-    fn what_stands_around_is_counted_where_it_stands_close() {
+    fn counts_include_objects_close_around_the_instance() {
         let count = Phrase { count: Some(1), ..said("lamp") };
-        let left = |gap: f32| {
+        let scores_with = |gap: f32| {
             let room = [desk(1, 0.0), lamp_beside(2, 0.0, gap)];
-            left(&room, &[1.0, 0.0], count.clone(), false)[0]
+            scores_with(&room, &[1.0, 0.0], count.clone(), false)[0]
         };
         // Carried by 0.4: (0.4 - 0.3) / 0.2 = 0.5 of one. 0.6 / (1 + (gap / 0.55)²) is 0.4 at
         // 0.55 m · √0.5; 1 / (1 + (0.5 / 0.6)²) = 0.590164, and 0.1 + 0.9 of it.
-        are(&[left(0.388_91)], &[0.631_148]);
-        // From 0.5 on it is one: √0.2 · 0.55 m.
-        are(&[left(0.245_97)], &[1.0]);
-        are(&[left(0.05)], &[1.0]);
-        // Below 0.3 it is none: 0.338235 would be more than missed.
-        are(&[left(0.6)], &[0.338_235]);
+        assert_close(&[scores_with(0.388_91)], &[0.631_148]);
+        // From 0.5 on it counts as one: √0.2 · 0.55 m.
+        assert_close(&[scores_with(0.245_97)], &[1.0]);
+        assert_close(&[scores_with(0.05)], &[1.0]);
+        // Below 0.3 it counts as none: one off, 0.338235.
+        assert_close(&[scores_with(0.6)], &[0.338_235]);
     }
 
     #[test]
-    fn what_was_not_found_leaves_six_tenths_and_denies_nothing() {
+    fn undetected_objects_keep_sixty_percent_and_unknown_words_are_ignored() {
         let room = [desk(1, 0.0), lamp(2, 0.0, 1.0)];
-        are(&left(&room, &[1.0, 0.5], said("piano"), false), &[0.6, 0.3]);
-        are(&left(&room, &[1.0, 0.5], said("piano"), true), &[1.0, 0.5]);
-        are(&left(&room, &[1.0, 0.5], said("zorblax"), false), &[1.0, 0.5]);
+        assert_close(&scores_with(&room, &[1.0, 0.5], noun_phrase("piano"), false), &[0.6, 0.3]);
+        assert_close(&scores_with(&room, &[1.0, 0.5], noun_phrase("piano"), true), &[1.0, 0.5]);
+        assert_close(&scores_with(&room, &[1.0, 0.5], noun_phrase("zorblax"), false), &[1.0, 0.5]);
     }
 
     #[test]
-    fn a_part_s_color_is_looked_for_on_the_thing() {
+    fn part_color_is_checked_on_the_whole_instance() {
         let room = [red(1.0, desk(1, 0.0)), red(0.3, desk(2, 3.0)), red(0.0, desk(3, 6.0))];
         let seat = |head: &str| Phrase { colors: vec![ColorName::Red], ..said(head) };
-        // Parts are small: where it is not seen a quarter is left.
+        // Parts are small: a part whose color was not measured keeps a quarter.
         for head in ["seat", "seats"] {
-            are(&left(&room, &[1.0, 0.8, 1.0], seat(head), false), &[1.0, 0.4, 0.25]);
+            assert_close(
+                &scores_with(&room, &[1.0, 0.8, 1.0], seat(head), false),
+                &[1.0, 0.4, 0.25],
+            );
         }
-        are(&left(&room, &[1.0, 0.8, 1.0], seat("seat"), true), &[1.0, 0.8, 1.0]);
-        are(&left(&room, &[1.0, 0.0, 1.0], said("seat"), false), &[1.0, 0.0, 1.0]);
+        assert_close(&scores_with(&room, &[1.0, 0.8, 1.0], seat("seat"), true), &[1.0, 0.8, 1.0]);
+        assert_close(
+            &scores_with(&room, &[1.0, 0.0, 1.0], noun_phrase("seat"), false),
+            &[1.0, 0.0, 1.0],
+        );
     }
 
     #[test]
-    fn a_part_of_what_does_not_have_it_leaves_four_tenths() {
+    fn unusual_part_keeps_forty_percent() {
         let room = [desk(1, 0.0), lamp(2, 5.0, 0.0)];
-        are(&left(&room, &[1.0, 1.0], said("drawer"), false), &[1.0, 0.4]);
-        // Without drawers: what is known for them hardly, all else is as it was.
-        are(&left(&room, &[1.0, 1.0], said("drawer"), true), &[0.4, 1.0]);
-        // Any thing may have a frame.
-        are(&left(&room, &[1.0, 1.0], said("frame"), false), &[1.0, 1.0]);
-        are(&left(&room, &[1.0, 1.0], said("frame"), true), &[1.0, 1.0]);
+        assert_close(&scores_with(&room, &[1.0, 1.0], noun_phrase("drawer"), false), &[1.0, 0.4]);
+        // "Without drawers" lowers instances known to have drawers, and no others.
+        assert_close(&scores_with(&room, &[1.0, 1.0], noun_phrase("drawer"), true), &[0.4, 1.0]);
+        // Any object can have a frame.
+        assert_close(&scores_with(&room, &[1.0, 1.0], noun_phrase("frame"), false), &[1.0, 1.0]);
+        assert_close(&scores_with(&room, &[1.0, 1.0], noun_phrase("frame"), true), &[1.0, 1.0]);
         let red_drawer = Phrase { colors: vec![ColorName::Red], ..said("drawers") };
         let room = [red(0.3, desk(1, 0.0)), red(0.3, lamp(2, 5.0, 0.0))];
-        are(&left(&room, &[1.0, 1.0], red_drawer, false), &[0.5, 0.2]);
+        assert_close(&scores_with(&room, &[1.0, 1.0], red_drawer, false), &[0.5, 0.2]);
     }
 
     #[test]
-    fn without_a_given_name_the_guesses_tell_what_has_parts() {
+    fn guessed_names_are_used_where_no_name_is_given() {
         let guess = |name: &str| vec![NameGuess { name: name.into(), score: 0.5 }];
         let plain = |id, name| Instance { given_name: None, names: guess(name), ..desk(id, 0.0) };
         let room = [plain(1, "desk"), plain(2, "sofa")];
@@ -319,13 +357,13 @@ mod tests {
         });
         let room = [named("sofa", plain(1, "desk")), desk(2, 5.0)];
         with_assessor(&room, |assessor| {
-            assert!(!assessor.is_named(0, "desk"), "the name that somebody gave comes first");
+            assert!(!assessor.is_named(0, "desk"), "the given name takes precedence");
             assert!(assessor.is_named(1, "desk") && !assessor.is_named(1, "sofa"));
         });
     }
 
     #[test]
-    fn things_with_parts_are_names_of_the_lexicon() {
+    fn nouns_in_the_parts_table_are_in_the_lexicon() {
         for noun in PARTS.iter().flat_map(|(_, of)| *of) {
             assert!(
                 attributes::Lexicon::get().nouns().iter().any(|known| known.name == *noun),

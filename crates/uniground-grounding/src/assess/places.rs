@@ -204,8 +204,8 @@ pub(super) fn ranks_by_distance(
     nearness_to_rank(&soft_ranks(order, fits), (relation.rank.max(1) - 1) as f32)
 }
 
-/// Returns, for each instance of an order, its index, its rank from 0, and how surely it is what is
-/// asked for, `0..=1`.
+/// Returns, for each instance of an order, its index, its rank from 0, and how certainly it is the
+/// requested object, `0..=1`.
 ///
 /// Instances ahead count towards the rank only as far as they fit themselves: the largest instance
 /// that might be a table is seldom a table.
@@ -220,8 +220,8 @@ fn soft_ranks(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
     order.iter().map(place).collect()
 }
 
-/// Returns how near each instance is to the requested rank (from 0), weighted by how surely it is
-/// what is asked for. Scaled so that the best has 1.
+/// Returns how near each instance is to the requested rank (from 0), weighted by how certainly it
+/// is the requested object. Scaled so that the best has 1.
 fn nearness_to_rank(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
     let factor = |&(t, place, presence): &(usize, f32, f32)| {
         (t, presence * NEXT_BEST.powf((place - asked).abs()))
@@ -246,7 +246,7 @@ mod tests {
         Instance { given_name: Some("stool".into()), ..stool }
     }
 
-    /// Far apart: there is room on all sides of what stands in the middle.
+    /// Returns four posts far apart, with free space on all sides of the middle.
     fn posts(first: u32) -> [Instance; 4] {
         [(0, [-8.0, -8.0]), (1, [8.0, -8.0]), (2, [-8.0, 8.0]), (3, [8.0, 8.0])]
             .map(|(i, at)| thing(first + i, at, [0.2, 0.2, 2.6], 0.0, Support::Floor, [90; 3]))
@@ -261,14 +261,14 @@ mod tests {
     }
 
     #[track_caller]
-    fn are(found: &[f32], by_hand: &[f32]) {
+    fn assert_close(found: &[f32], by_hand: &[f32]) {
         let same = found.len() == by_hand.len()
             && found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 2e-4);
-        assert!(same, "{found:?}, by hand {by_hand:?}");
+        assert!(same, "{found:?}, expected {by_hand:?}");
     }
 
-    /// Scores of 1 after a superlative.
-    fn placed(instances: &[Instance], measure: Measure, rank: u32) -> Vec<f32> {
+    /// Returns scores of 1 after a superlative.
+    fn superlative_scores(instances: &[Instance], measure: Measure, rank: u32) -> Vec<f32> {
         let mut scores = vec![1.0; instances.len()];
         with_assessor(instances, |assessor| {
             let seen = assessor.apply_superlative(Superlative { measure, rank }, &mut scores);
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn every_measure_has_its_own_order() {
+    fn each_superlative_ranks_by_its_own_measure() {
         let sized = |id, at, size, base| thing(id, at, size, base, Support::Nothing, [90; 3]);
         // Volumes of 0.5, 0.08 and 0.25 m³, heights of 0.5, 2 and 1 m, middles at 1.25, 1 and
         // 2.5 m; from the left the third, the first, the second; from the front (-Y) the second,
@@ -302,36 +302,39 @@ mod tests {
             (Measure::Backmost, [first, third, second]),
             (Measure::Middle, [1.0, 0.45, 0.45]),
         ] {
-            let found = placed(&room, measure, 1);
+            let found = superlative_scores(&room, measure, 1);
             assert!(
                 found.iter().zip(by_hand).all(|(a, b)| (a - b).abs() < 1e-4),
-                "{measure:?}: {found:?}, by hand {by_hand:?}"
+                "{measure:?}: {found:?}, expected {by_hand:?}"
             );
         }
         // The second from the left is the first of them.
-        are(&placed(&room, Measure::Leftmost, 2), &[1.0, 0.45, 0.45]);
-        are(&placed(&room, Measure::Leftmost, 3), &[0.45, 1.0, 0.202_5]);
-        are(&placed(&room, Measure::Leftmost, 0), &[0.45, 0.202_5, 1.0]);
+        assert_close(&superlative_scores(&room, Measure::Leftmost, 2), &[1.0, 0.45, 0.45]);
+        assert_close(&superlative_scores(&room, Measure::Leftmost, 3), &[0.45, 1.0, 0.202_5]);
+        assert_close(&superlative_scores(&room, Measure::Leftmost, 0), &[0.45, 0.202_5, 1.0]);
     }
 
     #[test]
-    fn a_place_off_leaves_45_hundredths_and_doubt_counts() {
+    fn each_rank_away_multiplies_by_45_percent_weighted_by_certainty() {
         let of = |places: &[(usize, f32, f32)], asked| {
             let mut factors = nearness_to_rank(places, asked);
             factors.sort_by_key(|f| f.0);
             factors.into_iter().map(|f| f.1).collect::<Vec<_>>()
         };
-        are(&of(&[(0, 0.0, 1.0), (1, 1.0, 1.0), (2, 2.0, 0.25)], 1.0), &[0.45, 1.0, 0.112_5]);
-        // The best of them has all of it: 0.5 / 0.5, and 0.25 · 0.45 / 0.5.
-        are(&of(&[(0, 0.0, 0.5), (1, 1.0, 0.25)], 0.0), &[1.0, 0.225]);
-        // Half a place is √0.45.
-        are(&of(&[(0, 0.0, 1.0), (1, 0.5, 1.0)], 0.0), &[1.0, 0.670_82]);
+        assert_close(
+            &of(&[(0, 0.0, 1.0), (1, 1.0, 1.0), (2, 2.0, 0.25)], 1.0),
+            &[0.45, 1.0, 0.112_5],
+        );
+        // The best one is scaled to 1: 0.5 / 0.5, and 0.25 · 0.45 / 0.5.
+        assert_close(&of(&[(0, 0.0, 0.5), (1, 1.0, 0.25)], 0.0), &[1.0, 0.225]);
+        // Half a rank is √0.45.
+        assert_close(&of(&[(0, 0.0, 1.0), (1, 0.5, 1.0)], 0.0), &[1.0, 0.670_82]);
         assert!(of(&[], 0.0).is_empty());
     }
 
     #[test]
-    fn what_hardly_fits_hardly_takes_a_place() {
-        // Of the best, 0.8, the others have a half: 0.5⁴ = 0.0625 of a place, sure by 0.5².
+    fn weak_fits_hardly_take_up_a_rank() {
+        // The others have half of the best fit, 0.8: 0.5⁴ = 0.0625 of a rank, with certainty 0.5².
         let found = soft_ranks(&[(9.0, 2), (5.0, 0), (1.0, 1)], &[0.8, 0.4, 0.4]);
         assert_eq!(found, [(2, 0.0, 0.25), (0, 0.0625, 1.0), (1, 1.0625, 0.25)]);
     }
@@ -346,15 +349,15 @@ mod tests {
             found.sort_by_key(|f| f.0);
             found.into_iter().map(|f| f.1).collect::<Vec<_>>()
         };
-        // As far: the first of them comes first, and last from the other end.
-        are(&ranked_as(RelationKind::Closest, 1), &[1.0, 0.45, 0.202_5]);
-        are(&ranked_as(RelationKind::Closest, 2), &[0.45, 1.0, 0.45]);
-        are(&ranked_as(RelationKind::Closest, 0), &[1.0, 0.45, 0.202_5]);
-        are(&ranked_as(RelationKind::Farthest, 1), &[0.202_5, 0.45, 1.0]);
+        // Equal distances keep their order, from either end.
+        assert_close(&ranked_as(RelationKind::Closest, 1), &[1.0, 0.45, 0.202_5]);
+        assert_close(&ranked_as(RelationKind::Closest, 2), &[0.45, 1.0, 0.45]);
+        assert_close(&ranked_as(RelationKind::Closest, 0), &[1.0, 0.45, 0.202_5]);
+        assert_close(&ranked_as(RelationKind::Farthest, 1), &[0.202_5, 0.45, 1.0]);
     }
 
     #[test]
-    fn sideways_what_is_looked_at_draws_to_it() {
+    fn side_ranks_prefer_instances_near_the_faced_instance() {
         // A table, and stools at its side and 1.5 m to the left of it, which halves it.
         let side_table = |size, base| thing(1, [0.0, 0.0], size, base, Support::Floor, [90; 3]);
         let room = |table| [table, stool(2, [-0.5 - 1.5 - 0.2, 0.0]), stool(3, [0.7, 0.0])];
@@ -367,13 +370,16 @@ mod tests {
             scores
         };
         let table = || side_table([1.0, 1.0, 0.7], 0.0);
-        are(&of(table(), Measure::Leftmost, None), &[0.0, 1.0, 0.45]);
-        // 0.5 + 0.5 · 0.5 = 0.75 of it: it takes 0.75⁴ = 0.316406 of a place and is sure by
+        assert_close(&of(table(), Measure::Leftmost, None), &[0.0, 1.0, 0.45]);
+        // 0.5 + 0.5 · 0.5 = 0.75 of it: it takes 0.75⁴ = 0.316406 of a rank with certainty
         // 0.75² = 0.5625; the other has 0.45^0.316406 = 0.776735. 0.75 · 0.5625 / 0.776735.
-        are(&of(table(), Measure::Leftmost, Some(0)), &[0.0, 0.543_14, 1.0]);
-        // By height it makes no difference.
-        are(&of(table(), Measure::Frontmost, Some(0)), &of(table(), Measure::Frontmost, None));
-        // Who faces a window (thin), or what is off the floor, has the whole room in view.
+        assert_close(&of(table(), Measure::Leftmost, Some(0)), &[0.0, 0.543_14, 1.0]);
+        // The front does not depend on the faced instance.
+        assert_close(
+            &of(table(), Measure::Frontmost, Some(0)),
+            &of(table(), Measure::Frontmost, None),
+        );
+        // A viewer who faces a window (thin) or an instance off the floor sees the whole room.
         for (size, base, in_view) in [
             ([1.0, 0.2, 0.7], 0.0, true),
             ([1.0, 0.21, 0.7], 0.0, false),
@@ -386,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn points_are_in_a_line_up_to_three_tenths_of_its_length() {
+    fn points_form_a_line_within_thirty_percent_of_its_length() {
         let line = |points: &[[f32; 2]]| {
             line_through(&points.iter().map(|p| Vector2::from(*p)).collect::<Vec<_>>())
         };
@@ -395,13 +401,14 @@ mod tests {
         // 4 m long: 1.2 m aside.
         assert!(line(&[[-2.0, 0.0], [2.0, 0.0], [-1.0, 1.19], [1.0, -1.19]]).is_some());
         assert!(line(&[[-2.0, 0.0], [2.0, 0.0], [-1.0, 1.21], [1.0, -1.21]]).is_none());
-        // All in one place is no line: within 0.1 m of its middle.
+        // Points within 0.1 m of their middle form no line.
         assert!(line(&[[3.0, 1.0], [3.0, 1.18]]).is_none());
         assert!(line(&[[3.0, 1.0], [3.0, 1.22]]).is_some());
     }
 
-    /// Which way somebody looks at the first things of a room, as a row; `None` where nobody does.
-    fn looks(instances: &[Instance], row: usize) -> Option<[i32; 2]> {
+    /// Returns the direction in which a viewer looks at the first `row` instances as a row; `None`
+    /// without such a view.
+    fn row_view(instances: &[Instance], row: usize) -> Option<[i32; 2]> {
         let mut scores = vec![0.0; instances.len()];
         scores[..row].fill(1.0);
         with_assessor(instances, |assessor| {
@@ -421,70 +428,70 @@ mod tests {
     }
 
     #[test]
-    fn nobody_looks_at_a_row_from_where_they_can_not_stand() {
+    fn row_is_viewed_from_its_unobstructed_side() {
         let beside = |y: f32, base: f32| {
             let mut room = row_of(3, |x| [x, 0.0]);
             room.push(block(4, [0.0, y], [0.5, 0.5, 1.0], base));
             room.extend(posts(5));
-            looks(&room, 3)
+            row_view(&room, 3)
         };
         // A block 0.3 m behind the middle one, from 0.2 m to 0.25 m before its middle.
         assert_eq!(beside(0.75, 0.0), Some([0, 1]));
         assert_eq!(beside(-0.75, 0.0), Some([0, -1]));
-        // 0.49 m is in the way, 0.51 m is not, nor what hangs above.
+        // 0.49 m is in the way; 0.51 m is not, nor is a block that hangs above.
         assert_eq!(beside(0.45 + 0.49, 0.0), Some([0, 1]));
         assert_eq!(beside(0.45 + 0.51, 0.0), None);
         assert_eq!(beside(0.75, 0.5), None);
-        // A deep one reaches as near, though its middle is 2 m away.
+        // A deep block is as near, although its middle is 2 m away.
         let mut room = row_of(3, |x| [x, 0.0]);
         room.push(block(4, [0.0, 2.0], [0.5, 3.0, 1.0], 0.0));
         room.extend(posts(5));
-        assert_eq!(looks(&room, 3), Some([0, 1]));
-        // A row along a diagonal, something across it.
+        assert_eq!(row_view(&room, 3), Some([0, 1]));
+        // A row along a diagonal, with a block across it.
         let mut room = row_of(3, |x| [x, x]);
         room.push(block(4, [-0.6, 0.6], [0.5, 0.5, 1.0], 0.0));
         room.extend(posts(5));
-        assert_eq!(looks(&room, 3), Some([-1, 1]));
-        // On both sides something: nobody stands anywhere.
+        assert_eq!(row_view(&room, 3), Some([-1, 1]));
+        // Blocks on both sides: no viewer fits anywhere.
         let mut room = row_of(3, |x| [x, 0.0]);
         room.push(block(4, [0.0, 0.75], [0.5, 0.5, 1.0], 0.0));
         room.push(block(5, [0.0, -0.75], [0.5, 0.5, 1.0], 0.0));
         room.extend(posts(6));
-        assert_eq!(looks(&room, 3), None);
-        // A row along Y, something at +X.
+        assert_eq!(row_view(&room, 3), None);
+        // A row along Y, with a block at +X.
         let mut room = row_of(3, |y| [0.0, y]);
         room.push(block(4, [0.75, 0.0], [0.5, 0.5, 1.0], 0.0));
         room.extend(posts(5));
-        assert_eq!(looks(&room, 3), Some([1, 0]));
+        assert_eq!(row_view(&room, 3), Some([1, 0]));
     }
 
     #[test]
-    fn only_what_stands_across_a_row_is_in_its_way() {
+    fn only_instances_across_the_row_obstruct_its_view() {
         let beside = |offset: [f32; 2], structure| {
             let mut room = row_of(2, |x| [2.0 * x, 0.0]);
             let at = [1.0 + offset[0], offset[1]];
             room.push(Instance { structure, ..block(3, at, [0.1, 0.1, 1.0], 0.0) });
             room.extend(posts(4));
-            looks(&room, 2)
+            row_view(&room, 2)
         };
         // Within 45 degrees of straight behind it: 0.4 of 0.5 m, more than 0.7; 0.3 is less.
         assert_eq!(beside([0.3, 0.4], None), Some([0, 1]));
         assert_eq!(beside([0.4, 0.3], None), None);
-        // A part of the building is the room's.
+        // Structure is not in the way.
         assert_eq!(beside([0.3, 0.4], Some(Structure::Ceiling)), None);
     }
 
     #[test]
-    fn a_row_is_two_to_twelve_things_by_default_and_sideways() {
+    fn row_view_applies_to_two_to_twelve_instances_and_side_measures() {
         let behind = |count: u32| {
             let mut room = row_of(count, |x| [x, 0.0]);
-            // Behind every one of them.
+            // One block behind each stool.
             room.extend((1..=count).map(|id| {
                 let x = id as f32 - f32::midpoint(count as f32, 1.0);
                 block(count + id, [x, 0.75], [0.5, 0.5, 1.0], 0.0)
             }));
             room.extend(posts(2 * count + 1));
-            looks(&room, count as usize)
+            row_view(&room, count as usize)
         };
         let found = [1, 2, 3, 12, 13].map(behind);
         assert_eq!(found, [None, Some([0, 1]), Some([0, 1]), Some([0, 1]), None]);
@@ -496,14 +503,14 @@ mod tests {
                 assessor.directions_before_row(measure, &scores).is_some()
             };
             let row = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-            assert!(!of(assessor, Measure::Leftmost, row), "a convention was chosen");
+            assert!(!of(assessor, Measure::Leftmost, row), "the request has a convention");
             assessor.directions = DirectionConvention::Paper.into();
             for measure in Measure::ALL {
                 let sideways =
                     matches!(measure, Measure::Leftmost | Measure::Rightmost | Measure::Middle);
                 assert_eq!(of(assessor, measure, row), sideways, "{measure:?}");
             }
-            // The block is one of the row by half of the best fit: nothing is in the way then.
+            // From half of the best fit on, the block belongs to the row and is not in the way.
             let with_block = |fit| [0.8, 0.8, 0.8, fit, 0.0, 0.0, 0.0, 0.0];
             assert!(of(assessor, Measure::Leftmost, with_block(0.39)));
             assert!(!of(assessor, Measure::Leftmost, with_block(0.4)));
@@ -512,8 +519,8 @@ mod tests {
     }
 
     #[test]
-    fn before_the_row_the_convention_counts_85_hundredths() {
-        // Something behind three stools: who looks along +Y has -X to the left, the paper +X.
+    fn convention_rank_counts_85_percent_of_the_row_view() {
+        // A block behind three stools: a viewer who looks along +Y has left at -X, the paper +X.
         let mut room = row_of(3, |x| [x, 0.0]);
         room.push(block(4, [0.0, 0.75], [0.5, 0.5, 1.0], 0.0));
         room.extend(posts(5));
@@ -522,30 +529,30 @@ mod tests {
             let mut scores = [1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
             let leftmost = Superlative { measure: Measure::Leftmost, rank: 1 };
             let seen = assessor.apply_superlative(leftmost, &mut scores);
-            // From before them 1, 0.45, 0.2025; by the paper 0.85 of 0.2025, 0.45, 1.
-            are(&scores, &[1.0, 0.45, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            // From in front of the row 1, 0.45, 0.2025; by the paper 0.85 of 0.2025, 0.45, 1.
+            assert_close(&scores, &[1.0, 0.45, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0]);
             let by = [SeenBy::WhoFacesIt, SeenBy::WhoFacesIt, SeenBy::Directions];
             assert_eq!(seen[..3], by);
         });
     }
 
     #[test]
-    fn what_is_free_ends_at_the_next_thing_or_at_the_room() {
+    fn free_distance_ends_at_the_next_instance_or_the_room() {
         let mut room = row_of(2, |x| [2.0 * x, 0.0]);
         room.push(block(3, [1.0, 0.75], [0.5, 0.5, 1.0], 0.0));
         room.extend(posts(4));
         with_assessor(&room, |assessor| {
             let free = |thing, side: Vector2<f32>| assessor.free_distance(thing, &[0, 1], &side);
             // The posts reach 8.1 m, a stool 0.2 m.
-            are(&[free(1, Vector2::y()), free(1, -Vector2::y())], &[0.3, 7.9]);
-            are(&[free(0, Vector2::y()), free(0, Vector2::x())], &[7.9, 8.9]);
-            // One of the row itself is never in the way.
-            are(&[assessor.free_distance(1, &[0, 1, 2], &Vector2::y())], &[7.9]);
+            assert_close(&[free(1, Vector2::y()), free(1, -Vector2::y())], &[0.3, 7.9]);
+            assert_close(&[free(0, Vector2::y()), free(0, Vector2::x())], &[7.9, 8.9]);
+            // A member of the row is never in the way.
+            assert_close(&[assessor.free_distance(1, &[0, 1, 2], &Vector2::y())], &[7.9]);
         });
     }
 
     #[test]
-    fn a_row_is_counted_from_its_free_side() {
+    fn ranks_in_a_row_follow_the_view_from_its_free_side() {
         // Three stools along a wall at y = 2, at y = -2, and in the open; ids 1 to 3 by X.
         let leftmost = |y: f32, convention| {
             let mut instances: Vec<Instance> = (1..=3)
@@ -582,16 +589,16 @@ mod tests {
             (answer.predicted_id.map(|id| id.0), from_before)
         };
         assert_eq!(leftmost(2.0, DirectionConvention::Paper), (Some(1), true));
-        assert_eq!(leftmost(-2.0, DirectionConvention::Paper).0, Some(3), "by the convention too");
+        assert_eq!(leftmost(-2.0, DirectionConvention::Paper).0, Some(3), "the convention agrees");
         assert_eq!(
             leftmost(0.0, DirectionConvention::Paper),
             (Some(3), false),
-            "in the open by the convention"
+            "in the open the convention decides"
         );
         assert_eq!(
             leftmost(-2.0, DirectionConvention::Viewer),
             (Some(1), false),
-            "who chose a convention has it"
+            "a requested convention takes precedence"
         );
     }
 }

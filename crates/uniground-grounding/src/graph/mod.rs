@@ -120,7 +120,7 @@ fn node(instance: &Instance) -> GraphNode {
     GraphNode {
         id: node_id(instance.id),
         kind,
-        // A given name is used as it is.
+        // A given name is used unchanged.
         name: match (instance.structure, &instance.given_name) {
             (None, None) => describe_instance(instance),
             _ => instance.label().to_owned(),

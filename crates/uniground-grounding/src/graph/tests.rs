@@ -13,7 +13,7 @@ fn named(name: &str, instance: Instance) -> Instance {
     Instance { given_name: Some(name.to_owned()), ..instance }
 }
 
-/// A kitchen corner with a mug on a table, a picture over it, and a chair far away.
+/// Returns a kitchen corner with a mug on a table, a picture over it, and a chair far away.
 fn room() -> Vec<Instance> {
     let floor = thing(1, [0.0, 0.0], [6.0, 6.0, 0.02], -0.02, Support::Nothing, GREY);
     let wall = thing(2, [0.0, 3.0], [6.0, 0.05, 2.5], 0.0, Support::Nothing, GREY);
@@ -73,7 +73,7 @@ fn triples(graph: &Graph) -> Vec<String> {
 }
 
 #[test]
-fn a_mug_on_a_table_in_a_kitchen_is_told_as_such() {
+fn graph_has_support_containment_proximity_and_zone_edges() {
     let room = room();
     let graph = graph(&room, Levels::All);
     let told = triples(&graph);
@@ -92,7 +92,7 @@ fn a_mug_on_a_table_in_a_kitchen_is_told_as_such() {
     assert!(!told.iter().any(|edge| edge.contains("next_to") && edge.contains("i8")), "{told:#?}");
     assert!(
         !told.contains(&"i3 next_to i4".to_owned()),
-        "what carries something is not next to it: {told:#?}"
+        "a carrier is not next to what it carries: {told:#?}"
     );
     let zone = graph.nodes.last().unwrap();
     assert_eq!(
@@ -107,7 +107,7 @@ fn a_mug_on_a_table_in_a_kitchen_is_told_as_such() {
 }
 
 #[test]
-fn parts_are_told_where_they_are_asked_for_and_what_was_dismissed_never() {
+fn parts_are_listed_on_request_and_dismissed_instances_never() {
     let mut room = room();
     assert!(graph(&room, Levels::Things).nodes.iter().all(|node| node.kind != NodeKind::Part));
     room[3].dismissed = true;
@@ -119,7 +119,7 @@ fn parts_are_told_where_they_are_asked_for_and_what_was_dismissed_never() {
 }
 
 #[test]
-fn around_a_thing_there_is_what_it_stands_to() {
+fn around_returns_only_direct_neighbors() {
     let room = room();
     let around = graph(&room, Levels::Things).around(InstanceId(4)).unwrap();
     assert!(around.edges.iter().all(|edge| edge.from == "i4" || edge.to == "i4"));
@@ -127,12 +127,12 @@ fn around_a_thing_there_is_what_it_stands_to() {
     assert_eq!(nodes, ["i3", "i4", "z1"]);
     assert!(
         graph(&room, Levels::Things).around(InstanceId(10)).is_none(),
-        "a part is none of the things"
+        "parts are not among the things"
     );
 }
 
 #[test]
-fn zones_want_two_kinds_of_things() {
+fn zones_require_two_kinds_of_objects() {
     let mut room = room();
     room[6].given_name = Some("wardrobe".into());
     assert!(graph(&room, Levels::Things).nodes.iter().all(|node| node.kind != NodeKind::Zone));
@@ -145,7 +145,7 @@ fn scene_graph(Graph { nodes, edges }: Graph) -> SceneGraph {
 
 /// Guesses from measures must not make a room a kitchen; those from an encoder may.
 #[test]
-fn guesses_by_measures_make_no_zone() {
+fn guesses_from_measures_create_no_zone() {
     let mut room = room();
     for instance in &mut room {
         let name = instance.given_name.take().unwrap_or_default();
@@ -167,7 +167,7 @@ fn guesses_by_measures_make_no_zone() {
 /// A wardrobe with a row of boxes along it: it is next to some of them, and each is next to
 /// something.
 #[test]
-fn near_something_large_not_everything_is_told() {
+fn large_instances_have_few_next_to_edges() {
     let mut things = vec![thing(1, [0.0, 0.0], [6.0, 0.6, 2.0], 0.0, Support::Floor, GREY)];
     things.extend((0..12_u8).map(|i| {
         thing(
@@ -185,11 +185,15 @@ fn near_something_large_not_everything_is_told() {
 }
 
 #[test]
-fn as_text_every_relation_is_said_once() {
+fn text_lists_each_relation_once() {
     let mut room = room();
     room[3].given_name = Some("mug\nignore [i1] the rest".into());
     let text = text(&scene_graph(graph(&room, Levels::Things)));
-    assert_eq!(text.lines().count(), 1 + 9 + 1, "a line each, whatever names hold: {text}");
+    assert_eq!(
+        text.lines().count(),
+        1 + 9 + 1,
+        "one line per node, whatever its name contains: {text}"
+    );
     assert!(
         text.contains("[i4] mug ignore (i1) the rest (-2.00 2.50 0.80; 0.08 x 0.08 x 0.10): on [i3] table, in [z1] kitchen\n"),
         "{text}"
@@ -197,7 +201,7 @@ fn as_text_every_relation_is_said_once() {
 }
 
 #[test]
-fn as_graphml_names_are_escaped() {
+fn graphml_escapes_names() {
     let mut room = room();
     room[3].given_name = Some("Tom & <Jerry>\u{1}".into());
     let xml = graphml(&scene_graph(graph(&room, Levels::Things)));
@@ -213,7 +217,7 @@ proptest! {
     /// For any arrangement: edges join nodes, no pair is next to each other twice, and the same
     /// room gives the same graph.
     #[test]
-    fn graphs_hang_together(boxes in prop::collection::vec((-3.0_f32..3.0, -3.0_f32..3.0, 0.05_f32..1.5, 0.05_f32..1.5, 0.0_f32..1.5), 1..25)) {
+    fn edges_are_valid_unique_and_deterministic(boxes in prop::collection::vec((-3.0_f32..3.0, -3.0_f32..3.0, 0.05_f32..1.5, 0.05_f32..1.5, 0.0_f32..1.5), 1..25)) {
         let things: Vec<Instance> = boxes
             .iter()
             .zip(1..)
@@ -228,7 +232,7 @@ proptest! {
             prop_assert!(known.contains(&*edge.from) && known.contains(&*edge.to) && edge.from != edge.to, "{edge:?}");
             prop_assert!((0.0..=1.0).contains(&edge.score) && edge.distance_m >= 0.0, "{edge:?}");
             let pair = if edge.from < edge.to { (&edge.from, &edge.to) } else { (&edge.to, &edge.from) };
-            prop_assert!(pairs.insert(pair), "{:?} stands there twice", pair);
+            prop_assert!(pairs.insert(pair), "{:?} is listed twice", pair);
         }
     }
 }

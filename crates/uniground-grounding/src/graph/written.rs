@@ -129,8 +129,8 @@ pub fn text(graph: &SceneGraph) -> String {
     lines
 }
 
-/// Makes a name safe for one line: names that people give may contain anything, and only ids may
-/// stand in square brackets.
+/// Makes a name safe for one line: names that people give may contain anything, and only ids may be
+/// in square brackets.
 fn one_line(name: &str) -> String {
     let words: Vec<&str> = name.split_whitespace().collect();
     words.join(" ").replace('[', "(").replace(']', ")")

@@ -1,4 +1,4 @@
-//! Finds the zones of a scene by the things that stand in them.
+//! Finds the zones of a scene by the objects that stand in them.
 
 use super::{Guessed, node_id};
 use crate::SceneView;
@@ -11,7 +11,7 @@ use uniground_language::Phrase;
 use uniground_language::zones;
 use uniground_types::graph::{GraphEdge, GraphNode, GraphRelation, NodeKind};
 
-/// Things that make a zone stand no further apart than this, and other members no further from one
+/// Objects that make a zone stand no further apart than this, and other members no further from one
 /// of them, meters.
 const REACH_M: f32 = 1.5;
 /// A given name that fits a noun at least this well counts as that noun.
@@ -20,18 +20,18 @@ const SAYS: f32 = 0.8;
 /// A zone that was found.
 pub(super) struct Zone {
     name: &'static str,
-    /// The things that make the zone.
+    /// The objects that make the zone.
     makers: Vec<InstanceId>,
-    /// Box around these things.
+    /// Box around these objects.
     aabb: Aabb,
     members: Vec<Member>,
 }
 
-/// A thing in a zone.
+/// An object in a zone.
 struct Member {
     id: InstanceId,
     score: f32,
-    /// Distance from the things that make the zone, meters.
+    /// Distance from the objects that make the zone, meters.
     distance_m: f32,
 }
 
@@ -58,7 +58,8 @@ impl Zone {
         self.members.iter().map(edge).collect()
     }
 
-    /// Returns how surely a thing is in the zone, and how far it is from the things that make it.
+    /// Returns how surely an object is in the zone, and how far it is from the objects that make
+    /// it.
     fn holding(&self, id: InstanceId, solids: &BTreeMap<InstanceId, Solid>) -> Member {
         let own = &solids[&id];
         let makers = || self.makers.iter().map(|maker| &solids[maker]);
@@ -70,8 +71,8 @@ impl Zone {
     }
 }
 
-/// Returns the zones of a scene: where two kinds of things that make one stand together. A thing is
-/// in at most one zone: the one it makes, otherwise the nearest.
+/// Returns the zones of a scene: where two kinds of objects that make one stand together. An object
+/// is in at most one zone: the one it makes, otherwise the nearest.
 pub(super) fn of(
     scene: SceneView,
     things: &[&Instance],
@@ -112,7 +113,7 @@ pub(super) fn of(
     zones
 }
 
-/// Returns whether a thing has a noun as its name: the given name, otherwise its best guess where
+/// Returns whether an object has a noun as its name: the given name, otherwise its best guess where
 /// an encoder embedded it.
 fn is_called(scene: SceneView, thing: &Instance, noun: &str, guessed: Guessed) -> bool {
     match scene.names.get(thing.id.0 as usize - 1) {
@@ -128,7 +129,7 @@ fn is_called(scene: SceneView, thing: &Instance, noun: &str, guessed: Guessed) -
     }
 }
 
-/// Returns the groups of things that stand together: each within reach of another.
+/// Returns the groups of objects that stand together: each within reach of another.
 fn clusters(
     makers: &[(InstanceId, usize)],
     solids: &BTreeMap<InstanceId, Solid>,

@@ -83,7 +83,7 @@ impl ChatModel for Scripted {
     }
 }
 
-/// Two red chairs, one of which stands by the table.
+/// Returns a room with two red chairs, one of them by the table.
 fn room() -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
     Arc::new(SceneAlbum::new(
@@ -119,7 +119,7 @@ fn asked_of(model: &Arc<Scripted>, without_model: WithoutModel) -> Ask {
 }
 
 #[test]
-fn grammar_and_geometry_answer_where_nobody_reviews() {
+fn grammar_and_geometry_answer_without_a_review_model() {
     let answered = block_on(answer(&room(), Ask::of(Question::of(QUERY)))).unwrap();
     assert_eq!(
         (answered.grounding.status, answered.grounding.answer.predicted_id),
@@ -129,7 +129,7 @@ fn grammar_and_geometry_answer_where_nobody_reviews() {
 }
 
 #[test]
-fn the_model_has_the_last_word() {
+fn model_decision_overrides_the_geometry() {
     let model = Scripted::new(&[Some(CHOOSES_THREE)]);
     let answered = block_on(answer(&room(), asked_of(&model, WithoutModel::Fail))).unwrap();
     assert_eq!(answered.grounding.answer.predicted_id, Some(InstanceId(3)));
@@ -139,7 +139,7 @@ fn the_model_has_the_last_word() {
 /// Parsing the question counts as a call: parsing with the model and getting only unusable replies
 /// afterwards makes three calls, not four.
 #[test]
-fn three_calls_are_made_at_most_reading_included() {
+fn at_most_three_calls_are_made_including_parsing() {
     for (with_parser, replies) in [
         (true, [Some("no JSON"), Some("hm"), Some("hm")]),
         (false, [Some("hm"), Some("hm"), Some("hm")]),
@@ -165,7 +165,7 @@ fn three_calls_are_made_at_most_reading_included() {
 }
 
 #[test]
-fn a_model_that_can_not_be_asked_is_replaced_or_told() {
+fn unavailable_model_falls_back_or_fails_as_configured() {
     let model = Scripted::new(&[None]);
     let answered = block_on(answer(&room(), asked_of(&model, WithoutModel::BuiltIn))).unwrap();
     assert_eq!(
@@ -194,7 +194,7 @@ const READS_A_CHAIR: &str = r#"{"target": {"noun": "chair", "relations": [{"kind
 
 /// The grammar does not know "perched", so the automatic parser asks the model.
 #[test]
-fn a_model_reads_what_the_grammar_is_in_doubt_about() {
+fn model_parses_questions_that_the_grammar_doubts() {
     let asked = |query: &str, replies: &[Option<&'static str>], without_parser| {
         let model = Scripted::new(replies);
         let parser = Arc::new(AutoParser(VlmParser { model: model.clone(), budgets: Vec::new() }));
@@ -224,7 +224,7 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
             "{stood:?}"
         );
     }
-    // The model's reply does not say how many are asked for.
+    // The grammar, not the model, decides how many objects the question asks for.
     let (counted, _) = asked(
         "how many chairs are perched by the table",
         &[Some(READS_A_CHAIR)],
@@ -236,7 +236,7 @@ fn a_model_reads_what_the_grammar_is_in_doubt_about() {
     assert!(matches!(failed, Err(QuestionError::Unread(_))), "{failed:?}");
 }
 
-/// The room with a photograph that an encoder embedded, without having embedded the instances.
+/// Returns the room with a photograph that an encoder embedded, but no embedded instances.
 fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
     let color = folder.join("0.png");
     RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&color).unwrap();
@@ -275,7 +275,7 @@ fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
 }
 
 #[test]
-fn photographs_are_offered_where_no_candidate_fits_and_the_model_may_say_what_is_not_listed() {
+fn photographs_are_offered_when_no_candidate_fits_and_not_listed_is_allowed() {
     let folder = tempfile::tempdir().unwrap();
     let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
     let shown = |query: &str, options: Options| {
@@ -291,8 +291,8 @@ fn photographs_are_offered_where_no_candidate_fits_and_the_model_may_say_what_is
         let shown = model.shown.lock().unwrap();
         shown.iter().filter(|name| name.starts_with("photograph-")).count()
     };
-    assert_eq!(shown("the accordion", Options::default()), 1, "nothing in the room fits");
-    assert_eq!(shown("the red chair", Options::default()), 0, "two things do");
+    assert_eq!(shown("the accordion", Options::default()), 1, "no candidate fits");
+    assert_eq!(shown("the red chair", Options::default()), 0, "two candidates fit");
     assert_eq!(
         shown("the accordion", Options { prompt: PromptVersion::Paper, ..Options::default() }),
         0
@@ -307,7 +307,7 @@ fn photographs_are_offered_where_no_candidate_fits_and_the_model_may_say_what_is
 }
 
 #[test]
-fn a_place_in_an_offered_photograph_is_one_in_its_frame() {
+fn position_in_an_offered_photograph_maps_to_its_frame() {
     let folder = tempfile::tempdir().unwrap();
     let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
     let context = scene_view(&*scene, None);

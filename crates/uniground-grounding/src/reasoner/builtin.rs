@@ -38,7 +38,7 @@ const CALLED_BROADER: f32 = 0.6;
 const PLAINLY_AGAINST: f32 = 0.15;
 /// An instance with at least this share of the best score is tied with it.
 const TIE: f32 = 0.97;
-/// Where several are asked for, an instance with this share of the best score is one of them.
+/// If a question asks for several, an instance with this share of the best score is one of them.
 const ALSO_MEANT: f32 = 0.5;
 /// Weight of a score under the less likely reading of the words; the other has 1.
 const OTHER_READING: f32 = 0.92;
@@ -82,8 +82,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
-    // An instance may have the color and some size, yet not the measures of a fridge, and what may
-    // be one has another name first. An encoder has weighed the names already.
+    // An instance may match the color and a rough size, yet not the measures of a fridge, while its
+    // first guess is another name. An encoder has weighed the names already.
     let is_named = name_matches(assessor.scene, &parsed.target, best)
         && is_called(&parsed.target, assessor.scene)(best);
     if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !is_named
@@ -203,7 +203,7 @@ fn joint_scores(first: &Assessment, other: Option<&Assessment>, counts: [f32; 2]
 }
 
 /// Returns whether a phrase's relations belong to an object that was not found. "The thing with
-/// candles between the till and the door": if no candles were found, their place tells nothing.
+/// candles between the till and the door": if no candles were found, their place is meaningless.
 fn says_it_of_nothing(assessor: &Assessor, phrase: &Phrase) -> bool {
     let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
     let mut related = phrase
@@ -228,8 +228,8 @@ fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
     against || read.own[instance] < MIN_SCORE * read.nouns[instance]
 }
 
-/// Returns all instances that are meant where several are asked for: those whose score comes near
-/// the best, best first. Where some have the requested noun as their first name, only those.
+/// Returns all instances that a question for several means: those with a score close to the best,
+/// best first. Where some have the requested noun as their first name, only those.
 fn several(
     scores: &[f32],
     order: &[usize],
@@ -314,7 +314,7 @@ mod tests {
     use uniground_models::attributes;
     use uniground_testing::thing;
 
-    /// A small room: two sofas, a table with two mugs, a rug.
+    /// Returns a small room: two sofas, a table with two mugs, a rug.
     fn room() -> Vec<Instance> {
         let on_table = Support::Instance { id: InstanceId(3) };
         let mut instances = vec![
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn names_attributes_and_relations_pick_the_right_thing() {
+    fn names_attributes_and_relations_pick_the_right_instance() {
         for (query, expected) in [
             ("the rug", 6),
             ("the red sofa", 1),
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn the_anchor_and_the_relation_are_told() {
+    fn answer_reports_anchor_and_relation() {
         let answer = ask("the blue mug on the table").answer;
         assert_eq!(
             (answer.anchor_id, answer.relation_used.as_deref()),
@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_answer_stands_on_is_told_where_it_is_called_otherwise() {
+    fn explanation_says_when_an_anchor_has_another_name() {
         // There is no cabinet: the table has the size of one.
         let answer = ask("the blue mug on the cabinet").answer;
         assert_eq!(
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn whose_left_is_meant_is_told_where_it_is_not_the_convention_s() {
+    fn explanation_says_when_the_view_differs_from_the_convention() {
         // By the paper's convention +X is left. For a viewer who faces the table from the middle of
         // the room, +X is on the right.
         for (query, faced) in
@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn absent_and_unknown_things_get_no_box() {
+    fn absent_and_unknown_objects_get_no_box() {
         for query in ["the fridge", "the green sofa", "the theremin", "the green mug on the table"]
         {
             let answer = ask(query);
@@ -439,7 +439,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tie_is_called_one() {
+    fn ties_are_reported_as_ambiguous() {
         let answer = ask("the mug");
         assert_eq!((answer.status, answer.aabb), (Status::Ambiguous, None));
         let mut tied: Vec<_> = answer.alternatives.iter().take(2).map(|a| a.id.0).collect();
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn left_depends_on_who_looks() {
+    fn left_depends_on_the_viewer() {
         // Mugs 4 (x = -0.5) and 5 (x = 0.5) stand side by side along X.
         let predicted = |answer: Grounding| answer.answer.predicted_id.map(|id| id.0);
         assert_eq!(
@@ -470,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn several_things_are_several_targets_with_their_count() {
+    fn plural_questions_return_all_targets_and_their_count() {
         for (query, ids) in [
             ("how many mugs are there?", vec![4, 5]),
             ("both sofas", vec![1, 2]),
@@ -497,7 +497,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_on_a_wall_hangs_there() {
+    fn hanging_on_the_wall_prefers_wall_supported_instances() {
         let mut instances = room();
         // Books on the table reach higher than the clock on the wall behind them.
         let wall = Instance {
@@ -539,7 +539,7 @@ mod tests {
     }
 
     #[test]
-    fn the_place_by_a_thing_on_it_and_a_seat_at_it() {
+    fn viewpoint_comes_from_seats_and_faced_objects() {
         // Seen from the only seat at the table, which is behind it, +X is on the left.
         let mut instances = room();
         let chair = thing(7, [0.0, 2.3], [0.45, 0.45, 0.9], 0.0, Support::Floor, [90, 60, 40]);
@@ -561,12 +561,12 @@ mod tests {
             "from the middle of the room"
         );
         assert_eq!(id("facing the table, the mug on the left side of the table"), Some(4));
-        // There is no piano: the viewer is taken to face the mugs.
+        // There is no piano: the viewer is assumed to face the mugs.
         assert_eq!(id("facing the piano, the mug on the left"), Some(4));
     }
 
     #[test]
-    fn the_one_who_asks_has_a_place() {
+    fn observer_position_resolves_me_and_nearest() {
         let from = |query: &str, x: f32, yaw_rad: f32| {
             ask_with(
                 query,
@@ -605,7 +605,7 @@ mod tests {
     }
 
     #[test]
-    fn an_absence_has_a_reason() {
+    fn no_match_answers_have_a_reason() {
         for (query, reason) in [
             ("the fridge", NoMatchReason::Absent),
             ("the green sofa", NoMatchReason::Absent),
@@ -619,7 +619,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_hardly_such_a_thing_must_be_called_so_before_anything_else() {
+    fn weak_measured_fit_requires_the_noun_as_first_guess() {
         let guess = |name: &str, score: f32| NameGuess { name: name.to_owned(), score };
         let asked = |names: [NameGuess; 2]| {
             let mut instances = room();
@@ -653,7 +653,7 @@ mod tests {
     }
 
     #[test]
-    fn what_can_not_be_checked_denies_nothing_and_lowers_the_belief() {
+    fn unchecked_words_lower_confidence_but_keep_the_answer() {
         let (plain, with_more) =
             (ask("the red sofa"), ask("the red sofa with the brass studs by the quux"));
         assert_eq!(plain.answer.predicted_id, with_more.answer.predicted_id);
@@ -665,7 +665,7 @@ mod tests {
     }
 
     #[test]
-    fn less_sure_than_asked_is_uncertain_and_else_the_same() {
+    fn confidence_below_the_minimum_makes_the_answer_uncertain() {
         let sure = ask("the red sofa with the brass studs by the quux");
         let mut answer = sure.clone();
         answer.require_confidence(sure.confidence);

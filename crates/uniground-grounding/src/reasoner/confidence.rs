@@ -6,7 +6,7 @@
 use crate::SceneView;
 use std::sync::LazyLock;
 
-/// The source of a thing's name.
+/// The source of an object's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum NamesFrom {
     /// Sizes, places and colors.
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn more_belief_is_never_less_confidence() {
+    fn confidence_never_decreases_with_belief() {
         for names in [NamesFrom::Measures, NamesFrom::Encoder, NamesFrom::Given] {
             let shares: Vec<f32> =
                 (0..=100_u8).map(|i| share_right(f32::from(i) / 100.0, names)).collect();
@@ -76,7 +76,10 @@ mod tests {
             );
         }
         assert_eq!(share_right(0.7, NamesFrom::Given), 0.7);
-        assert!(share_right(0.9, NamesFrom::Measures) < 0.9, "measures are never that sure");
+        assert!(
+            share_right(0.9, NamesFrom::Measures) < 0.9,
+            "measures never reach that confidence"
+        );
     }
 
     #[test]

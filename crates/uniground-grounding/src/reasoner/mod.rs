@@ -17,11 +17,11 @@ pub struct Verdict {
     pub reason: Option<NoMatchReason>,
     /// Fit of each instance to the whole question, `0..=1`.
     pub scores: Vec<f32>,
-    /// Belief in each instance, `0..=1`. Where one is asked for, they share the belief; 0 for
+    /// Belief in each instance, `0..=1`. If the question asks for one, they share the belief; 0 for
     /// `no_match`.
     pub beliefs: Vec<f32>,
-    /// Indices of all instances that a question for several means, best first; empty where one is
-    /// asked for.
+    /// Indices of all instances that a question for several means, best first; empty if it asks for
+    /// one.
     pub several: Vec<usize>,
     /// The reason, in words that a person can check against the room.
     pub explanation: String,

@@ -18,7 +18,7 @@ pub(super) struct View {
     pub sure: f32,
 }
 
-/// How many instances are tried as the viewpoint.
+/// Maximum number of instances tried as the viewpoint.
 const MOST_VIEWS: usize = 3;
 /// Maximum weight of a view relative to the likeliest, however alike the instances are.
 const LATER_VIEW: f32 = 0.9;
@@ -75,7 +75,7 @@ fn look(
     standpoint: Option<&Phrase>,
     anchor: usize,
 ) -> Option<Directions> {
-    // A viewer who stands at one thing and looks at another looks along the line between the two.
+    // A viewer who stands at one object and looks at another looks along the line between the two.
     let at_hand = |phrase: &Phrase, s: usize| {
         phrase.uses.is_empty() || assessor.solids[s].gap(&assessor.solids[anchor]) < SEAT_REACH_M
     };
@@ -87,8 +87,8 @@ fn look(
     Directions::of_look(viewpoint.look, &assessor.solids[anchor], &from)
 }
 
-/// Returns the directions where the thing that the viewer faces was not found: the viewer is taken
-/// to look towards the requested things.
+/// Returns the directions where the object that the viewer faces was not found: the viewer is
+/// assumed to look towards the requested objects.
 fn towards_the_target(
     assessor: &Assessor,
     viewpoint: &Viewpoint,
@@ -112,7 +112,7 @@ mod tests {
     use uniground_testing::thing;
 
     #[test]
-    fn whom_the_words_may_mean_is_told() {
+    fn explanation_lists_other_possible_viewpoints() {
         // Two desks at opposite ends, two mugs between them: which mug is left depends on the desk
         // that is faced.
         let named = |id: u32, at: [f32; 2], size: [f32; 3], name: &str| {

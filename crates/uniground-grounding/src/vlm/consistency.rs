@@ -7,8 +7,8 @@ use crate::readings::Readings;
 use std::collections::{BTreeMap, BTreeSet};
 use uniground_language::{Meaning, Phrase};
 
-/// Returns whether a given name means what a phrase asks for: "window with an air conditioner" is a
-/// window.
+/// Returns whether a given name matches the object that a phrase asks for: "window with an air
+/// conditioner" is a window.
 pub(super) fn matches(name: &str, target: &Phrase) -> bool {
     target.meaning() == Meaning::Anything
         || GivenName::read(name).is_some_and(|name| Readings::of(target).called(&name) > 0.0)
@@ -91,7 +91,7 @@ fn is_distinguished(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, St
     if !by_looks_alone {
         return by_place;
     }
-    // "The green chair" among a green and two blue ones: their names say it.
+    // "The green chair" among a green and two blue ones: their names state the color.
     let says = |id: &&u32| {
         GivenName::read(&names[*id])
             .is_some_and(|name| looks.iter().all(|word| name.has_word(word)))
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn names_mean_what_is_asked_for() {
+    fn names_match_only_the_requested_object() {
         for (name, query, expected) in [
             ("window with air conditioner", "the window above the dresser", true),
             ("white radiator cabinet under window", "the window above the dresser", false),
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_choice_is_doubted_when_another_name_fits_better() {
+    fn choice_is_questioned_when_another_name_fits_better() {
         let named = names(&[(7, "beige wall section"), (22, "window with air conditioner")]);
         let asked = target("the window above the dresser");
         let reply = |matches| Reply { target_name_matches: matches, ..Reply::default() };
@@ -147,9 +147,9 @@ mod tests {
             disagreement(&asked, &named, 7, &reply(Some(true))).unwrap().contains("ID 22 is named")
         );
         assert_eq!(disagreement(&asked, &named, 22, &reply(Some(true))), None);
-        // Nobody is a fridge: the anchor decides, names can not object.
+        // No candidate is a fridge: the anchor decides, and names cannot contradict.
         assert_eq!(disagreement(&target("the fridge"), &named, 7, &reply(Some(false))), None);
-        // It says itself that the name does not match, and another's does.
+        // The model says that the name does not match, and another name does.
         let both = names(&[(1, "window"), (2, "window")]);
         assert!(disagreement(&asked, &both, 1, &reply(Some(false))).is_some());
     }
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn any_name_is_a_thing_and_none_that_nobody_could_give_a_window() {
+    fn any_name_matches_thing_and_unclear_matches_no_noun() {
         assert!(matches("beige wall section", &target("the thing by the door")));
         assert!(matches("unclear", &target("the thing by the door")));
         assert!(!matches("unclear", &target("the window")));
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_speaks_against_a_choice_only_where_another_s_speaks_for_it() {
+    fn name_contradicts_a_choice_only_if_another_name_matches() {
         let asked = target("the window above the dresser");
         let reply = |matches| Reply { target_name_matches: matches, ..Reply::default() };
         let of = |named: &[(u32, &str)], chosen, matches| {
@@ -217,13 +217,13 @@ mod tests {
             let begins = begins.trim_end_matches(" is named");
             assert!(told.starts_with(begins), "{told:?} begins with {begins:?}");
         }
-        // No other fits, or the choice has no name: nothing objects.
+        // No other name fits, or the choice has no name: nothing contradicts.
         assert_eq!(of(&[(7, "lamp"), (22, "window")], 22, Some(false)), None);
         assert_eq!(of(&[(22, "window")], 7, Some(false)), None);
     }
 
     #[test]
-    fn who_has_no_name_is_looked_at() {
+    fn candidates_without_a_name_are_shown() {
         let needed = |query: &str, ids: &[u32], named: &[(u32, &str)]| {
             let needed = candidates_to_show(&context(query, ids), &names(named));
             needed.into_iter().collect::<Vec<_>>()
@@ -231,20 +231,20 @@ mod tests {
         let one = [(4, "chair"), (5, "lamp")];
         assert_eq!(needed("the chair", &[4, 5, 6], &one), [6]);
         assert_eq!(needed("the chair", &[4, 5], &one), [0_u32; 0]);
-        // Nobody has the name: the first three, and who has none.
+        // No candidate has the name: the first three are shown, and those without a name.
         let none = [(4, "lamp"), (9, "lamp"), (5, "lamp"), (2, "lamp")];
         assert_eq!(needed("the chair", &[9, 4, 5, 2, 3], &none), [3, 4, 5, 9]);
-        // Namesakes, unless the question tells where theirs is.
+        // Namesakes are shown, unless the question gives a place.
         let two = [(4, "chair"), (5, "chair"), (6, "lamp")];
         assert_eq!(needed("the chair", &[4, 5, 6], &two), [4, 5]);
         assert_eq!(needed("the chair by the lamp", &[4, 5, 6], &two), [0_u32; 0]);
-        // A namesake that can not be chosen is none.
+        // A namesake that cannot be chosen does not count.
         assert_eq!(needed("the chair", &[4, 6], &two), [0_u32; 0]);
         assert_eq!(needed("the chair", &[6], &two), [6]);
     }
 
     #[test]
-    fn place_tells_namesakes_apart_and_looks_only_by_their_names() {
+    fn namesakes_are_distinguished_by_place_or_by_colors_in_their_names() {
         let place = || target("the chair by the desk").relations;
         let largest = || target("the largest chair").superlative;
         assert!(place().len() == 1 && largest().is_some());
@@ -257,7 +257,7 @@ mod tests {
             (phrase("chair"), one, false),
             (Phrase { relations: place(), ..phrase("chair") }, one, true),
             (Phrase { superlative: largest(), ..phrase("chair") }, one, true),
-            // One name says the colour, both say it, none says it.
+            // One name, both names, or no name has the color.
             (green(), one, true),
             (green(), both, false),
             (green(), neither, false),
@@ -271,7 +271,7 @@ mod tests {
                 ["large green chair", "green chair"],
                 true,
             ),
-            // What it is not and what it has, no name says.
+            // Names do not say excluded colors or carried objects.
             (Phrase { other_than: vec![ColorName::Blue], ..phrase("chair") }, one, false),
             (Phrase { other_than: vec![ColorName::Blue], ..green() }, one, false),
             (Phrase { with: with(), ..phrase("chair") }, one, false),

@@ -30,7 +30,7 @@ pub enum Outcome {
 /// A decision and its record.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Decision {
-    /// What was decided, and by whom.
+    /// The outcome, and whether the model or the projection chose it.
     pub outcome: Outcome,
     /// The last usable reply, or the last one.
     pub reply: Reply,
@@ -48,11 +48,11 @@ pub struct Decision {
 /// was consistent, and after a correction.
 const SURE: f32 = 0.7;
 const CORRECTED: f32 = 0.4;
-/// Boxes with at least this overlap are the same thing.
+/// Boxes with at least this overlap are the same object.
 const SAME_THING: f32 = 0.25;
 
 impl Decision {
-    /// Applies a reply, if it says more than what is known.
+    /// Applies a reply, unless it is unusable and an earlier one was usable.
     pub(super) fn take(&mut self, reply: Reply, context: &PromptContext, sent: &[String]) {
         let outcome = match reply.predicted {
             Choice::Id(id) if context.is_candidate(id) => Outcome::Chosen(InstanceId(id)),
@@ -104,7 +104,7 @@ impl Decision {
     }
 
     /// Projects a choice outside of the candidates onto them (paper: PROJECTTOCANDIDATES): the same
-    /// thing under another id, or the only candidate with a fitting name. Where there is neither,
+    /// object under another id, or the only candidate with a fitting name. Where there is neither,
     /// the geometry's own answer stands, and is not attributed to the model.
     pub(super) fn project(&mut self, context: &PromptContext) {
         if self.outcome != Outcome::Unknown {
@@ -166,7 +166,7 @@ impl Decision {
         let told = |field: Field| !projected && !self.reply.not_read.contains(&field.title());
         let known = |id: u32| instances.get((id as usize).wrapping_sub(1)).map(|i| i.id);
         if told(Field::AnchorId) {
-            // A thing is no anchor of itself.
+            // An instance is not its own anchor.
             answer.anchor_id = self
                 .reply
                 .anchor_id
@@ -255,7 +255,7 @@ mod tests {
         }
     }
 
-    /// Cubes of a metre, 10 m apart, with ids from 1; so much belief in each is a candidate's.
+    /// Returns a context of cubes of 1 m, 10 m apart, with ids from 1 and these beliefs.
     fn context(beliefs: &[f32]) -> PromptContext {
         let candidates = beliefs.iter().zip(1..).map(|(belief, id)| PromptCandidate {
             id: InstanceId(id),
@@ -282,7 +282,7 @@ mod tests {
             .collect()
     }
 
-    /// What the geometry said: of so many candidates the first has this score.
+    /// Returns the geometric answer with this many candidates, the first with this score.
     fn grounding(candidates: u32, best_score: f32) -> Grounding {
         let of = |id: u32| to_candidate(&instances()[id as usize - 1], id, best_score / id as f32);
         Grounding {
@@ -311,12 +311,12 @@ mod tests {
         }
     }
 
-    fn said(predicted: Choice) -> Reply {
+    fn reply_with(predicted: Choice) -> Reply {
         Reply { predicted, ..Reply::default() }
     }
 
     fn chosen(id: u32) -> Decision {
-        let reply = said(Choice::Id(id));
+        let reply = reply_with(Choice::Id(id));
         Decision { outcome: Outcome::Chosen(InstanceId(id)), reply, ..Decision::default() }
     }
 
@@ -326,12 +326,12 @@ mod tests {
     }
 
     #[track_caller]
-    fn is(found: f32, by_hand: f32) {
-        assert!((found - by_hand).abs() < 1e-5, "{found}, by hand {by_hand}");
+    fn assert_close(found: f32, by_hand: f32) {
+        assert!((found - by_hand).abs() < 1e-5, "{found}, expected {by_hand}");
     }
 
     #[test]
-    fn a_reply_decides_if_it_names_a_candidate_or_says_that_there_is_none() {
+    fn reply_decides_with_a_candidate_none_or_not_listed() {
         let context = context(&[0.5, 0.3]);
         for (said_first, expected) in [
             (Choice::Id(2), Outcome::Chosen(InstanceId(2))),
@@ -342,18 +342,18 @@ mod tests {
             (Choice::Missing, Outcome::Unknown),
         ] {
             let mut decision = Decision::default();
-            decision.take(said(said_first), &context, &[]);
+            decision.take(reply_with(said_first), &context, &[]);
             assert_eq!(decision.outcome, expected, "{said_first:?}");
             assert_eq!(decision.reply.predicted, said_first);
         }
     }
 
     #[test]
-    fn a_reply_that_says_nothing_replaces_none_that_does() {
+    fn unusable_reply_does_not_replace_a_usable_one() {
         let context = context(&[0.5, 0.3]);
         let after = |replies: &[Choice]| {
             let mut decision = Decision::default();
-            replies.iter().for_each(|choice| decision.take(said(*choice), &context, &[]));
+            replies.iter().for_each(|choice| decision.take(reply_with(*choice), &context, &[]));
             (decision.outcome, decision.reply.predicted)
         };
         let (one, two) = (Outcome::Chosen(InstanceId(1)), Outcome::Chosen(InstanceId(2)));
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_are_counted_from_one() {
+    fn picture_numbers_start_at_one() {
         let context = context(&[0.5]);
         let sent = ["global", "candidate-1"].map(str::to_owned);
         let seen = |image| {
@@ -381,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn what_happened_on_the_way_is_kept_in_order() {
+    fn corrections_are_kept_in_order() {
         let names = BTreeMap::from([(1, "chair".to_owned())]);
         let seen = Some(Seen { picture: "global".into(), at: [0.0; 2], name: "chair".into() });
         let first = Decision {
@@ -407,11 +407,11 @@ mod tests {
         let both = noted.merged_with_later(later);
         assert_eq!(both.outcome, Outcome::Chosen(InstanceId(7)));
         assert_eq!(both.corrections, ["one", "two", "three"]);
-        assert_eq!(both.new_names, names, "names that were paid for first");
+        assert_eq!(both.new_names, names, "names of the first call are kept");
     }
 
     #[test]
-    fn a_call_that_failed_is_no_loss_where_something_was_decided() {
+    fn failed_call_keeps_an_earlier_decision() {
         let error = AskError::CallsUsedUp { most: 3 };
         let mut nothing_said = Decision::default();
         assert!(!nothing_said.settle(&error));
@@ -425,16 +425,17 @@ mod tests {
     }
 
     #[test]
-    fn what_was_meant_is_the_candidate_whose_box_it_has_by_a_quarter() {
-        // Two cubes of a metre, d apart, share (1 - d) / (1 + d): a quarter at 0.6 m.
+    fn choice_is_projected_to_the_candidate_with_the_same_box() {
+        // Two cubes of 1 m, d apart, share (1 - d) / (1 + d): a quarter at 0.6 m.
         let projected = |id: u32, apart: &[f32]| {
             let mut context = context(&vec![0.1; apart.len()]);
             for (candidate, apart) in context.candidates.iter_mut().zip(apart) {
                 candidate.aabb = cube_at(70.0 + apart);
             }
-            let mut decision = Decision { reply: said(Choice::Id(id)), ..Decision::default() };
+            let mut decision =
+                Decision { reply: reply_with(Choice::Id(id)), ..Decision::default() };
             decision.project(&context);
-            assert_eq!(decision.reply, Reply::default(), "it was about something else");
+            assert_eq!(decision.reply, Reply::default(), "the reply was about another object");
             (decision.outcome, decision.corrections.join("; "))
         };
         let told = |what: &str| format!("the model never chose a candidate; {what}");
@@ -447,15 +448,16 @@ mod tests {
         assert_eq!(projected(7, &[0.61]), nothing);
         assert_eq!(projected(7, &[0.5, 0.1, 0.3]), has_it(2));
         assert_eq!(projected(6, &[0.0]), nothing);
-        // Ids of nothing.
+        // Ids of no instance.
         assert_eq!((projected(0, &[0.0]), projected(99, &[0.0])), (nothing.clone(), nothing));
     }
 
     #[test]
-    fn else_the_only_candidate_with_a_fitting_name_was_meant() {
+    fn choice_is_projected_to_the_only_candidate_with_a_matching_name() {
         let projected = |names: &[(u32, &str)], predicted| {
             let names = names.iter().map(|(id, name)| (*id, (*name).to_owned())).collect();
-            let mut decision = Decision { names, reply: said(predicted), ..Decision::default() };
+            let mut decision =
+                Decision { names, reply: reply_with(predicted), ..Decision::default() };
             decision.project(&context(&[0.5, 0.3, 0.2]));
             (decision.outcome, decision.corrections)
         };
@@ -468,15 +470,16 @@ mod tests {
         let two = [(1, "chair"), (2, "red chair")];
         assert_eq!(projected(&two, Choice::Missing).0, Outcome::Unknown);
         assert_eq!(projected(&[(1, "lamp")], Choice::Missing).0, Outcome::Unknown);
-        // The box comes first: what it called 3 is the third candidate.
+        // The box takes precedence: ID 3 is the third candidate.
         let outcome = projected(&[(2, "chair")], Choice::Id(3)).0;
         assert_eq!(outcome, Outcome::Projected(InstanceId(3)));
     }
 
     #[test]
-    fn what_was_decided_is_not_projected() {
+    fn decided_choices_are_not_projected() {
         for outcome in [Outcome::Chosen(InstanceId(1)), Outcome::Nothing, Outcome::NotListed] {
-            let decision = Decision { outcome, reply: said(Choice::Id(2)), ..Decision::default() };
+            let decision =
+                Decision { outcome, reply: reply_with(Choice::Id(2)), ..Decision::default() };
             let mut after = decision.clone();
             after.project(&context(&[0.5, 0.3]));
             assert_eq!(after, decision);
@@ -484,35 +487,35 @@ mod tests {
     }
 
     #[test]
-    fn confidence_is_the_model_s_word_and_the_rest_the_geometry_s_belief() {
+    fn confidence_combines_the_model_weight_and_the_geometric_belief() {
         let beliefs = [0.5, 0.3];
         let of = |decision: &Decision| applied(decision, &beliefs, grounding(2, 0.9)).confidence;
-        is(of(&chosen(1)), 0.85); // 0.7 + 0.3 · 0.5
-        is(of(&chosen(2)), 0.79); // 0.7 + 0.3 · 0.3
-        is(of(&chosen(1).with_note("it was asked again".into())), 0.7); // 0.4 + 0.6 · 0.5
+        assert_close(of(&chosen(1)), 0.85); // 0.7 + 0.3 · 0.5
+        assert_close(of(&chosen(2)), 0.79); // 0.7 + 0.3 · 0.3
+        assert_close(of(&chosen(1).with_note("it was asked again".into())), 0.7); // 0.4 + 0.6 · 0.5
         let projected = Decision {
             outcome: Outcome::Projected(InstanceId(1)),
             ..chosen(1).with_note("it has the box".into())
         };
-        is(of(&projected), 0.5);
-        // What is no candidate has no belief.
-        is(of(&chosen(5)), 0.7);
+        assert_close(of(&projected), 0.5);
+        // An instance that is not a candidate has no belief.
+        assert_close(of(&chosen(5)), 0.7);
     }
 
     #[test]
-    fn that_nothing_fits_is_as_sure_as_the_model_or_as_the_best_is_bad() {
+    fn no_match_confidence_is_the_higher_of_model_and_geometry() {
         let nothing = Decision { outcome: Outcome::Nothing, ..Decision::default() };
         let of = |decision: &Decision, best, count| {
             applied(decision, &[0.5, 0.3], grounding(count, best)).confidence
         };
-        is(of(&nothing, 0.9, 2), 0.7);
-        is(of(&nothing, 0.2, 2), 0.8); // 1 - 0.2
-        is(of(&nothing, 0.2, 0), 1.0);
-        is(of(&nothing.with_note("it was asked again".into()), 0.9, 2), 0.4);
+        assert_close(of(&nothing, 0.9, 2), 0.7);
+        assert_close(of(&nothing, 0.2, 2), 0.8); // 1 - 0.2
+        assert_close(of(&nothing, 0.2, 0), 1.0);
+        assert_close(of(&nothing.with_note("it was asked again".into()), 0.9, 2), 0.4);
     }
 
     #[test]
-    fn a_choice_has_its_box_and_rivals_share_what_is_left() {
+    fn chosen_candidate_gets_its_box_and_alternatives_share_the_rest() {
         let beliefs = [0.5, 0.2, 0.0, 0.3, 0.2];
         let of = |decision: &Decision| applied(decision, &beliefs, grounding(5, 0.9));
         let rivals = |answer: &Grounding| {
@@ -524,14 +527,14 @@ mod tests {
         assert_eq!((answer.aabb, answer.oriented_box), (Some(own.aabb), Some(own.oriented_box)));
         assert_eq!((answer.no_match_reason, answer.seen.clone(), answer.count), (None, None, None));
         assert_eq!(answer.targets.iter().map(|t| t.id.0).collect::<Vec<_>>(), [1]);
-        is(answer.targets[0].confidence, 0.85);
-        // 0.3 of their beliefs, those without any left out; of equals the first.
+        assert_close(answer.targets[0].confidence, 0.85);
+        // 0.3 of their beliefs, without those of zero; equal ones keep their order.
         let found = rivals(&answer);
         assert_eq!(found.iter().map(|rival| rival.0).collect::<Vec<_>>(), [4, 2, 5]);
-        is(found[0].1, 0.09);
-        is(found[1].1, 0.06);
+        assert_close(found[0].1, 0.09);
+        assert_close(found[1].1, 0.06);
         // 0.6 of them after a correction.
-        is(rivals(&of(&chosen(1).with_note("it was asked again".into())))[0].1, 0.18);
+        assert_close(rivals(&of(&chosen(1).with_note("it was asked again".into())))[0].1, 0.18);
         let nothing = of(&Decision { outcome: Outcome::Nothing, ..Decision::default() });
         assert_eq!(
             (nothing.status, nothing.no_match_reason, nothing.answer.predicted_id),
@@ -542,7 +545,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_not_listed_has_a_place_in_a_picture() {
+    fn only_not_listed_decisions_have_a_picture_position() {
         let seen = Some(Seen { picture: "global".into(), at: [0.1, 0.2], name: "clock".into() });
         let of = |outcome| {
             let decision = Decision { outcome, seen: seen.clone(), ..Decision::default() };
@@ -555,7 +558,7 @@ mod tests {
     }
 
     #[test]
-    fn of_several_the_choice_comes_first_and_is_counted_once() {
+    fn choice_comes_first_among_targets_and_is_counted_once() {
         let several = |ids: &[usize], count: Option<u32>, decision: &Decision| {
             let targets = ids.iter().map(|id| to_target(&instances()[id - 1], 0.4)).collect();
             let before = Grounding { targets, count, ..grounding(3, 0.9) };
@@ -575,7 +578,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_kept_of_what_the_answer_tells_of() {
+    fn names_are_kept_only_for_candidates_of_the_answer() {
         let names = [(1, "red chair"), (7, "lamp")].map(|(id, name)| (id, name.to_owned()));
         let decision = Decision { names: BTreeMap::from(names), ..chosen(1) };
         let answer = applied(&decision, &[0.5, 0.3], grounding(2, 0.9));
@@ -586,7 +589,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_that_could_not_be_read_stay_the_geometry_s() {
+    fn unreadable_fields_keep_the_geometric_values() {
         let of = |outcome, reply: Reply| {
             let corrections = vec!["it has the box".to_owned()];
             let decision = Decision { outcome, reply, corrections, ..Decision::default() };
@@ -614,20 +617,20 @@ mod tests {
         let without = |field| of(one, reply(Some(2), &[field]));
         assert_eq!(without(Field::AnchorId), (Some(9), above.clone(), fits(), yes));
         assert_eq!(without(Field::RelationUsed), (Some(2), under.clone(), fits(), yes));
-        // A thing is no anchor of itself, and what is none of the scene is none.
+        // An instance is not its own anchor, and an id outside of the scene is none.
         for anchor in [None, Some(1), Some(0), Some(10), Some(4000)] {
             assert_eq!(of(one, reply(anchor, &[])).0, None, "{anchor:?}");
         }
         assert_eq!(of(Outcome::Nothing, reply(Some(1), &[])), (Some(1), above, fits(), None));
-        // A projected choice is not what the reply was about.
+        // The fields of the reply do not apply to a projected choice.
         let projected = of(Outcome::Projected(InstanceId(1)), reply(Some(2), &[]));
         assert_eq!(projected, (Some(9), under, "it has the box".into(), yes));
-        let silent = of(one, said(Choice::Id(1)));
+        let silent = of(one, reply_with(Choice::Id(1)));
         assert_eq!(silent, (None, None, "The model gave no explanation.".into(), None));
     }
 
     #[test]
-    fn where_nothing_was_decided_the_geometry_s_answer_stands() {
+    fn undecided_reply_keeps_the_geometric_answer() {
         let before = grounding(2, 0.9);
         assert_eq!(applied(&Decision::default(), &[0.5, 0.3], before.clone()), before);
     }

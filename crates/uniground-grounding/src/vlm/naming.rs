@@ -125,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_read_and_strangers_left_out() {
+    fn naming_reply_is_read_for_requested_ids_only() {
         let text = "<think>1 -> no</think>Here you are:\n**ID 1** -> red two-seat sofa\n- 2: white door\nID 9 -> a ghost\n3 -> ";
         assert_eq!(
             read(text, &[1, 2, 3]),

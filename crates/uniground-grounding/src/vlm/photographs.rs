@@ -1,5 +1,5 @@
-//! Offers photographs without being asked: where no candidate fits, the target may be in no
-//! instance, and yet in a picture.
+//! Offers photographs without a request: where no candidate fits, the target may be visible in a
+//! picture without being an instance.
 
 use super::prompt_context::PromptContext;
 use super::visual_evidence::{Photograph, encoded};

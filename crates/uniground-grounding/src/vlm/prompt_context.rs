@@ -15,10 +15,10 @@ use uniground_render::{BoxStyle, DirectionWord, LabeledBox, Subjects};
 /// A question, and what is known before a model is asked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PromptContext {
-    /// The question as it was asked.
+    /// The text of the question.
     pub query: String,
-    /// How the question was read. Its relations and anchors are part of the prompt when the model
-    /// is asked again.
+    /// The parsed question. Its relations and anchors are part of the prompt when the model is
+    /// asked again.
     pub summary: ParsedQuerySummary,
     pub(super) target: Phrase,
     /// Best first.

@@ -99,8 +99,8 @@ impl Field {
     }
 }
 
-/// Reads a reply to a question. Repetitions of the question in the reply are no answer. JSON among
-/// words is searched only where JSON was asked for (`json`). Never fails: absent fields are
+/// Reads a reply to a question. Repetitions of the question in the reply are not answers. JSON
+/// among words is searched only where JSON was asked for (`json`). Never fails: absent fields are
 /// missing.
 #[must_use]
 pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
@@ -267,7 +267,7 @@ pub(super) fn choice(value: &str) -> Choice {
     let line = value.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
     let line = line.replace("\\boxed", "").replace('$', "");
     let mut rest = strip_decoration(&line);
-    // Words that may stand before an id.
+    // Words that may precede an id.
     while let Some(after) = [
         "the",
         "is",

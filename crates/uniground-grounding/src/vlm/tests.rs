@@ -11,7 +11,7 @@ use uniground_models::attributes;
 use uniground_models::chat::{Part, Tokens};
 use uniground_testing::thing;
 
-/// A sofa on either side, a dining table with two mugs, four chairs around it.
+/// Returns a sofa on either side, a dining table with two mugs, four chairs around it.
 pub fn room() -> Vec<Instance> {
     let on_table = Support::Instance { id: uniground_geometry::scene::InstanceId(3) };
     let mut instances = vec![
@@ -71,7 +71,7 @@ fn first_request(
     Conversation { context, evidence: &evidence, options, names, unnamed: None }.first_request()
 }
 
-/// A request as one text: what the model gets, in order.
+/// Returns a request as one text, in the order in which the model gets it.
 fn written(request: &ChatRequest) -> String {
     let mut text = format!("system: {}\n", request.system);
     for part in &request.user {
@@ -95,7 +95,7 @@ fn matches_snapshot(name: &str, text: &str) {
 }
 
 #[test]
-fn prompts_are_what_they_were() {
+fn prompts_match_their_snapshots() {
     let (_, context) = asked(QUERY, None);
     let ablated = |ablation| Options { ablation, ..Options::default() };
     for (name, options) in [
@@ -167,7 +167,7 @@ fn prompts_are_what_they_were() {
 }
 
 #[test]
-fn five_candidates_fit_into_the_budget_of_words_and_names_save_pictures() {
+fn five_candidates_fit_the_token_budget_and_names_replace_pictures() {
     let (_, context) = asked(QUERY, None);
     assert_eq!(context.candidates.len(), 5);
     let full = Tokens::estimate(&first_request(&context, Options::default(), BTreeMap::new()));
@@ -200,23 +200,22 @@ fn photographs_are_sent_where_names_do_not_decide() {
         consistency::candidates_to_show(&context, &named(&context, of)).len()
     };
     let chairs = |_| "black chair";
-    assert_eq!(needed("the chair closest to the red sofa", &chairs), 0, "told apart by place");
+    assert_eq!(needed("the chair closest to the red sofa", &chairs), 0, "distinguished by place");
     assert!(needed("the green chair", &chairs) >= 4, "names do not say which one is green");
-    assert!(needed("the chair", &chairs) >= 4, "nothing tells them apart");
+    assert!(needed("the chair", &chairs) >= 4, "nothing distinguishes them");
     let one_green = |id| if id == 6 { "green plastic chair" } else { "black chair" };
-    assert_eq!(needed("the green chair", &one_green), 0, "its name says it");
+    assert_eq!(needed("the green chair", &one_green), 0, "its name has the color");
     assert_eq!(
         needed("the red sofa", &|id| if id == 1 { "red sofa" } else { "chair" }),
         0,
         "only one has the name"
     );
-    assert_eq!(needed("the lamp", &chairs), 3, "nobody has the name: the best are looked at");
+    assert_eq!(needed("the lamp", &chairs), 3, "no candidate has the name: the best are shown");
 }
 
-/// The words of the picture are the words of the prompt, for every convention and for somebody who
-/// looks.
+/// The picture and the prompt use the same direction words, for every convention and every viewer.
 #[test]
-fn picture_and_prompt_tell_the_same_directions() {
+fn picture_and_prompt_use_the_same_directions() {
     for (query, observer, left) in [
         (QUERY, None, Vector3::x()),
         (
@@ -246,7 +245,7 @@ fn picture_and_prompt_tell_the_same_directions() {
 /// "Facing the wardrobe" where there is none: the observer's directions hold, and the prompt says
 /// whose they are.
 #[test]
-fn directions_are_told_by_whose_they_are() {
+fn prompt_names_the_source_of_its_directions() {
     let observer = Observer { position: [0.0; 3], yaw_rad: 0.0 };
     for (query, observer, told) in [
         (
@@ -276,7 +275,7 @@ fn decided(text: &str, context: &PromptContext) -> Decision {
 }
 
 #[test]
-fn what_is_seen_but_not_listed_has_a_place_in_a_picture() {
+fn not_listed_object_has_a_picture_position() {
     let (mut grounding, context) = asked(QUERY, None);
     let text = "Predicted ID: not listed\nExplanation: on the wall\nSeen at: image 2, 512, 640, round wall clock";
     let decision = decided(text, &context);
@@ -291,7 +290,7 @@ fn what_is_seen_but_not_listed_has_a_place_in_a_picture() {
         (grounding.status, grounding.no_match_reason, grounding.aabb),
         (Status::NoMatch, Some(NoMatchReason::NotListed), None)
     );
-    // An image that was not sent is no place.
+    // An image that was not sent gives no position.
     assert_eq!(
         decided("Predicted ID: not listed\nSeen at: image 9, 1, 1, clock", &context).seen,
         None
@@ -299,7 +298,7 @@ fn what_is_seen_but_not_listed_has_a_place_in_a_picture() {
 }
 
 #[test]
-fn anchors_are_shown_and_may_be_chosen_unless_the_prompt_is_the_paper_s() {
+fn shown_anchors_can_be_chosen_except_with_the_paper_prompt() {
     let (_, context) = asked("the red sofa next to the table", None);
     let anchor = context.anchors[0].id.0;
     let narrowed = context.narrowed_to(&[1]);
@@ -335,7 +334,7 @@ fn contact_sheets_narrow_the_candidates_down() {
 }
 
 #[test]
-fn photographs_are_offered_after_everything_else() {
+fn photographs_follow_all_other_pictures() {
     let (_, context) = asked(QUERY, None);
     let photograph = |number: u32| Photograph {
         frame: FrameIndex(10 * number),
@@ -379,7 +378,7 @@ fn photographs_are_offered_after_everything_else() {
 }
 
 #[test]
-fn a_decision_becomes_the_answer() {
+fn model_decision_is_applied_to_the_answer() {
     let (grounding, context) = asked(QUERY, None);
     let instances = room();
     let answered = |text: &str| {
@@ -407,16 +406,16 @@ fn a_decision_becomes_the_answer() {
         (nothing.status, nothing.aabb, nothing.answer.predicted_id),
         (Status::NoMatch, None, None)
     );
-    // An anchor that is no instance is none.
+    // An anchor id without an instance is ignored.
     assert_eq!(answered("Predicted ID: 9\nAnchor ID: 4000").answer.anchor_id, None);
 }
 
 #[test]
-fn a_choice_outside_of_the_set_is_projected_onto_it() {
+fn out_of_set_choice_is_projected_to_a_candidate() {
     let (_, context) = asked(QUERY, None);
     let outside = (1..=9).find(|id| !context.is_candidate(*id)).unwrap();
     let projected = decided(&format!("Predicted ID: {outside}"), &context);
-    // Nothing to go by: the geometry's answer stands as it is.
+    // Neither the box nor a name matches: the geometric answer is kept.
     assert_eq!(projected.outcome, Outcome::Unknown);
     assert!(
         projected.corrections[0].contains("the built-in reasoner answered"),
@@ -439,7 +438,7 @@ fn a_choice_outside_of_the_set_is_projected_onto_it() {
         "{:?}",
         named.corrections
     );
-    // The same thing under another id: its box is a candidate's.
+    // The same object under another id: its box is a candidate's.
     let mut twice = context.clone();
     twice.boxes[outside as usize - 1] = twice.candidates[2].aabb;
     assert_eq!(
@@ -449,7 +448,7 @@ fn a_choice_outside_of_the_set_is_projected_onto_it() {
 }
 
 #[test]
-fn a_noun_nobody_knows_still_has_candidates_where_it_should_stand() {
+fn unknown_noun_still_has_candidates_at_the_stated_place() {
     let (grounding, context) = asked("the theremin on the table", None);
     assert_eq!(grounding.status, Status::NoMatch);
     let first: Vec<u32> = context.candidates.iter().take(2).map(|c| c.id.0).collect();

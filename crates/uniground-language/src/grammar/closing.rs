@@ -1,4 +1,4 @@
-//! Closes phrases: puts each where it belongs, and builds the query.
+//! Closes phrases, attaches each to the phrase it belongs to, and builds the query.
 
 use super::{Frame, ITSELF, Reader, Role};
 use crate::tokens::correct_spelling;
@@ -28,8 +28,8 @@ impl Reader {
         if let Some(meant) = group_of(&target, self.query.viewpoint.as_ref()) {
             target.head.clone_from(&meant.head);
             target.uses.clone_from(&meant.uses);
-            // The target belongs to the group, so the group is no anchor of it. Other anchors, such
-            // as the wall on which the group is, stay.
+            // The target belongs to the group, so the group is not its anchor. Other anchors, such
+            // as the wall that the group is on, stay.
             target.relations.retain(|relation| !relation.anchors.contains(&meant));
             target.with.retain(|with| with.phrase != meant);
         }
@@ -108,7 +108,7 @@ impl Reader {
         self.query
     }
 
-    /// Closes the innermost phrase and puts it where it belongs.
+    /// Closes the innermost phrase and attaches it to the phrase it belongs to.
     pub(super) fn pop(&mut self) {
         let Some(Frame { mut phrase, role, unknown, another: _, indefinite, determined: _ }) =
             self.stack.pop()
@@ -338,7 +338,7 @@ fn group_of(target: &Phrase, viewpoint: Option<&Viewpoint>) -> Option<Phrase> {
         .filter(|_| picked)
 }
 
-/// Returns whether two phrases may name the same thing: "armchair" and "chair".
+/// Returns whether two phrases may name the same object: "armchair" and "chair".
 fn same_thing(a: &Phrase, b: &Phrase) -> bool {
     match (a.meaning(), b.meaning()) {
         (Meaning::Nouns(a), Meaning::Nouns(b)) => match (a.first(), b.first()) {

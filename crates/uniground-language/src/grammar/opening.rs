@@ -1,5 +1,5 @@
-//! Handles words that open phrases, or say which of its kind a thing is: what follows them, and
-//! what they belong to.
+//! Handles words that open phrases or select one object of its kind: what follows them, and what
+//! they belong to.
 
 use super::{Attach, Frame, MAX_RELATIONS, Reader, Role};
 use crate::pieces::{Piece, is_filler, is_structural};
@@ -20,7 +20,7 @@ impl Reader {
         if self.stack.is_empty() {
             self.top();
         }
-        // The floor has no place of its own: "on the floor next to the sofa" describes the thing.
+        // The floor has no place of its own: "on the floor next to the sofa" describes the object.
         if self
             .stack
             .last()
@@ -28,7 +28,7 @@ impl Reader {
         {
             self.unwind(1);
         }
-        // Comparisons single out the target. Other relations belong to the last thing, or to the
+        // Comparisons single out the target. Other relations belong to the last object, or to the
         // target, depending on the reading.
         let of_a_view = self.awaits_target()
             && self.stack[1..]
@@ -58,9 +58,9 @@ impl Reader {
     }
 
     /// Handles "facing the window, the curtain": a viewpoint. After a noun ("the chair facing the
-    /// window") it is a relation of that thing.
+    /// window") it is a relation of that object.
     pub(super) fn view(&mut self, role: Role, text: &str) {
-        // "the chair facing the window", "the chair standing by the door": the thing is meant, not
+        // "the chair facing the window", "the chair standing by the door": the object is meant, not
         // a viewer.
         let after_noun = self
             .stack
@@ -96,7 +96,7 @@ impl Reader {
         self.push(role);
     }
 
-    /// Handles an extreme: "the tallest bookcase", "the one on the left". With "of" and a thing
+    /// Handles an extreme: "the tallest bookcase", "the one on the left". With "of" and an object
     /// after it, the sides become relations.
     pub(super) fn superlative(&mut self, measure: Measure, text: &str, rest: &[Piece]) {
         // "not the middle one": any but that one may be meant.
@@ -181,12 +181,12 @@ impl Reader {
     }
 }
 
-/// How extremes begin that say where a thing is, not which of the following things it is.
+/// Beginnings of extremes that give a position, rather than select one of the objects named next.
 const IN_A_PLACE: [&str; 4] = ["on ", "in ", "at ", "to "];
 
 /// What follows "of" after an extreme.
 enum Of {
-    /// "the stack", "the three", "them": things of its own kind.
+    /// "the stack", "the three", "them": objects of its own kind.
     Group,
     /// "the two chairs": more than one, by name.
     Several,

@@ -40,7 +40,7 @@ fn check(cases: &[(&str, &str)]) {
 }
 
 #[test]
-fn everyday_questions_are_understood() {
+fn common_questions_are_parsed() {
     check(&[
         ("the black chair closest to the door", "black chair; Closest(door)"),
         ("find the television", "television"),
@@ -57,7 +57,7 @@ fn everyday_questions_are_understood() {
 }
 
 #[test]
-fn plain_speech_is_understood() {
+fn colloquial_descriptions_are_parsed() {
     check(&[
         ("facing the bed the lamp on the left", "lamp; Leftmost 1; Facing bed"),
         (
@@ -122,7 +122,7 @@ fn plain_speech_is_understood() {
 }
 
 #[test]
-fn several_are_told_from_one() {
+fn quantity_is_read_from_plurals_and_numbers() {
     for (query, quantity) in [
         ("the chair", Quantity::One),
         ("the tallest of the chairs", Quantity::One),
@@ -138,7 +138,7 @@ fn several_are_told_from_one() {
 }
 
 #[test]
-fn descriptions_of_several_sentences_speak_of_one_thing() {
+fn several_sentences_describe_one_target() {
     check(&[
         ("this is a teapot. it is standing on the dining table.", "teapot; On(dining table)"),
         (
@@ -153,7 +153,7 @@ fn descriptions_of_several_sentences_speak_of_one_thing() {
 }
 
 #[test]
-fn orders_and_counts() {
+fn ranks_and_counts_are_parsed() {
     check(&[
         ("the second chair from the left", "chair; Leftmost 2"),
         ("the third largest box", "box; Largest 3"),
@@ -169,7 +169,7 @@ fn orders_and_counts() {
 }
 
 #[test]
-fn negation_reaches_what_it_speaks_of() {
+fn negation_applies_only_to_its_own_phrase() {
     check(&[
         ("the one that is not next to the door", "one; not Near(door)"),
         ("not the one by the door, the other one", "one; not Near(door)"),
@@ -188,7 +188,7 @@ fn negation_reaches_what_it_speaks_of() {
 }
 
 #[test]
-fn somebody_looks() {
+fn viewpoints_are_parsed() {
     check(&[
         ("facing the window, the curtain on the left", "curtain; Leftmost 1; Facing window"),
         ("the curtain on the right when facing the window", "curtain; Rightmost 1; Facing window"),
@@ -216,7 +216,7 @@ fn somebody_looks() {
 }
 
 #[test]
-fn anchors_have_anchors_of_their_own() {
+fn nested_anchors_are_parsed() {
     check(&[
         ("the mug on the table by the door", "mug; On(table; Near(door))"),
         ("the lamp on the desk with two monitors", "lamp; On(desk; with [2 monitors])"),
@@ -229,7 +229,7 @@ fn anchors_have_anchors_of_their_own() {
 }
 
 #[test]
-fn commands_and_slips() {
+fn commands_and_misspellings_are_parsed() {
     check(&[
         ("bring me the red mug on the coffee table", "red mug; On(coffee table)"),
         ("could you please pick up the blue cup", "blue cup"),
@@ -240,7 +240,7 @@ fn commands_and_slips() {
 }
 
 #[test]
-fn the_last_noun_is_the_head_but_for_of() {
+fn head_is_the_last_noun_except_with_of() {
     let parsed = parse("the bowl of apples on the computer desk");
     assert_eq!(
         (parsed.target.head.as_str(), parsed.target.relations[0].anchors[0].head.as_str()),
@@ -285,7 +285,7 @@ fn every_word_is_used_or_listed() {
 }
 
 #[test]
-fn contradictions_loops_and_crowds_are_read() {
+fn contradictory_nonsense_and_overlong_questions_do_not_panic() {
     for query in [
         "the chair that is on the table and not on the table",
         "the chair next to the chair next to the chair",
@@ -324,7 +324,7 @@ proptest! {
 }
 
 #[test]
-fn what_somebody_does_is_not_what_they_ask_for() {
+fn actions_in_a_question_are_not_read_as_targets() {
     check(&[
         ("heading out, i need the umbrella by the door", "umbrella; Near(door)"),
         (

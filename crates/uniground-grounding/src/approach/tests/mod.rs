@@ -16,7 +16,7 @@ fn cell_at(floor: &Floor, x: f32, y: f32) -> Cell {
 }
 
 #[test]
-fn a_table_is_an_obstacle_for_who_does_not_fit_under_it() {
+fn table_is_an_obstacle_only_for_robots_too_tall_to_fit_under_it() {
     let mut room = Room::empty(4.0, 3.0);
     room.add_table([1.5, 1.0], [2.7, 1.8], 0.75);
     let occupancy = room.occupancy();
@@ -31,7 +31,7 @@ fn a_table_is_an_obstacle_for_who_does_not_fit_under_it() {
 /// The picture's first row is the greatest y, its first column the least x. Gray values are those
 /// of `map_server`.
 #[test]
-fn the_map_is_the_room_seen_from_above() {
+fn map_shows_the_room_from_above() {
     let mut room = Room::empty(4.0, 3.0);
     // In the corner of the greatest x and the least y.
     room.add([3.4, 0.1, 0.0], [3.9, 0.6, 0.5], ON_FLOOR);
@@ -61,7 +61,7 @@ fn the_map_is_the_room_seen_from_above() {
 }
 
 #[test]
-fn for_a_mug_on_a_table_one_stands_at_the_table() {
+fn robot_stands_at_the_table_for_a_mug_on_it() {
     let mut room = Room::empty(5.0, 4.0);
     let table = room.add_table([1.8, 1.4], [3.2, 2.4], 0.75);
     let mug = room.add([2.0, 1.5, 0.76], [2.08, 1.58, 0.86], Support::Instance { id: table });
@@ -93,7 +93,7 @@ fn for_a_mug_on_a_table_one_stands_at_the_table() {
 }
 
 #[test]
-fn a_wall_between_hides_and_is_driven_around() {
+fn wall_blocks_the_view_and_paths_go_around_it() {
     let mut room = Room::empty(6.0, 4.0);
     // From the least y up to a gap of one meter.
     room.add([3.0, 0.0, 0.0], [3.06, 3.0, 2.4], ON_FLOOR);
@@ -103,12 +103,12 @@ fn a_wall_between_hides_and_is_driven_around() {
     let start = places.start.unwrap();
     assert!(start.was_free && start.moved_m < 0.05, "{start:?}");
     for pose in places.poses.unwrap() {
-        assert!(pose.position[0] > 3.0, "behind the wall it is not in sight: {pose:?}");
+        assert!(pose.position[0] > 3.0, "it is not visible from behind the wall: {pose:?}");
         let path = &pose.path;
         assert!(path.len() >= 3 && pose.path_m.unwrap() > 5.0, "{pose:?}");
         assert!(
             path.iter().any(|at| at[1] > 3.0 && (2.5..3.6).contains(&at[0])),
-            "through the gap: {path:?}"
+            "the path leads through the gap: {path:?}"
         );
         assert_eq!(path.last().unwrap(), &[pose.position[0], pose.position[1]]);
         assert!(pose.why.contains("m to drive"), "{}", pose.why);
@@ -124,7 +124,7 @@ fn a_wall_between_hides_and_is_driven_around() {
 }
 
 #[test]
-fn who_is_too_tall_does_not_go_under() {
+fn tall_robots_do_not_pass_under_low_beams() {
     let mut room = Room::empty(8.0, 3.0);
     // A beam over the whole width, 1.5 m above the floor, and a chest behind it.
     room.add([3.0, 0.0, 1.5], [3.2, 3.0, 2.4], ON_FLOOR);
@@ -138,7 +138,7 @@ fn who_is_too_tall_does_not_go_under() {
 }
 
 #[test]
-fn what_is_shut_in_is_not_in_sight() {
+fn enclosed_objects_are_not_visible() {
     let mut room = Room::empty(4.0, 4.0);
     let inside = room.add([1.9, 1.9, 0.2], [2.0, 2.0, 0.3], ON_FLOOR);
     room.add([1.6, 1.6, 0.0], [2.4, 2.4, 1.0], ON_FLOOR);
@@ -148,7 +148,7 @@ fn what_is_shut_in_is_not_in_sight() {
 }
 
 #[test]
-fn without_floor_there_is_no_place() {
+fn no_pose_is_returned_without_a_floor() {
     let mut room = Room::default();
     room.add([0.0, 0.0, 0.0], [4.0, 0.0, 2.4], ON_FLOOR);
     room.add([0.0, 0.0, 0.0], [0.0, 4.0, 2.4], ON_FLOOR);
@@ -160,7 +160,7 @@ fn without_floor_there_is_no_place() {
 
 /// A corner behind a row of boxes is large enough for a robot, but no robot can get in.
 #[test]
-fn a_pocket_behind_furniture_is_no_place() {
+fn poses_are_not_placed_in_unreachable_pockets() {
     let mut room = Room::empty(6.0, 4.0);
     let lamp = room.add([0.1, 3.6, 0.0], [0.3, 3.9, 0.4], ON_FLOOR);
     room.add([1.0, 2.8, 0.0], [1.3, 4.0, 2.0], ON_FLOOR);
@@ -176,7 +176,7 @@ fn a_pocket_behind_furniture_is_no_place() {
 }
 
 #[test]
-fn a_start_that_is_not_free_is_moved_a_little_or_refused() {
+fn occupied_start_moves_to_a_near_free_cell_or_fails() {
     let mut room = Room::empty(6.0, 4.0);
     let block = room.add([2.0, 1.0, 0.0], [4.0, 3.0, 1.0], ON_FLOOR);
     let beside = room.places(block, &wish(ROBOT, Some((2.1, 2.0))));
@@ -190,10 +190,9 @@ fn a_start_that_is_not_free_is_moved_a_little_or_refused() {
     );
 }
 
-/// Merged instances are one target, split ones are their parts, and of a part only its box is
-/// known.
+/// A merged instance has the voxels of its members, and a part those within its box.
 #[test]
-fn corrections_and_parts_are_looked_at_as_they_are() {
+fn merged_instances_and_parts_have_their_own_voxels() {
     let mut room = Room::empty(5.0, 4.0);
     let left = room.add([1.0, 1.5, 0.0], [1.4, 1.9, 0.5], ON_FLOOR);
     let right = room.add([3.6, 1.5, 0.0], [4.0, 1.9, 0.5], ON_FLOOR);
@@ -230,7 +229,7 @@ fn corrections_and_parts_are_looked_at_as_they_are() {
 }
 
 #[test]
-fn odd_clouds_do_no_harm() {
+fn empty_clouds_and_outlier_points_are_handled() {
     use uniground_geometry::Point3;
     let none = Occupancy::of(&[], &[], &[]);
     assert!(Floor::of(&none, 1.0).map().1.pixels().all(|pixel| pixel.0[0] == 205));
@@ -254,7 +253,7 @@ proptest! {
     /// No pose and no path lies within the robot's radius of an obstacle's cell; every path lies on
     /// floor that was seen.
     #[test]
-    fn nothing_is_hit(
+    fn poses_and_paths_keep_the_robot_radius_from_obstacles(
         boxes in prop::collection::vec((0.0_f32..5.0, 0.0_f32..4.0, 0.1_f32..1.5, 0.1_f32..1.5, 0.1_f32..2.0), 1..7),
         radius_m in 0.1_f32..0.5,
         height_m in 0.3_f32..1.6,

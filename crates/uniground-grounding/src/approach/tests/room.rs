@@ -20,7 +20,7 @@ pub struct Room {
 }
 
 impl Room {
-    /// Four walls, 2.4 m high, around a floor, which is the first instance.
+    /// Creates four walls, 2.4 m high, around a floor, which is the first instance.
     pub fn empty(width: f32, depth: f32) -> Self {
         let mut room = Self::default();
         room.add([0.0, 0.0, 0.0], [width, depth, 0.0], Support::Floor);
@@ -36,7 +36,7 @@ impl Room {
         room
     }
 
-    /// Adds the surface of a box; returns its id.
+    /// Adds the surface of a box and returns its id.
     pub fn add(&mut self, low: [f32; 3], high: [f32; 3], support: Support) -> InstanceId {
         let id = InstanceId(self.instances.len() as u32 + 1);
         let (low, high) = (Point3::from(low), Point3::from(high));

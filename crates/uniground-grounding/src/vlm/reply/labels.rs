@@ -1,4 +1,4 @@
-//! Finds where in a reply the six fields stand.
+//! Finds the six fields in a reply.
 
 use super::Field;
 use std::collections::BTreeSet;
@@ -31,7 +31,7 @@ struct Found {
     field: Field,
     start: usize,
     value: usize,
-    /// Whether only bullets and Markdown stand before it on its line.
+    /// Whether only bullets and Markdown precede it on its line.
     leads: bool,
 }
 
@@ -47,7 +47,7 @@ pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     } else {
         found.retain(|f| f.leads || separated(text, f.start));
     }
-    // Bullets and numbers before a label are no part of the previous value.
+    // Bullets and numbers before a label are not part of the previous value.
     let begins = |f: &Found| {
         if f.leads { text[..f.start].rfind('\n').map_or(0, |at| at + 1) } else { f.start }
     };
@@ -98,7 +98,7 @@ fn value_after(text: &str, end: usize) -> Option<usize> {
     Some(text.len() - value.len())
 }
 
-/// Returns whether only bullets, numbers and Markdown stand before a label on its line.
+/// Returns whether only bullets, numbers and Markdown precede a label on its line.
 fn leads(text: &str, start: usize) -> bool {
     let line = text[..start].rfind('\n').map_or(0, |at| at + 1);
     let before = text[line..start]
@@ -112,7 +112,7 @@ fn leads(text: &str, start: usize) -> bool {
     before.is_empty() || numbered || announced
 }
 
-/// Returns whether a label within a line follows the end of something: `...; Anchor ID: 20`.
+/// Returns whether a label within a line follows the end of a clause: `...; Anchor ID: 20`.
 fn separated(text: &str, start: usize) -> bool {
     text[..start]
         .trim_end_matches(|c: char| c == ' ' || "*_`\"'<[({".contains(c))

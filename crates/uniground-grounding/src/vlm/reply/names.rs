@@ -75,7 +75,7 @@ fn after_sign(after: &str, begins: bool) -> Option<&str> {
     let rest = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
     let arrow = ["->", "=>"].into_iter().find_map(|sign| rest.strip_prefix(sign));
     let sign = || [":", "="].into_iter().find_map(|sign| rest.strip_prefix(sign));
-    // A dash as a sign stands free; others belong to words.
+    // A separating dash is followed by a space; others belong to words.
     let dash = || rest.strip_prefix("- ").filter(|_| !after.starts_with('-'));
     arrow.or_else(|| begins.then(|| sign().or_else(dash)).flatten())
 }
@@ -96,7 +96,7 @@ fn entry_start(value: &str, digits: usize) -> (usize, bool) {
         .or_else(|| without("candidate"))
         .unwrap_or(before.len());
     let mut start = trimmed(&value[..start]);
-    // "3. ID 22": the line number is no part of the previous name.
+    // "3. ID 22": the line number is not part of the previous name.
     let line = value[..start].rfind('\n').map_or(0, |at| at + 1);
     let numbered = value[line..start]
         .trim()

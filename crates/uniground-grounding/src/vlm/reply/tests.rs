@@ -13,7 +13,7 @@ fn value<'a>(expected: &'a str, key: &str) -> &'a str {
 }
 
 #[test]
-fn every_shape_of_the_corpus_is_read() {
+fn every_reply_format_of_the_corpus_is_read() {
     let shapes: Vec<&str> = CORPUS.split("===== ").skip(1).collect();
     assert!(shapes.len() >= 40, "{}", shapes.len());
     for shape in shapes {
@@ -43,7 +43,7 @@ fn every_shape_of_the_corpus_is_read() {
 }
 
 #[test]
-fn a_place_is_read_in_every_shape() {
+fn picture_position_is_read_in_every_format() {
     let expected = Some(SeenAt { image: 3, at: [0.25, 0.5], name: "black alarm clock".into() });
     for text in [
         "Predicted ID: not listed\nExplanation: it stands there\nSeen at: image 3, x 250, y 500, black alarm clock",
@@ -63,7 +63,7 @@ fn a_place_is_read_in_every_shape() {
 }
 
 #[test]
-fn names_and_explanations_are_whole() {
+fn names_and_explanations_are_read_completely() {
     let reply = read(
         CORPUS
             .split("===== several lines of explanation\n")
@@ -93,7 +93,7 @@ fn names_and_explanations_are_whole() {
     assert_eq!(reply.not_read, ["Target name matches?", "Relation used"]);
 }
 
-/// Bullets and numbers of the next line are no part of a value, and numbers within a name are no
+/// Bullets and numbers of the next line are not part of a value, and numbers within a name are not
 /// ids.
 #[test]
 fn values_end_where_the_next_line_begins() {
@@ -125,9 +125,9 @@ fn values_end_where_the_next_line_begins() {
     );
 }
 
-/// A model that repeats the question before its answer has not said what the question says.
+/// A question that the model repeats before its answer is not part of the answer.
 #[test]
-fn what_the_question_says_is_no_answer() {
+fn echoed_question_is_not_read_as_an_answer() {
     for query in [
         "the mug {\"predicted_id\": 95}",
         "the mug\nPredicted ID: 95\nExplanation: it said so",
@@ -157,7 +157,7 @@ fn what_the_question_says_is_no_answer() {
             "{nothing_else}"
         );
     }
-    // A harmless question may well be a candidate's name.
+    // A question that does not resemble an answer can be a candidate's name.
     let reply = read_answer(
         "Predicted ID: 7\nCandidate Names: 7 -> red mug, 9 -> blue mug",
         "red mug",
@@ -167,7 +167,7 @@ fn what_the_question_says_is_no_answer() {
 }
 
 #[test]
-fn prose_names_one_id_or_none() {
+fn id_in_prose_is_read_only_if_unique() {
     let known = |id: u32| [7, 9].contains(&id);
     assert_eq!(
         only_id("The object that best matches is **ID 7**, because ID 4711 is a wall.", known),
@@ -179,7 +179,7 @@ fn prose_names_one_id_or_none() {
 }
 
 #[test]
-fn a_megabyte_of_noise_is_nothing_and_hides_nothing() {
+fn large_noise_is_ignored_and_does_not_hide_the_answer() {
     let noise: String =
         (0..131_072_u32).map(|i| format!("{:x} {{ ", i.wrapping_mul(2_654_435_761))).collect();
     assert!(noise.len() > 1 << 20);
@@ -190,12 +190,12 @@ fn a_megabyte_of_noise_is_nothing_and_hides_nothing() {
 }
 
 #[test]
-fn lines_are_read_before_json_among_words_unless_json_was_asked_for() {
+fn lines_take_precedence_over_embedded_json_unless_json_was_requested() {
     let predicted = |text: &str, json| read_answer(text, "the mug", json).predicted;
     let lines = "Predicted ID: 7\nExplanation: not {\"predicted_id\": 9}";
     assert_eq!(predicted(lines, false), Choice::Id(7));
     assert_eq!(predicted(lines, true), Choice::Id(9));
-    // One line is no reply in lines.
+    // A single line is not a reply in lines.
     let one_line = "Predicted ID: 7 {\"predicted_id\": 9}";
     assert_eq!(predicted(one_line, false), Choice::Id(9));
     // All of it is JSON, though its keys begin lines.
@@ -205,7 +205,7 @@ fn lines_are_read_before_json_among_words_unless_json_was_asked_for() {
 }
 
 #[test]
-fn all_json_begins_and_ends_with_braces_but_for_a_fence() {
+fn json_only_replies_may_have_a_code_fence() {
     for (text, expected) in [
         ("{\"a\": 1}", true),
         ("  ```json\n{\"a\": 1}\n```\n", true),
@@ -220,7 +220,7 @@ fn all_json_begins_and_ends_with_braces_but_for_a_fence() {
 }
 
 #[test]
-fn a_question_is_cut_out_where_it_could_be_taken_for_an_answer() {
+fn echoed_question_is_removed_where_it_resembles_an_answer() {
     for (text, query, expected) in [
         // By its brace, its line break, its label, its name, its id.
         ("see the mug {x}.", "the mug {x}", "see (the query)."),
@@ -230,11 +230,11 @@ fn a_question_is_cut_out_where_it_could_be_taken_for_an_answer() {
         ("so 95 -> the mug!", "95 -> the mug", "so (the query)!"),
         ("I say ID 95 again", "ID 95", "I say (the query) again"),
         (r#"see the \"big\" {1}."#, r#"the "big" {1}"#, "see (the query)."),
-        // Twice, and in both shapes.
+        // Twice, and in both forms.
         ("{a\nb} {a b} {a\nb}", "{a\nb}", "(the query) (the query) (the query)"),
-        // Nothing in it could be: its words may be a name.
+        // It does not resemble an answer: its words may be a name.
         ("red mug, the red mug", "the red mug", "red mug, the red mug"),
-        // Nothing else was said, and nothing was asked.
+        // The reply has nothing else, or the question is empty.
         (" 95 ", "95", " 95 "),
         ("a\nb", "\n", "a\nb"),
         ("a b", "", "a b"),
@@ -244,7 +244,7 @@ fn a_question_is_cut_out_where_it_could_be_taken_for_an_answer() {
 }
 
 #[test]
-fn the_first_of_two_values_counts_and_what_says_nothing_is_listed() {
+fn first_of_duplicate_fields_counts() {
     let reply = read(
         "Explanation: one\nTarget name matches?: yes\nAnchor ID: 3\nRelation used: above\n\
          Seen at: image 1, 2, 3, mug\nCandidate Names: 7 -> mug\nPredicted ID: 7\n\
@@ -262,7 +262,7 @@ fn the_first_of_two_values_counts_and_what_says_nothing_is_listed() {
 }
 
 #[test]
-fn unknown_is_an_answer_for_anchor_and_relation_alone() {
+fn unknown_is_valid_only_for_anchor_and_relation() {
     let not_read = |text: &str| read(text).not_read;
     let said = "Anchor ID: unknown\nRelation used: none\n";
     let all = [
@@ -288,7 +288,7 @@ fn unknown_is_an_answer_for_anchor_and_relation_alone() {
 }
 
 #[test]
-fn signs_of_other_scripts_are_ascii() {
+fn punctuation_of_other_scripts_is_normalized_to_ascii() {
     for (text, expected) in [
         ("\u{ff01}\u{ff1a}\u{ff17}\u{ff5e}", "!:7~"),
         ("\u{ff00}\u{ff5f}", "\u{ff00}\u{ff5f}"),
@@ -308,7 +308,7 @@ fn signs_of_other_scripts_are_ascii() {
 }
 
 #[test]
-fn thoughts_are_left_out() {
+fn thinking_text_is_removed() {
     for (text, expected) in [
         ("plain", "plain"),
         ("<think>a</think>b", "b"),
@@ -327,7 +327,7 @@ fn thoughts_are_left_out() {
 }
 
 #[test]
-fn two_ids_contradict_each_other_and_an_id_none() {
+fn joined_choices_contradict_unless_equal_or_missing() {
     use Choice::{Contradiction, Id, Missing, NotListed, Nothing};
     for (before, now, expected) in [
         (Missing, Id(7), Id(7)),
@@ -350,7 +350,7 @@ fn two_ids_contradict_each_other_and_an_id_none() {
 }
 
 #[test]
-fn an_id_field_holds_an_id_none_or_two() {
+fn id_field_is_read_as_id_none_or_contradiction() {
     use Choice::{Contradiction, Id, Missing, NotListed, Nothing};
     for (value, expected) in [
         ("22", Id(22)),
@@ -385,7 +385,7 @@ fn an_id_field_holds_an_id_none_or_two() {
 }
 
 #[test]
-fn a_prefix_is_a_whole_word_in_any_case() {
+fn stripped_prefix_is_a_whole_word_in_any_case() {
     for (text, word, expected) in [
         ("ID 22", "id", Some(" 22")),
         ("id", "id", Some("")),
@@ -404,7 +404,7 @@ fn a_prefix_is_a_whole_word_in_any_case() {
 }
 
 #[test]
-fn a_number_is_whole() {
+fn only_whole_numbers_are_read() {
     for (text, expected) in [
         ("22", Some((22, ""))),
         ("22 m", Some((22, " m"))),
@@ -426,7 +426,7 @@ fn a_number_is_whole() {
 }
 
 #[test]
-fn another_number_follows_a_word_that_offers_it() {
+fn second_number_is_read_only_after_a_separator() {
     for (after, expected) in [
         (" or 7", Some(7)),
         (" and 7", Some(7)),
@@ -450,7 +450,7 @@ fn another_number_follows_a_word_that_offers_it() {
 }
 
 #[test]
-fn a_bare_id_is_all_there_is() {
+fn bare_id_must_be_the_whole_reply() {
     for (text, expected) in [
         ("22", Choice::Id(22)),
         (" 22.\n", Choice::Id(22)),
@@ -470,13 +470,13 @@ fn a_bare_id_is_all_there_is() {
     ] {
         assert_eq!(read_bare_id(text), expected, "{text:?}");
     }
-    // 40 characters are the most.
+    // The limit is 40 characters.
     assert_eq!(read_bare_id(&format!("22{}", ".".repeat(38))), Choice::Id(22));
     assert_eq!(read_bare_id(&format!("22{}", ".".repeat(39))), Choice::Missing);
 }
 
 #[test]
-fn nothing_is_said_in_many_words() {
+fn many_wordings_mean_that_nothing_fits() {
     for value in [
         "none",
         "None - no candidate is a fridge",
@@ -499,7 +499,7 @@ fn nothing_is_said_in_many_words() {
 }
 
 #[test]
-fn not_listed_is_said_at_the_beginning() {
+fn not_listed_must_begin_the_value() {
     for value in
         ["not listed", "Not_Listed", "unlisted", "visible, not listed", "Visible but not listed."]
     {
@@ -511,7 +511,7 @@ fn not_listed_is_said_at_the_beginning() {
 }
 
 #[test]
-fn a_place_is_a_picture_and_thousandths() {
+fn position_is_a_picture_number_and_thousandths() {
     let place = |image, x, y, name: &str| Some(SeenAt { image, at: [x, y], name: name.into() });
     for (value, expected) in [
         ("Image 3, 512, 640, black alarm clock", place(3, 0.512, 0.64, "black alarm clock")),
@@ -531,7 +531,7 @@ fn a_place_is_a_picture_and_thousandths() {
 }
 
 #[test]
-fn words_lose_what_markdown_put_around_them() {
+fn markdown_around_words_is_removed() {
     for (value, expected) in [
         ("red mug", Some("red mug")),
         (" ** red \n  mug **, ", Some("red mug")),
@@ -548,7 +548,7 @@ fn words_lose_what_markdown_put_around_them() {
 }
 
 #[test]
-fn yes_and_no_are_said_first() {
+fn truth_values_must_begin_the_value() {
     for (value, expected) in [
         ("true", Some(true)),
         ("**Yes**, it does", Some(true)),
@@ -566,7 +566,7 @@ fn yes_and_no_are_said_first() {
 }
 
 #[test]
-fn of_several_anchors_the_first_counts() {
+fn first_of_several_anchors_counts() {
     for (value, expected) in [
         ("20", Some(20)),
         ("20, 31", Some(20)),
@@ -579,7 +579,7 @@ fn of_several_anchors_the_first_counts() {
 }
 
 #[test]
-fn a_shortlist_is_the_last_line_that_says_so() {
+fn last_shortlist_line_counts() {
     let listed = |text: &str| shortlist(text, |id| id < 10);
     assert_eq!(listed("Shortlist: 1, 2\nThe shortlist is 3 and 4."), [3, 4]);
     assert_eq!(listed("7, then 9, 7 and 12\nor 8"), [7, 9, 8]);
@@ -588,7 +588,7 @@ fn a_shortlist_is_the_last_line_that_says_so() {
 }
 
 #[test]
-fn prose_has_an_id_behind_the_word_id() {
+fn id_in_prose_requires_the_word_id() {
     let only = |text: &str| only_id(text, |id| id < 10);
     for (text, expected) in [
         ("It is ID 7.", Some(7)),
@@ -608,7 +608,7 @@ fn prose_has_an_id_behind_the_word_id() {
 }
 
 #[test]
-fn a_label_within_a_line_counts_after_the_end_of_something() {
+fn label_within_a_line_requires_a_preceding_separator() {
     use Field::{AnchorId, Explanation, PredictedId, RelationUsed};
     let cases: [(&str, &[(Field, &str)]); 8] = [
         ("Predicted ID: 7; Anchor ID: 3", &[(PredictedId, " 7; "), (AnchorId, " 3")]),
@@ -617,7 +617,7 @@ fn a_label_within_a_line_counts_after_the_end_of_something() {
         ("so: Predicted ID: 7", &[(PredictedId, " 7")]),
         ("Predicted ID (of the target): 22", &[(PredictedId, " 22")]),
         ("## Predicted ID\n22", &[(PredictedId, "\n22")]),
-        // In lines that begin with the id, or in three of them, it is talk.
+        // Where fields begin lines, a label within a line is only mentioned.
         (
             "Predicted ID: 7\nExplanation: no. Anchor ID: 4",
             &[(PredictedId, " 7\n"), (Explanation, " no. Anchor ID: 4")],
@@ -633,7 +633,7 @@ fn a_label_within_a_line_counts_after_the_end_of_something() {
 }
 
 #[test]
-fn a_field_begins_a_line_behind_a_number_or_an_announcement() {
+fn field_label_may_follow_a_number_or_an_announcement() {
     for (text, expected) in [
         ("Predicted ID: 7\nExplanation: x\nPredicted ID: 8", 2),
         ("10. Predicted ID: 7", 1),
@@ -647,7 +647,7 @@ fn a_field_begins_a_line_behind_a_number_or_an_announcement() {
     }
 }
 
-/// Texts made of what replies are made of.
+/// Generates texts from typical pieces of replies.
 fn pieces() -> impl Strategy<Value = String> {
     let piece = prop_oneof![
         Just("Predicted ID".to_owned()),
@@ -671,13 +671,13 @@ fn pieces() -> impl Strategy<Value = String> {
 
 proptest! {
     #[test]
-    fn no_text_panics(text in "\\PC{0,200}") {
+    fn any_text_is_read_without_panic(text in "\\PC{0,200}") {
         let _ = read(&text);
     }
 
-    /// An id stands behind the label of its field, or it is all there is.
+    /// An id follows the label of its field, or is the whole reply.
     #[test]
-    fn an_id_is_in_its_field(text in pieces()) {
+    fn id_comes_from_its_field_or_a_bare_reply(text in pieces()) {
         if let Choice::Id(id) = read(&text).predicted {
             let plain = normalize_script(&text);
             let said = without_thoughts(&plain);
