@@ -607,7 +607,7 @@ mod tests {
     }
 
     fn lamp_that(relations: Vec<Relation>) -> Phrase {
-        Phrase { relations, ..said("lamp") }
+        Phrase { relations, ..noun_phrase("lamp") }
     }
 
     fn totals(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
@@ -739,11 +739,14 @@ mod tests {
         let room = [red(1.0, lamp(1, 0.0)), red(0.3, lamp(2, 2.0)), red(0.3, small), desk(4, 9.0)];
         let (colors, traits) = (vec![ColorName::Red], vec![Trait::Large]);
         let of = |phrase: &Phrase| with_assessor(&room, |assessor| assessor.own_fits(phrase));
-        let (nouns, own) = of(&Phrase { colors: colors.clone(), ..said("lamp") });
+        let (nouns, own) = of(&Phrase { colors: colors.clone(), ..noun_phrase("lamp") });
         assert_close(&nouns, &[1.0, 1.0, 1.0, 0.0]);
         assert_close(&own, &[1.0, 0.5, 0.5, 0.0]);
         // The small one is not large: 0.3.
-        assert_close(&of(&Phrase { colors, traits, ..said("lamp") }).1, &[1.0, 0.5, 0.15, 0.0]);
+        assert_close(
+            &of(&Phrase { colors, traits, ..noun_phrase("lamp") }).1,
+            &[1.0, 0.5, 0.15, 0.0],
+        );
     }
 
     #[test]
@@ -752,7 +755,7 @@ mod tests {
         // is one by 0.3 more, 1 - 0.95 · 0.3.
         let stool = |id, name| named(id, name, [id as f32, 0.0], [0.4; 3], 0.0);
         let room = [stool(1, "bar stool"), stool(2, "stool"), stool(3, "kettle")];
-        let phrase = Phrase { other_things: vec!["bar stool".into()], ..said("stool") };
+        let phrase = Phrase { other_things: vec!["bar stool".into()], ..noun_phrase("stool") };
         let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&phrase));
         assert_close(&[own[0] / nouns[0], own[1] / nouns[1], own[2]], &[0.715, 1.0, 0.0]);
         // All plausible instances are bar stools: names do not distinguish them.
@@ -761,7 +764,7 @@ mod tests {
         assert_eq!(own, nouns);
         // Another kind of object keeps almost nothing: 1 - 0.95.
         let room = [stool(1, "kettle"), stool(2, "lamp")];
-        let other = Phrase { other_things: vec!["kettle".into()], ..said("thing") };
+        let other = Phrase { other_things: vec!["kettle".into()], ..noun_phrase("thing") };
         let (nouns, own) = with_assessor(&room, |assessor| assessor.own_fits(&other));
         assert_close(&[own[0] / nouns[0], own[1] / nouns[1]], &[0.05, 1.0]);
     }
@@ -772,7 +775,7 @@ mod tests {
             let [a, b, c] = shares;
             [red(a, lamp(1, 0.0)), red(b, lamp(2, 2.0)), red(c, lamp(3, 4.0)), desk(4, 9.0)]
         };
-        let asked = Phrase { colors: vec![ColorName::Red], ..said("lamp") };
+        let asked = Phrase { colors: vec![ColorName::Red], ..noun_phrase("lamp") };
         let likely =
             |shares, most| with_assessor(&room(shares), |assessor| assessor.likely(&asked, most));
         // Fits of 0.5, 0.26667 and 0.23333: 0.53333 and 0.46667 of the best.
@@ -1022,7 +1025,7 @@ mod tests {
     fn indefinite_anchor_may_be_an_instance_that_was_not_found() {
         let on = |hovers: f32, indefinite, negated| {
             let room = [desk(1, 0.0), lamp_over(2, 0.0, hovers), lamp(3, 6.0)];
-            let anchors = vec![Phrase { indefinite, ..said("desk") }];
+            let anchors = vec![Phrase { indefinite, ..noun_phrase("desk") }];
             let on = Relation { anchors, negated, ..relation(RelationKind::On, &[]) };
             scores(&room, &on, &[0.0, 1.0, 1.0])
         };
@@ -1235,7 +1238,7 @@ mod tests {
         let large = named(2, "lamp", [4.0, 0.0], [0.4, 0.4, 0.8], 0.0);
         let room = [red(0.3, lamp(1, 0.0)), red(0.3, large), desk(3, 9.0)];
         let superlative = Some(Superlative { measure: Measure::Largest, rank: 1 });
-        let phrase = Phrase { colors: vec![ColorName::Red], superlative, ..said("lamp") };
+        let phrase = Phrase { colors: vec![ColorName::Red], superlative, ..noun_phrase("lamp") };
         with_assessor(&room, |assessor| {
             let found = assessor.assess(&phrase);
             assert_close(&found.own, &[0.5, 0.5, 0.0]);

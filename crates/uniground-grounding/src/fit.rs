@@ -437,7 +437,7 @@ mod tests {
         let room = [named(1, "brown leather chair"), named(2, "chair"), named(3, "striped chair")];
         let asked = |words: &[&str]| Phrase {
             unchecked: words.iter().map(|word| (*word).to_owned()).collect(),
-            ..said_as("chair")
+            ..noun_phrase("chair")
         };
         assert_close(&reading_fits(&room, &asked(&[])), &[1.0, 1.0, 1.0]);
         assert_close(&reading_fits(&room, &asked(&["leather"])), &[1.0, 0.8, 0.8]);
@@ -448,7 +448,7 @@ mod tests {
     fn later_nouns_of_a_phrase_weigh_less() {
         let asked = |head: &str, could_be: &[&str]| Phrase {
             could_be: could_be.iter().map(|noun| (*noun).to_owned()).collect(),
-            ..said_as(head)
+            ..noun_phrase(head)
         };
         let fits =
             |room: &[Instance], phrase: &Phrase| with_scene(room, |scene| noun_fits(scene, phrase));
@@ -521,7 +521,7 @@ mod tests {
 
     fn in_color(colors: &[ColorName], other_than: &[ColorName]) -> Phrase {
         let (colors, other_than) = (colors.to_vec(), other_than.to_vec());
-        Phrase { colors, other_than, ..said_as("chair") }
+        Phrase { colors, other_than, ..noun_phrase("chair") }
     }
 
     #[test]

@@ -255,7 +255,7 @@ mod tests {
     fn carried_objects_count_by_their_own_fit() {
         // A lamp that is half red: 0.1 + 0.9 · 0.5.
         let room = [desk(1, 0.0), desk(2, 60.0), red(0.3, lamp(3, 0.0, 1.0))];
-        let phrase = Phrase { colors: vec![ColorName::Red], ..said("lamp") };
+        let phrase = Phrase { colors: vec![ColorName::Red], ..noun_phrase("lamp") };
         assert_close(&scores_with(&room, &[1.0, 1.0, 0.0], phrase, false), &[0.55, 0.1, 0.0]);
     }
 
@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn count_mismatch_lowers_the_score() {
-        let lamps = |count: Option<u32>| Phrase { count, ..said("lamp") };
+        let lamps = |count: Option<u32>| Phrase { count, ..noun_phrase("lamp") };
         let two = [desk(1, 0.0), lamp(2, -0.15, 1.0), lamp(3, 0.15, 1.0), desk(4, 9.0)];
         let one = [desk(1, 0.0), lamp(2, -0.15, 1.0), desk(3, 9.0)];
         // The exact count scores 1. One off: 1 / (1 + (1 / 0.6)²) = 0.264706; 0.1 + 0.9 of it.
@@ -292,7 +292,7 @@ mod tests {
 
     #[test]
     fn counts_include_objects_close_around_the_instance() {
-        let count = Phrase { count: Some(1), ..said("lamp") };
+        let count = Phrase { count: Some(1), ..noun_phrase("lamp") };
         let scores_with = |gap: f32| {
             let room = [desk(1, 0.0), lamp_beside(2, 0.0, gap)];
             scores_with(&room, &[1.0, 0.0], count.clone(), false)[0]
@@ -318,7 +318,7 @@ mod tests {
     #[test]
     fn part_color_is_checked_on_the_whole_instance() {
         let room = [red(1.0, desk(1, 0.0)), red(0.3, desk(2, 3.0)), red(0.0, desk(3, 6.0))];
-        let seat = |head: &str| Phrase { colors: vec![ColorName::Red], ..said(head) };
+        let seat = |head: &str| Phrase { colors: vec![ColorName::Red], ..noun_phrase(head) };
         // Parts are small: a part whose color was not measured keeps a quarter.
         for head in ["seat", "seats"] {
             assert_close(
@@ -342,7 +342,7 @@ mod tests {
         // Any object can have a frame.
         assert_close(&scores_with(&room, &[1.0, 1.0], noun_phrase("frame"), false), &[1.0, 1.0]);
         assert_close(&scores_with(&room, &[1.0, 1.0], noun_phrase("frame"), true), &[1.0, 1.0]);
-        let red_drawer = Phrase { colors: vec![ColorName::Red], ..said("drawers") };
+        let red_drawer = Phrase { colors: vec![ColorName::Red], ..noun_phrase("drawers") };
         let room = [red(0.3, desk(1, 0.0)), red(0.3, lamp(2, 5.0, 0.0))];
         assert_close(&scores_with(&room, &[1.0, 1.0], red_drawer, false), &[0.5, 0.2]);
     }

@@ -371,7 +371,7 @@ mod tests {
         let seen = |image| {
             let seen_at = Some(reply::SeenAt { image, at: [0.25, 0.5], name: "clock".into() });
             let mut decision = Decision::default();
-            decision.take(Reply { seen_at, ..said(Choice::NotListed) }, &context, &sent);
+            decision.take(Reply { seen_at, ..reply_with(Choice::NotListed) }, &context, &sent);
             decision.seen
         };
         let at = |picture: &str| {
@@ -607,7 +607,7 @@ mod tests {
             explanation: Some("it fits".into()),
             target_name_matches: Some(true),
             not_read: not_read.iter().map(|field| field.title()).collect(),
-            ..said(Choice::Id(1))
+            ..reply_with(Choice::Id(1))
         };
         let one = Outcome::Chosen(InstanceId(1));
         let (above, under) = (Some("above".to_owned()), Some("under".to_owned()));
