@@ -425,7 +425,7 @@ mod tests {
     const ROBOT: Robot = Robot { radius_m: 0.25, height_m: 1.2, eye_height_m: 1.1, reach_m: None };
 
     #[test]
-    fn wrong_requests_are_named_by_field() {
+    fn errors_of_invalid_requests_name_the_field() {
         let good = ApproachRequest::for_instance(InstanceId(1), ROBOT);
         assert_eq!(good.check(), Ok(()));
         let with = |change: fn(&mut ApproachRequest)| {
