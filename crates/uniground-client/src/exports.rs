@@ -1,12 +1,12 @@
-//! Scenes as files.
+//! Exports of scenes as files.
 
 use crate::{Client, ClientError, checked, json};
 use reqwest::{Method, RequestBuilder};
 use uniground_types::export::{ExportFormat, ExportedScene};
 
 impl Client {
-    /// A scene with what was found in it, as a file with at most so many points; as many as the
-    /// server thinks right where not said.
+    /// Returns a scene with its instances as a file with at most `points` points. If omitted, the
+    /// server's default applies.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -20,7 +20,7 @@ impl Client {
         Ok(checked(request.send().await?).await?.bytes().await?.to_vec())
     }
 
-    /// What was found in a scene, as corrected: the export in JSON.
+    /// Returns the instances of a scene with corrections applied: the JSON export.
     ///
     /// # Errors
     /// [`ClientError`].

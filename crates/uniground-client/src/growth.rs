@@ -1,4 +1,4 @@
-//! Scenes that grow.
+//! Adding frames to scenes, and changes of scenes.
 
 use super::{Client, ClientError, json};
 use reqwest::Method;
@@ -7,8 +7,8 @@ use uniground_types::placement::FrameChoice;
 use uniground_types::scenes::Created;
 
 impl Client {
-    /// Adds frames to a scene: an archive of pictures with depth and poses, told in the coordinates
-    /// of `world`. Follow the job to learn when the scene knows them.
+    /// Adds frames to a scene: an archive of pictures with depth and poses. The poses are in the
+    /// coordinate frame `world`. Follow the returned job to wait until the scene includes them.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -26,7 +26,7 @@ impl Client {
         json(request).await
     }
 
-    /// What changed in a scene after one of its versions.
+    /// Returns what changed in a scene since an earlier version.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -42,8 +42,8 @@ impl Client {
         .await
     }
 
-    /// What is different in another scan of the same room; the two are laid over each other where
-    /// `align` is set.
+    /// Returns the differences to another scan of the same room. `align` registers the two clouds
+    /// first.
     ///
     /// # Errors
     /// [`ClientError`].

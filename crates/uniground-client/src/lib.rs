@@ -42,15 +42,15 @@ use uniground_types::service::ModelList;
 use uniground_types::stats::Stats;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply};
 
-/// Chooses the cryptography of TLS for this process: ring, unless something else was chosen before.
-/// `reqwest` brings none of its own and wants it to be there when a client is made.
+/// Installs the TLS crypto provider of this process: ring, unless one is installed already.
+/// `reqwest` has none of its own and needs one when a client is created.
 pub fn install_crypto_provider() {
     if rustls::crypto::CryptoProvider::get_default().is_none() {
         let _chosen_meanwhile = rustls::crypto::ring::default_provider().install_default();
     }
 }
 
-/// A server and how to talk to it.
+/// A client of one server, with an optional API key.
 #[derive(Debug, Clone)]
 pub struct Client {
     http: reqwest::Client,
@@ -59,7 +59,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// `server` like `http://127.0.0.1:8080`.
+    /// Creates a client of a server at an address like `http://127.0.0.1:8080`.
     ///
     /// # Errors
     /// [`ClientError::BadAddress`].
@@ -89,8 +89,9 @@ impl Client {
         json(request.query(&[("name", name)])).await
     }
 
-    /// Uploads an archive, or finds the scene that the same `key` made before. `query` as the API
-    /// describes it: `name`, `up`, `levelling` and so on.
+    /// Uploads an archive under an idempotency key. A repeated `key` returns the scene that the
+    /// first request created. `query` holds query parameters of the API: `name`, `up`, `levelling`
+    /// and so on.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -105,9 +106,9 @@ impl Client {
         json(request.header("idempotency-key", key).query(query).body(archive)).await
     }
 
-    /// Uploads whatever is a scan, known by its bytes: an archive, a `.sens` file, a cloud or a
-    /// mesh. `query` as the API describes it: `name`, `parse`, `up`, `metres_per_unit`,
-    /// `levelling`, `preset`.
+    /// Uploads a scan: an archive, a `.sens` file, a cloud or a mesh. The server detects the format
+    /// from its bytes. `query` holds query parameters of the API: `name`, `parse`, `up`,
+    /// `metres_per_unit`, `levelling`, `preset`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -140,7 +141,7 @@ impl Client {
         .await
     }
 
-    /// A page of the scenes that have these labels: `building=A,floor=2`.
+    /// Returns a page of the scenes with these labels: `building=A,floor=2`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -165,7 +166,7 @@ impl Client {
         .await
     }
 
-    /// Renames a scene, files it under labels, or says where it lies in a map.
+    /// Changes a scene's name, its labels or its pose in a map.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -192,7 +193,7 @@ impl Client {
         json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/report"))).await
     }
 
-    /// The first things of a scene.
+    /// Returns the first objects of a scene.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -204,7 +205,7 @@ impl Client {
         .await
     }
 
-    /// Every instance of a scene at these levels, in order of id.
+    /// Returns all instances of a scene at these levels, ordered by id.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -229,7 +230,7 @@ impl Client {
         }
     }
 
-    /// Corrects what a scene's current parse has found; answers from now on know it.
+    /// Corrects a scene's current parse. Later answers use the correction.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -242,7 +243,7 @@ impl Client {
             .await
     }
 
-    /// What people have said of a scene's current parse, newest first.
+    /// Returns the corrections of a scene's current parse, newest first.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -250,7 +251,7 @@ impl Client {
         json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/corrections"))).await
     }
 
-    /// Takes a correction back.
+    /// Undoes a correction.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -262,7 +263,7 @@ impl Client {
         json(self.request(Method::DELETE, &format!("v1/scenes/{scene_id}/corrections/{id}"))).await
     }
 
-    /// Links that work without a key for a while.
+    /// Creates signed links that work without a key for a limited time.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -281,7 +282,7 @@ impl Client {
             .await
     }
 
-    /// Finds out in which of many scenes something is.
+    /// Finds the scenes that contain an object.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -303,7 +304,8 @@ impl Client {
             .await
     }
 
-    /// Submits a list of questions; the same `key` again returns the batch it made.
+    /// Submits a list of questions. A repeated idempotency `key` returns the batch that the first
+    /// request created.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -317,8 +319,8 @@ impl Client {
             .await
     }
 
-    /// Submits a list of questions as JSONL, an item a line, streamed; `query` as the API describes
-    /// it: `scene_id`, `label` and the like.
+    /// Submits a list of questions as streamed JSONL, one item per line. `query` holds query
+    /// parameters of the API, like `scene_id` and `label`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -354,7 +356,7 @@ impl Client {
         json(self.request(Method::GET, "v1/batches").query(&query)).await
     }
 
-    /// `pause`, `resume` or `cancel`.
+    /// Pauses, resumes or cancels a batch. `what` is `pause`, `resume` or `cancel`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -362,12 +364,12 @@ impl Client {
         json(self.request(Method::POST, &format!("v1/batches/{id}/{what}"))).await
     }
 
-    /// Reads results in the order of the items, from a place on; `follow` waits for those that are
-    /// still asked. `on_result` gets each line as it was sent, and what it says. Returns the
-    /// place to go on from.
+    /// Reads results in item order, starting at item `from`. `follow` waits for unfinished items.
+    /// `on_result` gets each line as it was sent, and the parsed result. Returns the item to resume
+    /// from.
     ///
     /// # Errors
-    /// [`ClientError`]; what came before has been told.
+    /// [`ClientError`], after `on_result` got the results before the error; errors of `on_result`.
     pub async fn batch_results<E: From<ClientError>>(
         &self,
         id: &str,
@@ -413,7 +415,7 @@ impl Client {
         json(self.request(Method::GET, "v1/models")).await
     }
 
-    /// What the server holds, does and may spend, in numbers.
+    /// Returns statistics of the server: stored data, jobs, spending and disk usage.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -421,7 +423,7 @@ impl Client {
         json(self.request(Method::GET, "v1/stats")).await
     }
 
-    /// Has the server's model name the objects of a scene.
+    /// Starts a job in which the server's model names the objects of a scene.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -459,8 +461,8 @@ impl Client {
         json(self.request(Method::DELETE, &format!("v1/jobs/{id}"))).await
     }
 
-    /// A page of answers, newest first; `query` as the API describes it: `scene_id`, `batch_id`,
-    /// `status`, `since`, `until`, `limit`, `cursor`.
+    /// Returns a page of answers, newest first. `query` holds query parameters of the API:
+    /// `scene_id`, `batch_id`, `status`, `since`, `until`, `limit`, `cursor`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -468,8 +470,8 @@ impl Client {
         json(self.request(Method::GET, "v1/answers").query(query)).await
     }
 
-    /// A page of jobs, newest first; `query` as the API describes it: `kind`, `state`, `subject`,
-    /// `limit`, `cursor`.
+    /// Returns a page of jobs, newest first. `query` holds query parameters of the API: `kind`,
+    /// `state`, `subject`, `limit`, `cursor`.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -477,7 +479,7 @@ impl Client {
         json(self.request(Method::GET, "v1/jobs").query(query)).await
     }
 
-    /// Makes a key; only this answer holds its secret.
+    /// Creates a key. Only this response contains its secret.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -498,7 +500,7 @@ impl Client {
         json(self.request(Method::DELETE, &format!("v1/keys/{id}"))).await
     }
 
-    /// What was done, newest first.
+    /// Returns a page of the audit log, newest first.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -507,7 +509,7 @@ impl Client {
         json(self.request(Method::GET, "v1/audit").query(&query)).await
     }
 
-    /// Follows a job's events to its end; `on_event` sees every state on the way.
+    /// Follows a job's events until the job is finished. `on_event` gets every state.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -533,11 +535,11 @@ impl Client {
                 }
             }
         }
-        // The stream ends early when the server stops; its word on the job still counts.
+        // The stream ends early when the server stops. Read the job's state once more.
         self.job(id).await
     }
 
-    /// A resource as bytes, e.g. a picture: `path` as the API gives it.
+    /// Returns the bytes of a resource, e.g. a picture. `path` is a path from an API response.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -547,9 +549,9 @@ impl Client {
         Ok(response.bytes().await?.to_vec())
     }
 
-    /// A request to a path below the server's address.
+    /// Creates a request to a path below the server's address, with the API key.
     pub fn request(&self, method: Method, path: &str) -> RequestBuilder {
-        // A path of plain segments always joins: the base is checked in `new`.
+        // Joining a relative path does not fail: `new` has checked the base URL.
         let url = self.base.join(path).unwrap_or_else(|_| self.base.clone());
         let request = self.http.request(method, url);
         match &self.api_key {

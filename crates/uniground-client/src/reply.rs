@@ -1,14 +1,14 @@
-//! What comes back: a value, or why there is none.
+//! Parses responses: a value or an error.
 
 use reqwest::{RequestBuilder, Response, StatusCode};
 use serde::de::DeserializeOwned;
 use uniground_types::problem::{FieldError, Problem};
 
-/// What can go wrong on the caller's side of the wire.
+/// Why a request failed.
 #[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
+#[allow(missing_docs)] // The error messages describe the variants.
 pub enum ClientError {
-    /// The server said no, and why.
+    /// The server rejected the request, with a reason.
     #[error("{} ({}){}", .0.detail, .0.code, other_fields(.0))]
     Problem(Box<Problem>),
     #[error("the server answered {status} without a problem document: {body}")]

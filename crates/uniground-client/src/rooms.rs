@@ -1,4 +1,4 @@
-//! What is in a room and where one can stand in it.
+//! Imports, approach poses, floor maps and scene graphs.
 
 use super::{Client, ClientError, json};
 use reqwest::Method;
@@ -8,7 +8,7 @@ use uniground_types::instances::Levels;
 use uniground_types::scenes::{Created, ImportRequest};
 
 impl Client {
-    /// Makes a scene of a scan on the server's own disk.
+    /// Creates a scene from a scan on the server's disk.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -16,7 +16,7 @@ impl Client {
         json(self.request(Method::POST, "v1/scenes/import").json(request)).await
     }
 
-    /// Where a robot can stand to see or reach a thing.
+    /// Returns poses from which a robot can see or reach an object.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -29,8 +29,8 @@ impl Client {
             .await
     }
 
-    /// The map of a scene's floor; its picture is at `/v1/scenes/{id}/floor.png`. What is higher
-    /// above it than `height_m` is no obstacle.
+    /// Returns the map of a scene's floor. Its picture is at `/v1/scenes/{id}/floor.png`. Anything
+    /// higher than `height_m` above the floor is not an obstacle.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -42,7 +42,7 @@ impl Client {
         .await
     }
 
-    /// What is in a scene and how it stands to each other.
+    /// Returns a scene's instances and the relations between them.
     ///
     /// # Errors
     /// [`ClientError`].

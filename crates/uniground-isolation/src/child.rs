@@ -54,7 +54,7 @@ enum StopReason {
 }
 
 impl ChildProcess {
-    /// Uses child processes of `program`, or of this program if there is none. An import may use
+    /// Uses child processes of `program`, or of this program if `None`. An import can use
     /// `memory_bytes`.
     #[must_use]
     pub fn new(program: Option<Utf8PathBuf>, memory_bytes: u64) -> Self {
@@ -91,8 +91,8 @@ impl ChildProcess {
     }
 }
 
-/// Returns the running program. On Linux this works after its file was replaced by a newer version,
-/// too.
+/// Returns the running program. On Linux this works even after its file was replaced by a newer
+/// version.
 fn this_program() -> PathBuf {
     let of_process = PathBuf::from("/proc/self/exe");
     match of_process.exists() {
@@ -121,7 +121,7 @@ fn follow(
             scope.spawn(move || forward_messages(stdout, &sender));
         }
         let stderr = stderr.map(|stderr| scope.spawn(move || read_tail(stderr)));
-        // Keep stdin open: a child sees the end of its service by its closing.
+        // Keep stdin open: a child ends when its stdin is closed.
         let mut stdin = stdin;
         // A child that has ended already is handled below.
         let _ = stdin.as_mut().map(|stdin| stdin.write_all(request));
@@ -224,7 +224,7 @@ fn task_outcome(
             return told;
         }
         _ if out_of_time => return too_costly(format!("{} s", time_limit.as_secs())),
-        // E.g. the system is out of memory: the scan is not at fault.
+        // For example, the system is out of memory. The scan is not the cause.
         _ if status.signal() == Some(SIGKILL) => return Err(ReadError::Killed),
         // The child catches panics. An exit without an outcome is a bug of the program, not a fault
         // of the scan.
@@ -297,14 +297,14 @@ mod tests {
                 "{without_outcome}"
             );
         }
-        // More than the buffer of a pipe.
+        // Writes more than a pipe's buffer holds.
         let talkative =
             "i=0; while [ $i -lt 20000 ]; do echo filler >&2; i=$((i+1)); done; kill -ABRT $$";
         assert_eq!(kind(run(talkative, never)), IngestErrorKind::Malformed);
     }
 
     #[test]
-    fn a_missing_reader_program_is_not_blamed_on_the_scan() {
+    fn a_missing_reader_program_is_a_process_error() {
         let child = ChildProcess::new(Some("/nowhere/uniground".into()), 64 << 20);
         let task = Task::Inspect { folder: "/nowhere".into() };
         assert!(matches!(child.run(&task, 1, &Progress::silent()), Err(ReadError::Process(_))));

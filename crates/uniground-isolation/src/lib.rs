@@ -1,9 +1,9 @@
 //! Decodes uploaded scans in child processes.
 //!
-//! Uploads are hostile: a decoder may crash, allocate more memory than there is, or never end. So
-//! every file of an upload is first decoded by a child process of this program, with limits on
-//! memory and time. Its findings come back as a message, and its unpacked or imported data as
-//! files. A fault ends the child, never the service.
+//! Uploads are untrusted: a decoder may crash, run out of memory, or never end. A child process of
+//! this program therefore decodes every file of an upload first, with limits on memory and time. It
+//! returns its result as a message, and its unpacked or imported data as files. A fault ends the
+//! child, never the service.
 //!
 //! ```text
 //! service ── Request (a line of JSON on stdin) ──> uniground isolated-reader
@@ -62,7 +62,7 @@ enum ReaderMode {
 }
 
 impl ScanReader {
-    /// Creates a reader that works in this process, for programs whose scans are their user's own.
+    /// Creates a reader that works in this process, for programs that read only trusted scans.
     #[must_use]
     pub fn in_process() -> Self {
         Self::with_mode(ReaderMode::InProcess)

@@ -16,8 +16,8 @@ use uniground_types::settings::ImportSettings;
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Task {
-    /// Unpacks an upload into an empty folder and checks it as a scan. If its content does not tell
-    /// the format, the extension of its name does.
+    /// Unpacks an upload into an empty folder and checks it as a scan. If the content does not
+    /// reveal the format, the file name extension decides.
     Unpack { archive: Utf8PathBuf, file_name: String, folder: Utf8PathBuf, limits: UnpackLimits },
     /// Checks an unpacked scan again.
     Inspect { folder: Utf8PathBuf },
@@ -37,7 +37,7 @@ pub enum Task {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskOutcome {
-    /// It is a valid scan. It may contain a name.
+    /// A valid scan, with its name if it contains one.
     Scan { name: Option<String> },
     /// The frames fit the scene.
     Fits,
@@ -97,8 +97,8 @@ impl Task {
         }
     }
 
-    /// Returns the subject of errors about the task as a whole: an upload by the name its caller
-    /// knows.
+    /// Returns the subject of errors about the whole task: for an upload, the file name that the
+    /// caller gave.
     pub(super) fn subject(&self) -> Utf8PathBuf {
         match self {
             Self::Unpack { file_name, .. } if !file_name.is_empty() => Utf8PathBuf::from(file_name),
@@ -107,7 +107,7 @@ impl Task {
     }
 }
 
-/// A longer name is ignored.
+/// Maximum length of a scan's name in bytes. Longer names are ignored.
 const MAX_NAME_BYTES: usize = 4 << 10;
 
 fn with_name(name: Option<String>) -> TaskOutcome {

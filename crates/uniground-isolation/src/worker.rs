@@ -42,8 +42,8 @@ pub fn run() -> io::Result<()> {
     })
 }
 
-/// Limits the memory that a process writes to. The address space is not limited on Linux: threads
-/// reserve more of it than they use.
+/// Limits the memory of this process. On Linux this limits its data, not its address space, because
+/// threads reserve more address space than they use.
 fn limit_memory(bytes: u64) {
     #[cfg(target_os = "linux")]
     set_limit(Resource::Data, bytes);
@@ -65,8 +65,8 @@ fn set_limit(resource: Resource, most: u64) {
     }
 }
 
-/// Ends this process when the service is gone: the service keeps stdin open while it wants an
-/// answer.
+/// Ends this process when the service is gone: the service keeps stdin open while it waits for the
+/// outcome.
 fn exit_with_parent() -> io::Result<()> {
     let watch = || {
         let mut rest = [0; 64];
@@ -82,7 +82,7 @@ fn report_progress() -> Progress {
         let mut last_report = last_report.lock().unwrap_or_else(PoisonError::into_inner);
         if last_report.is_none_or(|last_report| last_report.elapsed() >= PROGRESS_EVERY) {
             *last_report = Some(Instant::now());
-            // If the service does not read any more, it has killed this process.
+            // Sending fails only if the service is gone or is killing this process.
             let _ = send_message(&Message::Progress { stage: stage.to_owned(), done });
         }
     };

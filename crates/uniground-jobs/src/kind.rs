@@ -7,7 +7,7 @@ use tokio_util::sync::CancellationToken;
 use uniground_geometry::progress::Progress;
 use uniground_storage::JobLease;
 
-/// A kind of job: its name, its payload, and how it runs. Every kind has a queue of its own.
+/// A kind of job: its name, its payload, and how it runs. Each kind has its own queue.
 pub trait JobKind: Send + Sync + 'static {
     /// Stored with every job, so it never changes.
     const NAME: &'static str;
@@ -44,7 +44,7 @@ pub struct JobContext<P> {
     /// heartbeats. Results are then discarded, and the job must not spend any more money.
     pub lost: CancellationToken,
     pub payload: P,
-    /// Reports progress, and tells about cancellation.
+    /// Reports progress and signals cancellation.
     pub progress: Progress,
 }
 

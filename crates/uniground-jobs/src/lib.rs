@@ -3,7 +3,7 @@
 //!
 //! A kind is a [`JobKind`]. `uniground-service` defines the kinds, and `app` starts a lane, that is
 //! a group of workers, for each. The progress of a running job is read from memory. Its row is
-//! updated twice a second, so that other processes, and the next one, know roughly where it is.
+//! updated twice a second, for other processes and for the next start of this one.
 
 mod kind;
 mod queue;
@@ -19,7 +19,7 @@ pub use uniground_types::job::{Job, JobError, JobList};
 use jiff::Timestamp;
 use uniground_storage::{JobRow, JobState};
 
-/// Below this progress no remaining time is estimated.
+/// No remaining time is estimated below this progress.
 const MIN_PROGRESS_FOR_ETA: f32 = 0.03;
 
 /// Converts a stored job to its API form at the time `now`.

@@ -285,7 +285,7 @@ mod tests {
 
     const RETRY: Retry = Retry { interrupted: 1, transient: 1, backoff: Duration::ZERO };
 
-    /// Jobs that are only queued here.
+    /// A job kind that no worker runs in these tests.
     struct Parsing;
     struct Naming;
 
@@ -317,7 +317,7 @@ mod tests {
         Jobs::new(store.jobs, max_queued)
     }
 
-    /// Queues so many, whether there is room or not.
+    /// Queues `count` jobs without checking the capacity.
     async fn fill(jobs: &Jobs, count: u32, key_id: Option<&str>) {
         let job = JobRequest::<Parsing>::new(&vec![], key_id).unwrap();
         for _ in 0..count {
@@ -329,7 +329,7 @@ mod tests {
         jobs.submit::<Parsing>(subject, &vec![], None).await.unwrap().id
     }
 
-    /// Takes the next job, as a worker does.
+    /// Claims the next job, as a worker does.
     async fn claim_next(jobs: &Jobs) -> (JobLease, RunningJob) {
         let row = jobs.repository.claim_job(Parsing::NAME).await.unwrap().unwrap();
         let lease = JobLease::from_claimed_row(&row);
@@ -342,7 +342,7 @@ mod tests {
         (lease, running)
     }
 
-    /// Whether a bell was rung since it was last looked at.
+    /// Returns whether the lane of this kind was notified since the last call.
     fn was_notified(jobs: &Jobs, kind: &'static str) -> bool {
         jobs.notifier(kind).notified().now_or_never().is_some()
     }
@@ -364,7 +364,7 @@ mod tests {
         assert_eq!((job.kind.as_str(), job.subject.as_str()), ("parsing", "scene"));
         assert_eq!((job.state, job.attempts, job.progress), (JobState::Queued, 0, 0.0));
         assert!(was_notified(&jobs, Parsing::NAME));
-        assert!(!was_notified(&jobs, Parsing::NAME), "once for each job");
+        assert!(!was_notified(&jobs, Parsing::NAME), "one notification per job");
         assert!(!was_notified(&jobs, Naming::NAME));
         let row = jobs.repository.job(&job.id).await.unwrap().unwrap();
         assert_eq!(row.payload, "[7,9]");
@@ -373,7 +373,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn callers_without_a_key_may_fill_the_queue_completely() {
+    async fn callers_without_a_key_can_fill_the_whole_queue() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 20).await;
         fill(&jobs, 19, Some("many")).await;
@@ -385,9 +385,9 @@ mod tests {
             "{full:?}"
         );
         assert_eq!(jobs.list(&JobFilter::default(), 99, None).await.unwrap().jobs.len(), 20);
-        // Every kind has a queue of its own.
+        // Each kind has its own queue.
         jobs.submit::<Naming>("s", &(), None).await.unwrap();
-        // A place is free once somebody has taken a job.
+        // Claiming a job frees its place in the queue.
         claim_next(&jobs).await;
         assert!(has_queue_capacity(&jobs, None).await);
     }
@@ -396,7 +396,7 @@ mod tests {
     async fn the_last_tenth_of_the_queue_is_reserved_for_keys_with_few_jobs() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 20).await;
-        // A tenth of 20 is 2: who has 2 or more finds 18 places.
+        // A tenth of 20 is 2: keys with 2 or more jobs can use 18 places.
         fill(&jobs, 2, Some("two")).await;
         fill(&jobs, 1, Some("one")).await;
         fill(&jobs, 14, Some("many")).await;
@@ -408,17 +408,17 @@ mod tests {
             }
             room
         };
-        assert_eq!(room().await, [true; 5], "17 wait");
+        assert_eq!(room().await, [true; 5], "17 queued");
         fill(&jobs, 1, None).await;
-        assert_eq!(room().await, [false, false, true, true, true], "18 wait");
+        assert_eq!(room().await, [false, false, true, true, true], "18 queued");
         fill(&jobs, 1, None).await;
-        assert_eq!(room().await, [false, false, true, true, true], "19 wait");
+        assert_eq!(room().await, [false, false, true, true, true], "19 queued");
         fill(&jobs, 1, None).await;
-        assert_eq!(room().await, [false; 5], "20 wait");
+        assert_eq!(room().await, [false; 5], "20 queued");
     }
 
     #[tokio::test]
-    async fn queues_below_ten_places_reserve_none() {
+    async fn queues_with_fewer_than_ten_places_reserve_none() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 9).await;
         fill(&jobs, 8, Some("many")).await;
@@ -435,8 +435,8 @@ mod tests {
             Err(JobsError::QueueFull { queued: 0, again_in_s }) => again_in_s,
             other => panic!("{other:?}"),
         };
-        // Done in the last ten minutes, 600 s: none, then 600 / 8 = 75 s, then 600 / 12 = 50 s.
-        assert_eq!(again().await, 120, "at the latest");
+        // Finished in the last 600 s: none, then 8 (600 / 8 = 75 s), then 12 (600 / 12 = 50 s).
+        assert_eq!(again().await, 120, "the longest retry delay");
         for (more, again_in_s) in [(8, 75), (4, 50)] {
             for _ in 0..more {
                 fill(&jobs, 1, None).await;
@@ -449,14 +449,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn enqueue_wakes_a_worker_after_the_insert_and_not_before() {
+    async fn enqueue_notifies_workers_only_after_the_insert() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let job = JobRequest::<Parsing>::new(&vec![1], Some("k")).unwrap();
         let row = jobs
             .enqueue(&job, async {
                 let row = jobs.repository.insert_job("s", &job.row()).await;
-                assert!(!was_notified(&jobs, Parsing::NAME), "woken before the transaction ended");
+                assert!(!was_notified(&jobs, Parsing::NAME), "notified before the insert finished");
                 row
             })
             .await
@@ -468,7 +468,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn enqueue_does_not_insert_into_a_full_queue_unless_the_job_has_no_limit() {
+    async fn enqueue_inserts_into_a_full_queue_only_jobs_without_limit() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 0).await;
         let job = JobRequest::<Parsing>::new(&vec![], None).unwrap();
@@ -483,7 +483,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn enqueue_counts_a_job_that_is_finished_and_wakes_nobody_for_it() {
+    async fn enqueue_counts_finished_jobs_without_notifying_workers() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         fill(&jobs, 1, None).await;
@@ -499,11 +499,11 @@ mod tests {
         let metrics = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"succeeded\"} 1";
         assert!(metrics.contains(counted), "{metrics}");
-        assert!(!was_notified(&jobs, Parsing::NAME), "a worker was woken for a finished job");
+        assert!(!was_notified(&jobs, Parsing::NAME), "a worker was notified of a finished job");
     }
 
     #[tokio::test]
-    async fn jobs_are_counted_in_the_given_metrics() {
+    async fn with_metrics_replaces_the_metrics() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let metrics = Arc::new(Metrics::default());
@@ -565,19 +565,23 @@ mod tests {
         jobs.repository.save_job_progress(&lease, "masks", 0.25).await.unwrap();
         running.update_progress(JobProgress { stage: "merge", progress: 0.5 });
         assert_eq!(running.progress_snapshot(), JobProgress { stage: "merge", progress: 0.5 });
-        let stands = async || {
+        let job_state = async || {
             let job = jobs.get(&id).await.unwrap();
             (job.state, job.stage, job.progress)
         };
-        assert_eq!(stands().await, (JobState::Running, Some("merge".into()), 0.5));
+        assert_eq!(job_state().await, (JobState::Running, Some("merge".into()), 0.5));
         let listed = jobs.list(&JobFilter::default(), 1, None).await.unwrap().jobs;
         assert_eq!((listed[0].stage.as_deref(), listed[0].progress), (Some("merge"), 0.5));
         running.update_progress(JobProgress { stage: "", progress: 0.75 });
-        assert_eq!(stands().await, (JobState::Running, None, 0.75), "no stage has a name yet");
-        // One that is over stands as it was written down, though its worker is still there.
+        assert_eq!(
+            job_state().await,
+            (JobState::Running, None, 0.75),
+            "an empty stage is reported as none"
+        );
+        // A finished job is reported from its row, even while it is still in the running list.
         jobs.repository.finish_job(&lease, JobState::Failed, None, None).await.unwrap();
-        assert_eq!(stands().await, (JobState::Failed, Some("masks".into()), 0.25));
-        // Of one that runs elsewhere only its row is known.
+        assert_eq!(job_state().await, (JobState::Failed, Some("masks".into()), 0.25));
+        // A job that runs in another process is reported from its row.
         let elsewhere = submit(&jobs, "s").await;
         let (lease, _) = claim_next(&jobs).await;
         jobs.running().remove(&elsewhere);
@@ -591,14 +595,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
         let id = submit(&jobs, "s").await;
-        // Without a lane here nobody counts.
+        // Without a lane in this process, the cancellation is not counted.
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
         assert!(!jobs.metrics().text().contains("state=\"cancelled\""));
         jobs.set_lane_running(Naming::NAME, true);
         jobs.set_lane_running(Parsing::NAME, true);
         let id = submit(&jobs, "s").await;
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
-        // Again: it stays, and is not counted twice.
+        // Cancelling it again changes nothing and is not counted.
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Cancelled);
         let exported = jobs.metrics().text();
         let counted = "uniground_jobs_finished_total{kind=\"parsing\",state=\"cancelled\"} 1";
@@ -614,12 +618,19 @@ mod tests {
         jobs.set_lane_running(Parsing::NAME, true);
         let (id, other) = (submit(&jobs, "s").await, submit(&jobs, "s").await);
         let ((lease, running), (_, other_job)) = (claim_next(&jobs).await, claim_next(&jobs).await);
-        assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "until its next look");
+        assert_eq!(
+            jobs.cancel(&id).await.unwrap().state,
+            JobState::Running,
+            "it runs until its next check"
+        );
         assert!(running.cancel.is_cancelled() && !other_job.cancel.is_cancelled());
         assert!(jobs.repository.is_cancel_requested(&id).await.unwrap());
         assert!(!jobs.repository.is_cancel_requested(&other).await.unwrap());
-        assert!(!jobs.metrics().text().contains("state=\"cancelled\""), "its worker counts it");
-        // One that is over stays as it is.
+        assert!(
+            !jobs.metrics().text().contains("state=\"cancelled\""),
+            "the worker counts it when it stops"
+        );
+        // A finished job keeps its state.
         jobs.repository.finish_job(&lease, JobState::Succeeded, None, None).await.unwrap();
         assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Succeeded);
     }
@@ -647,16 +658,16 @@ mod tests {
     async fn wake_lanes_notifies_one_kind_or_all() {
         let folder = tempfile::tempdir().unwrap();
         let jobs = jobs(&folder, 10).await;
-        let rung = |kind| {
-            // Who listens has a bell.
+        let notified_lanes = |kind| {
+            // Creates the notifiers of both lanes.
             let _bells = [jobs.notifier(Parsing::NAME), jobs.notifier(Naming::NAME)];
             jobs.wake_lanes(kind);
             [was_notified(&jobs, Parsing::NAME), was_notified(&jobs, Naming::NAME)]
         };
-        assert_eq!(rung(Some("parsing")), [true, false]);
-        assert_eq!(rung(Some("naming")), [false, true]);
-        assert_eq!(rung(Some("batch")), [false, false]);
-        assert_eq!(rung(None), [true, true]);
+        assert_eq!(notified_lanes(Some("parsing")), [true, false]);
+        assert_eq!(notified_lanes(Some("naming")), [false, true]);
+        assert_eq!(notified_lanes(Some("batch")), [false, false]);
+        assert_eq!(notified_lanes(None), [true, true]);
     }
 
     #[tokio::test]

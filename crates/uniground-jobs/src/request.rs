@@ -1,4 +1,4 @@
-//! A job that is to be queued.
+//! Requests to queue a job.
 
 use super::JobKind;
 use std::marker::PhantomData;
@@ -9,7 +9,7 @@ use uniground_storage::{NewJob, StoreError};
 pub struct JobRequest<K> {
     payload: String,
     key_id: Option<String>,
-    /// The id of the result that exists already, and a message about that.
+    /// The id of an existing result, and a message about it.
     done: Option<(String, String)>,
     /// Whether a full queue rejects the job.
     pub(super) is_limited: bool,

@@ -173,7 +173,7 @@ impl Jobs {
             move |stage, progress| beating.update_progress(JobProgress { stage, progress }),
             move || cancel.is_cancelled(),
         );
-        // In a task of its own: a job that panics ends itself, not the lane.
+        // A separate task: a panic ends only this job, not the lane.
         let lost = CancellationToken::new();
         let context = JobContext { lease: lease.clone(), lost: lost.clone(), payload, progress };
         let work = {
@@ -239,7 +239,7 @@ impl Jobs {
                 JobOutcome::Failed { code: "internal".into(), detail: detail.into() }
             }
         };
-        // Count first: whoever sees the finished job must find it in the metrics.
+        // Count first: a finished job that a caller sees must already be in the metrics.
         self.count_outcome(K::NAME, &end, start.elapsed());
         let ended = self.record_outcome(&lease, &end, shutdown).await;
         self.running().remove(&id);

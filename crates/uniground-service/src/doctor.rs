@@ -40,7 +40,7 @@ pub enum FindingKind {
     /// A folder that cannot be judged, because the database is empty or younger. Not repaired: the
     /// database may be the wrong one.
     Unjudged,
-    /// A file where only folders belong. Not repaired: it belongs to someone else.
+    /// A file where only folders belong. Not repaired: its owner is unknown.
     StrayFile,
     /// A job of a scene that was deleted. The job is ended.
     Job { id: String },

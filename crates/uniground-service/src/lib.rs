@@ -1,8 +1,8 @@
 //! Use cases: the only place where pipelines meet storage and jobs. Contains no HTTP. Every noun of
 //! the API has one folder.
 //!
-//! The pipelines (`uniground-core`) process questions and scans. This crate decides who may call
-//! them, where data is stored, what a call costs and what is remembered.
+//! The pipelines (`uniground-core`) process questions and scans. This crate checks permissions and
+//! budgets, stores data and caches it.
 
 mod answers;
 mod approach;
@@ -117,7 +117,7 @@ fn job_failure(error: Error) -> JobFailure {
     }
 }
 
-/// Returns when the job is to stop.
+/// Returns once the job is cancelled.
 async fn until_cancelled(progress: &Progress) -> Cancelled {
     const POLL_INTERVAL: Duration = Duration::from_millis(100);
     loop {

@@ -55,7 +55,7 @@ impl MaintenanceService {
             let wrong = self.parsed_scenes.check_parse_files(&parse.id, CheckDepth::Bytes).await?;
             if let Some(DamagedFile { file, what }) =
                 wrong.iter().find(|damage| damage.what != "stray")
-                // Deleted since the list was read: its files are gone rightly.
+                // Deleted since the list was read, so missing files are expected.
                 && self.parse_repository.parse(&parse.id).await?.is_some()
             {
                 tracing::error!(parse_id = parse.id, file = %file, what, "stored parse is damaged");

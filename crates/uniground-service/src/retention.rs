@@ -19,7 +19,7 @@ use uniground_storage::{
 };
 use uniground_types::stats::Retention;
 
-/// What was removed of one kind.
+/// The removed data of one kind.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RetentionReport {
     pub kind: &'static str,
@@ -32,7 +32,7 @@ pub struct RetentionReport {
 const ROWS_PER_TRANSACTION: u32 = 200;
 const DAY: Duration = Duration::from_hours(24);
 
-/// What has been removed of one kind so far.
+/// The number of removed entries of one kind, and their size.
 #[derive(Default)]
 struct RemovedSoFar {
     entries: u64,
@@ -45,11 +45,11 @@ impl RemovedSoFar {
     }
 }
 
-/// Who else uses the store during a run.
+/// Whether a server uses the store during a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunMode {
     Offline,
-    /// Questions come first, and data that is being written is left alone.
+    /// Pauses for questions, and skips data that is being written.
     Serving,
 }
 

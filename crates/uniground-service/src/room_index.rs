@@ -158,7 +158,7 @@ impl RoomSearch {
             rooms.into_iter().map(|(room, found)| (sought.weigh_room(&found), room)).collect();
         likely.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| b.1.cmp(&a.1)));
         let by_name = likely.into_iter().map(|(_, room)| room);
-        // Alternates between rooms by names and by looks, because their scores cannot be compared.
+        // Alternates between rooms by name and by appearance: their scores cannot be compared.
         let by_looks = self.rooms_by_appearance(&sought, labels, most).await?;
         let mut chosen: Vec<String> = Vec::new();
         for room in interleave(by_name, by_looks.into_iter()) {
@@ -231,8 +231,8 @@ impl RoomSearch {
         Ok(found)
     }
 
-    /// Returns rooms with an instance that looks as the words say, the likeliest first. Returns
-    /// none if no embeddings are stored.
+    /// Returns rooms with an instance whose embedding matches the words, the likeliest first.
+    /// Returns none if no embeddings are stored.
     async fn rooms_by_appearance(
         &self,
         sought: &Arc<Sought>,

@@ -71,7 +71,7 @@ mod tests {
     use tokio::time::sleep;
 
     #[tokio::test]
-    async fn a_computation_is_shared_and_waiting_is_bounded() {
+    async fn callers_share_a_computation_that_continues_after_a_timeout() {
         let (cache, long) = (SingleFlightCache::default(), Duration::from_hours(1));
         assert_eq!(cache.get(long, async { 1 }).await, 1);
         assert_eq!(cache.get(long, async { 2 }).await, 1);
@@ -80,6 +80,6 @@ mod tests {
             3
         };
         assert_eq!(cache.get_within(Duration::ZERO, Duration::from_millis(5), slow).await, Some(1));
-        assert_eq!(cache.get(long, async { 4 }).await, 3, "the look went on");
+        assert_eq!(cache.get(long, async { 4 }).await, 3, "the slow computation has continued");
     }
 }

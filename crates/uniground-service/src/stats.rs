@@ -23,9 +23,9 @@ use uniground_storage::{
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::stats::{DiskUse, JobStats, Spending, Stats, StoredCounts};
 
-/// The maximum age of the store's figures,
+/// The maximum age of the store's figures.
 const AGE: Duration = Duration::from_secs(1);
-/// and of the measured file sizes.
+/// The maximum age of the measured file sizes.
 const SIZES_AGE: Duration = Duration::from_mins(1);
 /// How long a scrape waits for fresh figures. The first scrape waits longer.
 const SCRAPE_TIMEOUT: Duration = Duration::from_millis(8);

@@ -174,7 +174,7 @@ mod tests {
 
     const SECRET: &str = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
 
-    /// The example from the libraries of the standard.
+    /// Uses the example from the Standard Webhooks libraries.
     #[test]
     fn signatures_follow_standard_webhooks() {
         let webhook = Webhook::new("https://example.com/hook", SECRET, false).unwrap();
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn private_addresses_are_not_public() {
+    fn webhooks_to_private_addresses_are_rejected() {
         for private in [
             "127.0.0.1",
             "10.1.2.3",
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn names_that_resolve_to_this_machine_are_not_connected_to() {
+    async fn host_names_that_resolve_to_this_machine_are_rejected() {
         let webhook = Webhook::new("http://localhost:9/hook", SECRET, false).unwrap();
         let error = webhook.deliver("msg_1", 1, "{}".into()).await.unwrap_err();
         let message = uniground_models::with_causes(&error);

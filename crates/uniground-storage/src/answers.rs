@@ -74,7 +74,7 @@ impl AnswerQueue {
             while queue.recv_many(&mut together, ANSWERS_PER_TRANSACTION).await > 0 {
                 let (answers, callers): (Vec<_>, Vec<_>) =
                     together.drain(..).map(|waiting| (waiting.answer, waiting.reply)).unzip();
-                // A caller that left needs no result.
+                // A disconnected caller needs no result.
                 match write(&writer, &answers).await {
                     Ok(reply) => callers
                         .into_iter()

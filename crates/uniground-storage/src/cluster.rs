@@ -33,8 +33,8 @@ const CLEANUP_TIMEOUT: Duration = Duration::from_mins(1);
 /// Interval of heartbeats. A member whose session is gone and that has missed three heartbeats is
 /// removed.
 const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
-/// How long members get to reconnect after the database was away: one heartbeat, and one failed
-/// attempt before it.
+/// How long members get to reconnect after the database was unavailable: one heartbeat, and one
+/// failed attempt before it.
 const RECONNECT_TIMEOUT: Duration = Duration::from_secs(8);
 /// Longest interval between attempts to take a lock. Processes that take locks one after the other
 /// pause longer in between (`RunMode::pause`).
@@ -75,7 +75,7 @@ struct ProcessLease {
 #[derive(Clone)]
 struct Session {
     options: AnyConnectOptions,
-    /// `None` while the server is away.
+    /// `None` while the server is unreachable.
     held_connection: Arc<Mutex<Option<AnyConnection>>>,
     /// Counts connections. A lock is lost with the connection on which it was taken.
     number: Arc<AtomicU64>,
@@ -90,8 +90,8 @@ pub struct NamedLock {
 
 impl NamedLock {
     /// Returns whether the lock is still held. It is lost with the session: when the database was
-    /// away, or when this process missed its heartbeats for a lease. Long-running holders check
-    /// this.
+    /// unavailable, or when this process missed its heartbeats for a lease. Long-running holders
+    /// check this.
     #[must_use]
     pub fn is_ours(&self) -> bool {
         self.shared.as_ref().is_none_or(|lock| lock.session.number.load(Relaxed) == lock.number)
@@ -142,7 +142,7 @@ impl ClusterMembership {
                 if waited || !has_members(&mut connection).await? {
                     break true;
                 }
-                // They were killed, or are reconnecting to a database that was away itself.
+                // They were killed, or are reconnecting because the database was unavailable.
                 call_lock_function(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
                 sleep(RECONNECT_TIMEOUT).await;
                 waited = true;
@@ -262,7 +262,7 @@ impl ProcessLease {
     }
 
     /// Sends heartbeats as long as the session has an owner. Removes members that are gone, and
-    /// reconnects whenever the database was away.
+    /// reconnects after the database was unavailable.
     async fn run_heartbeat(
         self,
         options: AnyConnectOptions,
@@ -279,8 +279,8 @@ impl ProcessLease {
             if number.load(Relaxed) == LEFT {
                 return;
             }
-            // A process that was suspended or disconnected cannot tell which other members are
-            // gone.
+            // A process that was suspended or disconnected does not know which other members
+            // are gone.
             let stood_still = beaten.elapsed() > HEARTBEAT_INTERVAL * 3;
             if stood_still {
                 steady_since = Instant::now();
@@ -303,9 +303,9 @@ impl ProcessLease {
             });
             let trouble = match seen.await {
                 Ok(Ok(())) => continue,
-                Ok(Err(StoreError::DatabaseInUse)) => "somebody has it for itself",
-                Ok(Err(_)) => "it refuses or is gone",
-                Err(_) => "it does not answer",
+                Ok(Err(StoreError::DatabaseInUse)) => "another process has exclusive access",
+                Ok(Err(_)) => "the database failed or refused the connection",
+                Err(_) => "the database did not answer in time",
             };
             tracing::warn!(trouble, "database connection lost; reconnecting");
             *held_connection = None;

@@ -53,7 +53,8 @@ impl DataFolder {
     /// Checks that a folder, if it is a data folder already, belongs to this database engine.
     ///
     /// # Errors
-    /// [`StoreError::OtherDatabase`], [`StoreError::UnfinishedMigration`], or an error of the file system.
+    /// [`StoreError::OtherDatabase`], [`StoreError::UnfinishedMigration`], or an error of the file
+    /// system.
     pub fn check_engine(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
         Self::check_complete(path)?;
         let kept_in = match fs::read(path.join(MARKER)) {
@@ -84,8 +85,8 @@ impl DataFolder {
     /// Opens a data folder. Creates it in a folder that is empty or missing.
     ///
     /// # Errors
-    /// [`StoreError::HoldsOtherFiles`] for a folder with other content, [`StoreError::InUse`], or an error
-    /// of the file system.
+    /// [`StoreError::HoldsOtherFiles`] for a folder with other content, [`StoreError::InUse`], or an
+    /// error of the file system.
     pub fn open(path: &Utf8Path, engine: Engine) -> Result<Self, StoreError> {
         fs::create_dir_all(path)?;
         let marker = path.join(MARKER);
@@ -239,10 +240,10 @@ mod tests {
     use std::sync::Barrier;
     use std::thread;
 
-    /// Two processes start at once on a new folder: one gets it, the other one fails with "in use",
-    /// and both see the same id.
+    /// Two processes open a new folder at the same time: one fails with "in use", and the marker has
+    /// the id that the other one got.
     #[test]
-    fn a_new_folder_is_marked_once() {
+    fn two_concurrent_opens_write_one_marker() {
         for _ in 0..20 {
             let place = tempfile::tempdir().unwrap();
             let path = Utf8Path::from_path(place.path()).unwrap().join("data");
@@ -271,9 +272,8 @@ mod tests {
         }
     }
 
-    /// A half-written marker does not make a folder foreign; other files do.
     #[test]
-    fn a_half_written_marker_does_not_block_opening() {
+    fn an_unfinished_marker_does_not_prevent_opening_but_other_files_do() {
         let place = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(place.path()).unwrap();
         fs::write(path.join(UNFINISHED_MARKER), "{").unwrap();

@@ -262,7 +262,8 @@ impl Engine {
         }
     }
 
-    /// The statement that removes the trigger of [`create_job_end_trigger`](Self::create_job_end_trigger).
+    /// The statement that removes the trigger of
+    /// [`create_job_end_trigger`](Self::create_job_end_trigger).
     pub const fn drop_job_end_trigger(self) -> &'static str {
         match self {
             Self::Sqlite => "DROP TRIGGER IF EXISTS jobs_that_end",

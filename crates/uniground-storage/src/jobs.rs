@@ -278,7 +278,7 @@ impl JobRepository {
 
     /// Claims a queued job of a kind that is due. Takes the oldest job of the API key that was
     /// served least recently, so that no key waits behind all jobs of another one. A single UPDATE
-    /// claims it, so no two workers get the same job. Returns `None` also when other workers were
+    /// claims it, so no two workers get the same job. Also returns `None` if other workers were
     /// faster.
     ///
     /// # Errors
@@ -348,7 +348,7 @@ impl JobRepository {
         if ended { Ok(()) } else { Err(StoreError::LeaseLost) }
     }
 
-    /// Finishes a job that is queued or running, whoever holds its lease.
+    /// Finishes a job that is queued or running, regardless of who holds its lease.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -507,9 +507,9 @@ impl JobRepository {
     }
 
     /// Recovers the running jobs of a kind whose process is gone. Jobs with a cancellation request
-    /// are cancelled, the others return to the queue. A job that got further than ever before
-    /// starts to count its interruptions anew. One that did not waits longer each time and fails in
-    /// the end: it may be what kills its process.
+    /// are cancelled, the others return to the queue. Further
+    /// progress resets a job's count of interruptions. A job without further progress waits longer
+    /// each time and finally fails: it may be what crashes its process.
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -566,7 +566,7 @@ impl JobRepository {
     }
 }
 
-/// Returns the time after a delay, in the format of the database.
+/// Returns the current time plus a delay, in the format of the database.
 pub(super) fn time_after(wait: Duration) -> String {
     let wait = jiff::SignedDuration::try_from(wait).unwrap_or_default();
     Timestamp::now().checked_add(wait).unwrap_or(Timestamp::MAX).to_string()
@@ -601,7 +601,7 @@ mod tests {
         jobs.job(id).await.unwrap().unwrap()
     }
 
-    /// Changes a job behind the repository's back.
+    /// Changes columns of a job directly in the database.
     async fn update_job_row(store: &Store, id: &str, what: &str) {
         let sql = format!("UPDATE jobs SET {what} WHERE id = $1");
         let changed = sqlx::query(sqlx::AssertSqlSafe(sql))
@@ -612,7 +612,7 @@ mod tests {
         assert_eq!(changed.rows_affected(), 1, "{what}");
     }
 
-    /// When a job is due, and how often it was interrupted in a row.
+    /// Returns the time from which a job is due, and its number of interruptions in a row.
     async fn read_due(store: &Store, id: &str) -> (Option<Timestamp>, i64) {
         let sql = "SELECT not_before, interruptions FROM jobs WHERE id = $1";
         let (due, interruptions): (Option<String>, i64) =
@@ -678,7 +678,11 @@ mod tests {
             (&Some(done.created_at.clone()), &Some(done.created_at.clone()))
         );
         assert_eq!(row(&store.jobs, "j").await, done);
-        assert_eq!(store.jobs.claim_job(KIND).await.unwrap(), None, "nothing is left to do");
+        assert_eq!(
+            store.jobs.claim_job(KIND).await.unwrap(),
+            None,
+            "a finished job is not claimed"
+        );
     }
 
     #[tokio::test]
@@ -729,7 +733,7 @@ mod tests {
             assert_eq!(jobs.jobs_ahead(KIND, id).await.unwrap(), i as u32);
         }
         assert_eq!(jobs.jobs_ahead("naming", &ids[4]).await.unwrap(), 0);
-        // One that is taken neither waits nor is ahead of anybody.
+        // A claimed job is neither queued nor ahead of other jobs.
         claim(&jobs).await;
         assert_eq!(counted(KIND, Some("a")).await, QueueLengths { all: 4, of_key: 2 });
         assert_eq!(jobs.jobs_ahead(KIND, &ids[4]).await.unwrap(), 3);
@@ -748,7 +752,7 @@ mod tests {
                 .await
                 .unwrap();
         }
-        // Running, waiting, and failed without ever having run.
+        // A running job, a queued one, and one that failed without running.
         insert_one(jobs).await;
         claim(jobs).await;
         insert_one(jobs).await;
@@ -756,7 +760,7 @@ mod tests {
         jobs.finish_open_job(&never, JobState::Failed, None).await.unwrap();
         assert_eq!(jobs.count_recently_finished(KIND, minutes).await.unwrap(), 2);
         assert_eq!(jobs.count_recently_finished("naming", minutes).await.unwrap(), 0);
-        // One that was asked for an hour ago.
+        // A job that was created an hour ago.
         let hour_ago = first_id_at(Timestamp::now().checked_sub(Duration::from_hours(1)).unwrap());
         let old = insert_one(jobs).await;
         let done = format!("id = '{hour_ago}', state = 'succeeded', attempts = 1");
@@ -776,14 +780,18 @@ mod tests {
         assert_eq!(jobs.claim_job("naming").await.unwrap(), None, "another kind");
         let before = Timestamp::now();
         let claimed = claim(jobs).await;
-        assert_eq!((&claimed.id, claimed.state), (&first, JobState::Running), "the oldest");
+        assert_eq!(
+            (&claimed.id, claimed.state),
+            (&first, JobState::Running),
+            "the oldest job is claimed"
+        );
         assert_eq!((claimed.attempts, claimed.progress, &claimed.stage), (3, 0.0, &None));
         assert_eq!(claimed.holder.as_deref(), Some(&*store.database.members.id()));
         let started: Timestamp = claimed.started_at.clone().unwrap().parse().unwrap();
         assert!((before..=Timestamp::now()).contains(&started), "{started}");
         assert_eq!(row(jobs, &first).await, claimed);
         assert_eq!(claim(jobs).await.id, second);
-        assert_eq!(jobs.claim_job(KIND).await.unwrap(), None, "both are taken");
+        assert_eq!(jobs.claim_job(KIND).await.unwrap(), None, "both jobs are claimed");
         let lease = JobLease::from_claimed_row(&claimed);
         assert_eq!((&lease.job_id, &lease.holder), (&first, &claimed.holder.unwrap()));
     }
@@ -801,7 +809,7 @@ mod tests {
         assert!(!due_after(&time_after(Duration::from_mins(119))).await);
         let ago = Timestamp::now().checked_sub(Duration::from_mins(1)).unwrap();
         assert!(due_after(&ago.to_string()).await);
-        // Nobody waits for longer than two hours: the clock was set back.
+        // Delays above two hours are ignored: the clock was set back.
         assert!(due_after(&time_after(Duration::from_mins(121))).await);
     }
 
@@ -858,18 +866,24 @@ mod tests {
         let jobs = store(&folder).await.jobs;
         let (running, waiting) = (insert_one(&jobs).await, insert_one(&jobs).await);
         let lease = JobLease::from_claimed_row(&claim(&jobs).await);
-        let wished = async |id: &str| jobs.is_cancel_requested(id).await.unwrap();
-        assert_eq!((wished(&running).await, wished(&waiting).await), (false, false));
+        let cancel_requested = async |id: &str| jobs.is_cancel_requested(id).await.unwrap();
+        assert_eq!(
+            (cancel_requested(&running).await, cancel_requested(&waiting).await),
+            (false, false)
+        );
         jobs.request_cancel(&running).await.unwrap();
-        assert_eq!((wished(&running).await, wished(&waiting).await), (true, false));
+        assert_eq!(
+            (cancel_requested(&running).await, cancel_requested(&waiting).await),
+            (true, false)
+        );
         jobs.request_cancel(&waiting).await.unwrap();
-        assert!(wished(&waiting).await);
-        assert!(!wished("nobody's").await);
+        assert!(cancel_requested(&waiting).await);
+        assert!(!cancel_requested("nobody's").await);
         jobs.finish_job(&lease, JobState::Cancelled, None, None).await.unwrap();
         let over = insert_one(&jobs).await;
         jobs.finish_open_job(&over, JobState::Failed, None).await.unwrap();
         jobs.request_cancel(&over).await.unwrap();
-        assert!(!wished(&over).await);
+        assert!(!cancel_requested(&over).await);
     }
 
     #[tokio::test]
@@ -886,13 +900,13 @@ mod tests {
         jobs.finish_job(&lease, JobState::Succeeded, Some("4 things\0"), None).await.unwrap();
         let done = row(&jobs, &id).await;
         assert_eq!((done.state, done.progress, &done.stage), (JobState::Succeeded, 1.0, &None));
-        assert_eq!(done.message.as_deref(), Some("4 things\u{fffd}"), "no database takes NUL");
+        assert_eq!(done.message.as_deref(), Some("4 things\u{fffd}"), "NUL is replaced");
         assert_eq!((&done.error_code, &done.error), (&None, &None));
         let finished: Timestamp = done.finished_at.clone().unwrap().parse().unwrap();
         assert!((before..=Timestamp::now()).contains(&finished), "{finished}");
         let failed = Some(("internal", "too late"));
         assert_not_held(jobs.finish_job(&lease, JobState::Failed, None, failed).await);
-        assert_eq!(row(&jobs, &id).await, done, "what ended it first stays");
+        assert_eq!(row(&jobs, &id).await, done, "the first outcome is kept");
     }
 
     #[tokio::test]
@@ -927,14 +941,14 @@ mod tests {
                 (JobState::Failed, Some("unknown"))
             );
             jobs.cancel_orphan_job(id).await.unwrap();
-            assert_eq!(row(&jobs, id).await, ended, "it was over");
+            assert_eq!(row(&jobs, id).await, ended, "a finished job is not changed");
         }
         assert_not_held(jobs.finish_job(&lease, JobState::Succeeded, None, None).await);
         let orphan = insert_one(&jobs).await;
         jobs.cancel_orphan_job(&orphan).await.unwrap();
         let ended = row(&jobs, &orphan).await;
         assert_eq!((ended.state, &ended.error), (JobState::Cancelled, &None));
-        // Of a job that is not there nothing comes.
+        // Finishing an unknown job is no error.
         jobs.finish_open_job("nobody's", JobState::Failed, None).await.unwrap();
     }
 
@@ -950,7 +964,10 @@ mod tests {
         let cancelled = row(&jobs, &waiting).await;
         assert_eq!(cancelled.state, JobState::Cancelled);
         assert!(cancelled.finished_at.is_some());
-        assert!(!jobs.cancel_queued_job(&waiting).await.unwrap(), "it is over");
+        assert!(
+            !jobs.cancel_queued_job(&waiting).await.unwrap(),
+            "a finished job is not cancelled"
+        );
         assert!(!jobs.cancel_queued_job("nobody's").await.unwrap());
     }
 
@@ -974,7 +991,7 @@ mod tests {
         open.sort();
         let expected = [(0, "parse"), (1, "naming"), (2, "parse")];
         assert_eq!(open, expected.map(|(i, kind)| (ids[i].clone(), kind.to_owned())));
-        // The scene of one is there.
+        // Insert the scene of one job.
         for sql in [
             "INSERT INTO contents (hash, bytes, created_at) VALUES ('h', 1, 'then')",
             "INSERT INTO scenes (id, name, content_hash, created_at, updated_at)
@@ -1001,8 +1018,8 @@ mod tests {
         assert_eq!((waiting.state, waiting.attempts), (JobState::Queued, 0));
         assert_eq!((&waiting.started_at, &waiting.stage, waiting.progress), (&None, &None, 0.0));
         assert_not_held(jobs.requeue_job(&lease).await);
-        assert_eq!(row(&jobs, &id).await.attempts, 0, "put back once");
-        assert_eq!(claim(&jobs).await.attempts, 1, "due at once");
+        assert_eq!(row(&jobs, &id).await.attempts, 0, "the attempt is subtracted once");
+        assert_eq!(claim(&jobs).await.attempts, 1, "due immediately");
     }
 
     #[tokio::test]
@@ -1022,18 +1039,18 @@ mod tests {
         let latest = Timestamp::now().checked_add(hour).unwrap();
         assert!((before.checked_add(hour).unwrap()..=latest).contains(&due_at.unwrap()));
         let waiting = row(jobs, &id).await;
-        assert_eq!((waiting.state, waiting.attempts), (JobState::Queued, 1), "it was an attempt");
+        assert_eq!((waiting.state, waiting.attempts), (JobState::Queued, 1), "the attempt counts");
         assert_eq!((waiting.failures, waiting.furthest), (2, 0.5));
         assert_eq!((&waiting.started_at, &waiting.stage, waiting.progress), (&None, &None, 0.0));
         assert_eq!(jobs.claim_job(KIND).await.unwrap(), None, "not due yet");
         assert_not_held(jobs.requeue_job_after(&lease, Duration::ZERO, 3, 0.5).await);
-        // Another attempt that got less far: the furthest stays.
+        // An attempt with less progress does not lower the furthest progress.
         update_job_row(&store, &id, "not_before = NULL").await;
         let lease = JobLease::from_claimed_row(&claim(jobs).await);
         jobs.requeue_job_after(&lease, Duration::ZERO, 3, 0.25).await.unwrap();
         let waiting = row(jobs, &id).await;
         assert_eq!((waiting.failures, waiting.furthest), (3, 0.5));
-        assert_eq!(claim(jobs).await.attempts, 3, "due at once");
+        assert_eq!(claim(jobs).await.attempts, 3, "due immediately");
     }
 
     #[tokio::test]
@@ -1075,7 +1092,7 @@ mod tests {
         jobs.claim_job("naming").await.unwrap().unwrap();
         jobs.save_job_progress(&lease, "masks", 0.25).await.unwrap();
         jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
-        assert_eq!(row(jobs, &left).await.state, JobState::Running, "its holder is there");
+        assert_eq!(row(jobs, &left).await.state, JobState::Running, "its lease holder is alive");
         jobs.enter_as_new_process().await.unwrap();
         let waiting = insert_one(jobs).await;
         jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
@@ -1083,10 +1100,10 @@ mod tests {
         assert_eq!((found.state, found.attempts), (JobState::Queued, 1));
         assert_eq!((&found.started_at, &found.stage, found.progress), (&None, &None, 0.0));
         assert_eq!(found.furthest, 0.25);
-        assert_eq!(read_due(&store, &left).await, (None, 1), "the first time at once");
-        assert_eq!(read_due(&store, &waiting).await, (None, 0), "it never ran");
+        assert_eq!(read_due(&store, &left).await, (None, 1), "the first retry has no delay");
+        assert_eq!(read_due(&store, &waiting).await, (None, 0), "a queued job is not changed");
         assert_eq!(row(jobs, &other_kind).await.state, JobState::Running);
-        // A job of before there were members has no holder.
+        // Jobs from before membership existed have no holder.
         let lease = JobLease::from_claimed_row(&claim(jobs).await);
         update_job_row(&store, &lease.job_id, "holder = NULL").await;
         jobs.recover_jobs(KIND, RECOVERY).await.unwrap();
@@ -1110,7 +1127,7 @@ mod tests {
         assert_eq!(row(jobs, &go_on).await.state, JobState::Queued);
     }
 
-    /// Claims the only job, lets it get so far, and lets its process end.
+    /// Claims the only job, saves its progress, and simulates the end of its process.
     async fn interrupt_job(store: &Store, id: &str, progress: f32, recovery: JobRecovery) {
         let jobs = &store.jobs;
         update_job_row(store, id, "not_before = NULL").await;
@@ -1125,7 +1142,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
-        // At once after the first; then 100 s, 200 s and 400 s; the fifth is one too many.
+        // No delay at first, then 100 s, 200 s and 400 s. The fifth interruption fails the job.
         for (times, waits_s) in [(1, None), (2, Some(100)), (3, Some(200)), (4, Some(400))] {
             let earliest = Timestamp::now();
             interrupt_job(&store, &id, 0.0, RECOVERY).await;
@@ -1156,7 +1173,7 @@ mod tests {
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
         let recovery = JobRecovery { give_up_after: 9, at_once: 1, wait: Duration::from_mins(50) };
-        // 50 minutes, then 100, which is too long.
+        // 50 minutes, then 100 minutes, which exceeds the limit.
         for minutes in [50, 60, 60] {
             let earliest = Timestamp::now();
             interrupt_job(&store, &id, 0.0, recovery).await;
@@ -1171,12 +1188,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = store(&folder).await;
         let id = insert_one(&store.jobs).await;
-        // Progress, then how often it was interrupted and how far it ever got.
+        // Progress, then the number of interruptions and the furthest progress.
         for (progress, times, furthest) in [
             (0.25, 1, 0.25),
             (0.25, 2, 0.25),
             (0.125, 3, 0.25),
-            // Less than a thousandth further is not further.
+            // Less than 0.001 more does not count as further progress.
             (0.250_5, 4, 0.250_5),
             (0.5, 1, 0.5),
             (0.25, 2, 0.5),

@@ -201,8 +201,8 @@ impl StoreError {
                 database_error_code(error).is_some_and(|code| match code.parse::<i32>() {
                     // SQLITE_BUSY and SQLITE_LOCKED, with any extended code.
                     Ok(number) if code.len() < 5 => matches!(number & 0xff, 5 | 6),
-                    // PostgreSQL's classes: connection exception, transaction rollback, insufficient
-                    // resources, operator intervention.
+                    // PostgreSQL's classes: connection exception, transaction rollback,
+                    // insufficient resources, operator intervention.
                     _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
                 })
             }
@@ -576,7 +576,7 @@ impl Store {
             return Ok(());
         }
         // A SQLite file lies in its own folder. A server's database can be combined with any folder
-        // by mistake: if the two do not know each other, one of them is wrong.
+        // by mistake: if their ids do not match, one of them is wrong.
         if self.database.engine == Engine::Postgres
             && (known.is_some() || self.blobs.has_scans().await?)
         {

@@ -246,9 +246,9 @@ mod tests {
     use super::*;
     use camino::Utf8Path;
 
-    /// A process that hung between rows and folders finds that others have used the folder again.
+    /// A folder stays in place if its content was uploaded again after its row was removed.
     #[tokio::test]
-    async fn quarantined_folders_with_a_row_are_put_back() {
+    async fn folders_with_a_row_are_neither_removed_nor_quarantined() {
         let folder = tempfile::tempdir().unwrap();
         let data = Utf8Path::from_path(folder.path()).unwrap();
         let store = Store::open(data, &Location::Folder, &BlobHome::Folder).await.unwrap();

@@ -1,10 +1,10 @@
 //! Types of the JSON in rows. They belong to the store, so that changes of the API or the pipelines
 //! cannot make stored data unreadable.
 //!
-//! Written strictly, in the current version, which is stored next to the JSON in `record_version`.
-//! Read leniently in any version: unknown fields are ignored, missing fields get a value that says
-//! so, and unreadable parts are left out, so that their scene stays usable. A field that changes
-//! its meaning raises the version, and reading must check it.
+//! Records are written in the current version, which the column `record_version` stores. Records of
+//! any version are read: unknown fields are ignored, missing fields get a value that marks them as
+//! unknown, and unreadable parts are omitted, so that their scene stays usable. If a field changes
+//! its meaning, raise the version and check it when reading.
 
 mod instance;
 mod settings;
@@ -17,7 +17,7 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{ImportReport, ParseReport};
 use uniground_types::settings::{ParseModels, ParseSettings};
 
-/// Version of everything written now.
+/// Version of the records that this program writes.
 pub const RECORD_VERSION: u32 = 1;
 
 /// The settings and the results of a parse, as stored.
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_parse_of_another_version_is_read_as_far_as_possible() {
+    fn readable_fields_of_other_versions_are_read() {
         let record = ParseRecord::read(
             r#"{"parsing": {"superpoints": {"voxel_m": 0.07, "colour_of_the_sky": 3}, "wholes": {"enabled": false}, "depth_tolerance": "loose"}}"#,
             r#"{"masks": "rgbd-9", "vlm": "x"}"#,

@@ -15,7 +15,7 @@ use tokio::task::spawn_blocking;
 
 const RESERVE: &str = "reserve";
 const BYTES: u64 = 8 << 20;
-/// The part that a running server does not release.
+/// The bytes that a running server does not release.
 const LEFT_FOR_START: u64 = BYTES / 2;
 /// The reserve is written if the free space is at least this many times its size.
 const TIMES_FREE: u64 = 4;
@@ -168,9 +168,9 @@ mod tests {
         fs::metadata(folder.join(RESERVE)).map_or(0, |file| file.len())
     }
 
-    /// A running server leaves a part to the next start, which may need it as well.
+    /// The rest is released at the next start, which may need disk space too.
     #[test]
-    fn a_running_server_releases_only_a_part_of_the_reserve() {
+    fn a_running_server_releases_only_half_of_the_reserve() {
         let place = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(place.path()).unwrap();
         assert!(!release_half(folder));
@@ -183,12 +183,11 @@ mod tests {
         assert_eq!(bytes(folder), BYTES);
         let full = || StoreError::Blobs(io::ErrorKind::StorageFull.into());
         assert!(make_room_to_open(folder, &full()) && bytes(folder) == 0);
-        assert!(!make_room_to_open(folder, &full()), "there is nothing more to release");
+        assert!(!make_room_to_open(folder, &full()), "nothing is left to release");
     }
 
-    /// Errors other than a full disk release nothing.
     #[test]
-    fn only_a_full_disk_releases_the_reserve() {
+    fn the_reserve_is_released_only_if_the_disk_is_full() {
         let place = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(place.path()).unwrap();
         write(folder).unwrap();

@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn jobs_are_counted_by_kind_and_state_with_the_oldest_of_each() {
+    async fn jobs_are_counted_by_kind_and_state_with_the_oldest_creation_time() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(
             Utf8Path::from_path(folder.path()).unwrap(),

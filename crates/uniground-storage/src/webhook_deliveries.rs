@@ -60,7 +60,7 @@ impl WebhookRepository {
     }
 
     /// Enables deliveries: from now on every finished job gets a delivery, in the same transaction
-    /// as its end. A job that was finished when it was created gets none: its caller knows already.
+    /// as its end. A job that is created as finished gets none: its caller has the result.
     ///
     /// # Errors
     /// [`StoreError::Database`].

@@ -1,4 +1,4 @@
-//! The trace of a request, as a W3C `traceparent` header: accepted from callers, and passed on to
+//! Trace propagation with the W3C `traceparent` header: accepted from callers, and passed on to
 //! the model's endpoint. Without a collector it is neither accepted nor passed on.
 
 use opentelemetry::propagation::TextMapPropagator;
@@ -11,7 +11,7 @@ use tracing_opentelemetry::OpenTelemetrySpanExt;
 /// Makes a span a child of the caller's trace.
 pub fn adopt(span: &Span, headers: &HeaderMap) {
     let caller = TraceContextPropagator::new().extract(&HeaderExtractor(headers));
-    // Without a collector this fails, and there is nothing to join.
+    // Without a collector this fails, and the span stays without a parent.
     let _ = span.set_parent(caller);
 }
 

@@ -443,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_requests_are_named_by_field() {
+    fn errors_of_invalid_requests_name_the_field() {
         let good = ApproachRequest::for_instance(InstanceId(1), ROBOT);
         assert_eq!(good.check(), Ok(()));
         let with = |change: fn(&mut ApproachRequest)| {

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_and_goes_again_is_not_told() {
+    fn objects_that_appear_and_disappear_are_omitted() {
         let first = Changes { appeared: vec![thing(7, 0.0)], unchanged: 6, ..Changes::default() };
         let then = Changes {
             gone: vec![thing(7, 0.0), thing(2, 1.0)],
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn moves_are_told_from_the_first_place_to_the_last() {
+    fn successive_moves_are_combined_into_one() {
         let first = Changes { moved: vec![moved((1, 0.0), (7, 1.0))], ..Changes::default() };
         let again = Changes { moved: vec![moved((7, 1.0), (8, 3.0))], ..Changes::default() };
         let both = first.clone().followed_by(again);

@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn labels_are_read_as_they_are_written() {
+    fn labels_are_parsed_from_comma_separated_pairs() {
         let labels = read_labels("labels", "building=A, floor = 2,note=a=b").unwrap();
         assert_eq!(
             labels,
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_label_is_refused() {
+    fn invalid_labels_are_rejected() {
         let long = format!("x={}", "y".repeat(101));
         for wrong in ["", "building", "a=1,a=2", "two words=x", "x=", "x= ", &long, "ä=1", "x=a\nb"]
         {

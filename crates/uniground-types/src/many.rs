@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_makes_no_sense_is_named() {
+    fn errors_of_invalid_questions_name_the_field() {
         let asked = || ManyGroundRequest::new("the red mug");
         assert!(asked().check().is_ok());
         let named = |request: ManyGroundRequest| request.check().unwrap_err().to_string();

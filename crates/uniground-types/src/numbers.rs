@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_number_is_in_no_range() {
+    fn numbers_that_are_not_finite_or_out_of_range_are_rejected() {
         for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0] {
             assert!(check_zero_or_more("/x", value).is_err(), "{value}");
             assert!(check_above_zero("/x", value, f64::MAX).is_err(), "{value}");

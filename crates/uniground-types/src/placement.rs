@@ -217,8 +217,8 @@ mod tests {
     const S: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
     #[test]
-    fn a_map_turned_by_a_quarter_has_things_where_a_robot_finds_them() {
-        // The scene's X is the map's Y.
+    fn points_boxes_and_observers_are_transformed_to_a_rotated_map() {
+        // The scene's X axis is the map's Y axis.
         let map = SceneToFrame::scene_to_map(&SceneToMap {
             rotation: [0.0, 0.0, S, S],
             translation_m: [10.0, 0.0, 0.5],
@@ -235,7 +235,7 @@ mod tests {
                 && near(placed.orientation, [0.0, 0.0, S, S], 1e-6),
             "{placed:?}"
         );
-        // Looking along the map's Y is looking along the scene's X.
+        // The map's Y direction is the scene's X direction.
         let observer =
             map.observer_to_scene(&Observer { position: [10.0, 1.0, 1.5], yaw_rad: FRAC_PI_2 });
         assert!(
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn files_in_millimetres_with_y_up_get_their_own_coordinates_back() {
+    fn scene_to_source_returns_the_coordinates_of_y_up_files_in_millimeters() {
         let source = SourceToScene {
             rotation: [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
             translation_m: [-500_000.0, 2.0, 0.0],
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rotation_is_refused() {
+    fn invalid_scene_to_map_transforms_are_rejected() {
         let map = |rotation, x| {
             SceneToMap { rotation, translation_m: [x, 0.0, 0.0] }
                 .check()
@@ -285,9 +285,8 @@ mod tests {
     }
 
     proptest! {
-        /// The transformed box has the transformed corners.
         #[test]
-        fn a_placed_box_is_the_same_box(q in prop::array::uniform4(-1.0..1.0_f64), t in prop::array::uniform3(-1e3..1e3_f64), yaw in -0.7..0.7_f32) {
+        fn transformed_boxes_have_the_transformed_corners(q in prop::array::uniform4(-1.0..1.0_f64), t in prop::array::uniform3(-1e3..1e3_f64), yaw in -0.7..0.7_f32) {
             prop_assume!(q.iter().map(|v| v * v).sum::<f64>() > 0.1);
             let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
             let map = SceneToFrame::scene_to_map(&SceneToMap { rotation: q.map(|v| v / length), translation_m: t });

@@ -34,8 +34,8 @@ struct ListedModel {
 }
 
 impl ChatClient {
-    /// Returns what the endpoint's server will refuse or truncate of a question, with advice; empty
-    /// if no problem is known. Hosted servers are only asked for their list of models.
+    /// Returns what the endpoint's server will refuse or truncate of a question, with advice. Empty
+    /// if no problem is known. Requests only the list of models from hosted servers.
     pub async fn describe_limits(&self) -> Vec<String> {
         let Some(listed) =
             self.fetch_json::<ModelListing>(self.http.get(self.address("models"))).await
@@ -252,7 +252,7 @@ mod tests {
             check_limits(models("library", None), fine(), nothing(), json!({"models": []})).await;
         assert!(warnings.len() == 1 && warnings[0].contains("by default 4096"), "{warnings:?}");
 
-        // Hosted servers are only asked for their list.
+        // Hosted servers get only a request for their list of models.
         assert_eq!(
             check_limits(models("openai", None), refused(), nothing(), nothing()).await,
             Vec::<String>::new()

@@ -129,7 +129,7 @@ struct Usage {
 /// A failed attempt.
 struct Attempt {
     error: ChatError,
-    /// Whether another attempt may succeed.
+    /// Whether a retry may succeed.
     again: bool,
     /// The delay that the server asked for, if any.
     wait: Option<Duration>,
@@ -155,7 +155,7 @@ const MAX_COMPLETION_FACTOR: u64 = 1000;
 const PROMPT_OVERHEAD_TOKENS: u64 = 1000;
 
 /// Returns a server's token count if it is plausible, and the estimate otherwise. Servers that
-/// report no count are not free of charge.
+/// report no count are billed by the estimate.
 fn plausible_token_count(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
     let least = reckoned / most_times;
     let most = reckoned.max(PROMPT_OVERHEAD_TOKENS).saturating_mul(most_times);
@@ -224,7 +224,7 @@ impl ChatClient {
             let Attempt { error, again, wait, may_be_billed } = match self.send(&body).await {
                 Ok(Completion { choices, usage }) => {
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
-                    // An empty reply is a reply as well.
+                    // An empty text is a valid reply.
                     let text = choices
                         .into_iter()
                         .next()

@@ -67,8 +67,8 @@ impl PortMetadata {
 }
 
 impl RemoteServer {
-    /// Creates a client of a server at an address like `http://host:8000`. Every call may take
-    /// `timeout`. Must be called outside of async code.
+    /// Creates a client of a server at an address like `http://host:8000`. `timeout` applies to
+    /// every call. Must be called outside of async code.
     ///
     /// # Errors
     /// [`ModelError::Remote`] when the HTTP client cannot be created.
@@ -146,7 +146,7 @@ struct RemoteNetwork {
     url: String,
     client: Client,
     signature: Signature,
-    /// The server does not accept raw bytes.
+    /// Whether the server rejects raw bytes.
     plain: AtomicBool,
     /// Name, platform and versions, as reported by the server.
     identity: String,
@@ -357,7 +357,7 @@ fn flatten(data: &Value) -> Option<Vec<f32>> {
     collect(data, &mut values).then_some(values)
 }
 
-/// Prefix of refusals: the server is reachable but rejects this request.
+/// Prefix of errors of a reachable server that rejects a request.
 const REFUSED: &str = "refused";
 
 /// Repeats a request until it is answered, refused, or out of attempts.

@@ -1,4 +1,4 @@
-//! Health probe of the inference server, for the time between calls of its networks.
+//! Health probe of the inference server, independent of the calls of its networks.
 
 use reqwest::Client;
 use std::time::Duration;

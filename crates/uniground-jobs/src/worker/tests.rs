@@ -98,11 +98,11 @@ async fn until(jobs: &Jobs, id: &str, done: impl Fn(&Job) -> bool) -> Job {
         }
         time::sleep(Duration::from_millis(5)).await;
     }
-    panic!("the job never got there: {:?}", jobs.get(id).await);
+    panic!("the job did not reach the expected state: {:?}", jobs.get(id).await);
 }
 
 #[tokio::test]
-async fn success_failure_and_panic_each_finish_the_job() {
+async fn jobs_finish_after_success_failure_or_panic() {
     let folder = tempfile::tempdir().unwrap();
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let stranger = jobs.repository.insert_job("s", &written("stranger", "{}")).await.unwrap().id;
@@ -158,11 +158,7 @@ async fn a_cancel_request_between_claim_and_start_is_not_lost() {
     let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
     let id = submit(&jobs, "wait").await;
     let claimed = jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap().unwrap();
-    assert_eq!(
-        jobs.cancel(&id).await.unwrap().state,
-        JobState::Running,
-        "claimed, and in nobody's hands yet"
-    );
+    assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "claimed but not started");
     jobs.run(&Arc::new(ScriptedJob::default()), claimed, &shutdown).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
 }
@@ -180,9 +176,9 @@ async fn a_cancel_request_survives_a_restart() {
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
 }
 
-/// Only the holder of the lease may write; after the lease has passed on, its writes are refused.
+/// After the lease has passed to another worker, writes of the previous holder are refused.
 #[tokio::test]
-async fn only_the_lease_holder_may_write() {
+async fn only_the_lease_holder_can_write() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
@@ -190,7 +186,7 @@ async fn only_the_lease_holder_may_write() {
         &jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap().unwrap(),
     );
     jobs.repository.recover_jobs(ScriptedJob::NAME, RECOVERY).await.unwrap();
-    assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Running, "its holder is there");
+    assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Running, "its lease holder is alive");
     jobs.repository.enter_as_new_process().await.unwrap();
     jobs.repository.recover_jobs(ScriptedJob::NAME, RECOVERY).await.unwrap();
     assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
@@ -207,9 +203,9 @@ async fn only_the_lease_holder_may_write() {
     assert_eq!((job.state, job.message), (JobState::Queued, None));
 }
 
-/// Interruptions are not the job's fault as long as it makes progress.
+/// A job that makes progress between interruptions is requeued without delay.
 #[tokio::test]
-async fn interruptions_count_only_without_progress() {
+async fn interruptions_delay_a_job_only_without_progress() {
     let folder = tempfile::tempdir().unwrap();
     let jobs = queue(&folder).await;
     let id = submit(&jobs, "this").await;
@@ -226,13 +222,9 @@ async fn interruptions_count_only_without_progress() {
     for step in 1_u8..30 {
         assert_eq!(interrupted(f32::from(step) / 100.0).await, JobState::Queued);
     }
-    // Without further progress it waits.
+    // Without further progress, the job is delayed.
     assert_eq!(interrupted(0.1).await, JobState::Queued);
-    assert_eq!(
-        jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap(),
-        None,
-        "not at once again"
-    );
+    assert_eq!(jobs.repository.claim_job(ScriptedJob::NAME).await.unwrap(), None, "not due yet");
 }
 
 #[tokio::test]
@@ -262,7 +254,11 @@ async fn job_kinds_do_not_block_each_other() {
     until(&jobs, &slow[1], |j| j.state == JobState::Running).await;
     let quick = submit(&jobs, "this").await;
     until(&jobs, &quick, |j| j.state == JobState::Succeeded).await;
-    assert_eq!(jobs.get(&slow[2]).await.unwrap().state, JobState::Queued, "two at once, no more");
+    assert_eq!(
+        jobs.get(&slow[2]).await.unwrap().state,
+        JobState::Queued,
+        "at most two run concurrently"
+    );
     shutdown.cancel();
     for worker in workers {
         worker.await.unwrap();
@@ -314,7 +310,7 @@ async fn one_key_cannot_fill_the_queue() {
     assert!(matches!(ask("few").await, Err(JobsError::QueueFull { queued: 10, .. })));
 }
 
-/// The lane's task is aborted, like after a panic.
+/// Aborts the task of one lane, which ends it like a panic.
 #[tokio::test]
 async fn a_stopped_lane_is_reported_by_kind() {
     let folder = tempfile::tempdir().unwrap();

@@ -45,7 +45,7 @@ impl GroundingService {
             *scene = self.scene_lookup.resolve(mem::take(scene)).await?;
         }
         let (start, question) = (Instant::now(), request.to_ground_request());
-        // Fails early for a question that insists on a model that cannot be had.
+        // Fails early if the question requires a model that is unavailable.
         QuestionModels::decide(self.vlm.as_ref(), &question, &caller, Vec::new())?;
         let (rows, narrowed) = self.select_scenes(&request).await?;
         let glance_at = GroundRequest { reasoner: ReasonerChoice::Builtin, ..question.clone() };

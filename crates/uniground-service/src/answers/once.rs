@@ -37,7 +37,7 @@ impl GroundingService {
         key: &str,
     ) -> Result<(Answer, bool), Error> {
         request.check()?;
-        // Checked first: a question that cannot be asked uses up no key.
+        // Checked first, so that a question about an unparsed scene does not use up its key.
         self.scene_lookup.ready_scene(scene_id).await?;
         let key = caller.qualify_name(key.to_owned());
         let _lock = self.service_locks.lock_idempotency_key(&key).await?;

@@ -1,4 +1,4 @@
-//! Which models a question may use, and what pays for them.
+//! Chooses the models of a question and the budgets that pay for them.
 
 use crate::error::Error;
 use crate::vlm::OF_QUESTION;
@@ -14,25 +14,26 @@ use uniground_types::question::{
     DEFAULT_MIN_CONFIDENCE, GroundRequest, ParserChoice, ReasonerChoice,
 };
 
-/// The models that one question may use. Decided once, before anything is computed or paid.
+/// The models that a question uses. Chosen once, before anything is computed or paid.
 pub(super) struct QuestionModels {
-    /// Reviews what the built-in reasoner found. `None`: the built-in reasoner decides.
+    /// Reviews the result of the built-in reasoner. `None`: the built-in reasoner decides.
     reviewer: Option<(Arc<Vlm>, Review)>,
     parser: Arc<dyn QueryParser>,
 }
 
 impl QuestionModels {
-    /// No model: the grammar reads and the built-in reasoner decides.
+    /// Returns models for a question without model calls: the grammar parses it and the built-in
+    /// reasoner decides.
     pub fn built_in() -> Self {
         Self { reviewer: None, parser: Arc::new(BuiltinParser) }
     }
 
-    /// Decides from the request, the caller's key and the configured model. Every call is paid
-    /// from all of `budgets`, and from the budgets of the day that the model knows itself.
+    /// Chooses the models by the request, the caller's key and the configured model. Every call is
+    /// charged to all of `budgets`, and to the daily budgets, which the model checks itself.
     ///
     /// # Errors
-    /// [`Error::VlmNotConfigured`] and [`Error::OverBudget`] where the request insists on a model;
-    /// [`Error::Invalid`] for a cost limit where the model's prices are not known.
+    /// [`Error::VlmNotConfigured`] and [`Error::OverBudget`] if the request requires a model;
+    /// [`Error::Invalid`] for a cost limit if the model's prices are unknown.
     pub fn decide(
         vlm: Option<&Arc<Vlm>>,
         request: &GroundRequest,
@@ -63,7 +64,7 @@ impl QuestionModels {
             }
             (_, Some(vlm)) => Some(vlm.clone()),
         };
-        // The grammar reads where nothing may be spent.
+        // Without a budget, the grammar parses the question.
         let reader = vlm
             .filter(|_| !is_spending_forbidden)
             .map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.clone() });
@@ -91,12 +92,12 @@ impl QuestionModels {
         Ok(Self { reviewer, parser })
     }
 
-    /// Whether a vision-language model reviews the answer.
+    /// Returns whether a vision-language model reviews the answer.
     pub fn has_reviewer(&self) -> bool {
         self.reviewer.is_some()
     }
 
-    /// Takes a place in the queue for the model, to be held until the question is answered.
+    /// Acquires a permit of the model's queue, to be held until the question is answered.
     ///
     /// # Errors
     /// [`Error::Overloaded`].
@@ -104,7 +105,7 @@ impl QuestionModels {
         self.reviewer.as_ref().map(|(vlm, _)| vlm.acquire_permit()).transpose()
     }
 
-    /// The question with its models, as the pipeline takes it.
+    /// Converts the question with its models to the input of the pipeline.
     pub fn into_ask(self, request: &GroundRequest) -> Ask {
         let question = Question {
             query: request.query.clone(),
@@ -126,13 +127,13 @@ impl QuestionModels {
     }
 }
 
-/// Whether a question asks for a model, if one may be paid.
+/// Returns whether a question asks for a model, regardless of budgets.
 pub(super) fn wants_model(request: &GroundRequest) -> bool {
     request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm
 }
 
-/// Whether nothing may be spent on a question: it says so, or its key has a daily budget and the
-/// model's prices are not known.
+/// Returns whether a question must not cost anything: its limit is 0, or its key has a daily budget
+/// and the model's prices are unknown.
 fn is_spending_forbidden(vlm: Option<&Arc<Vlm>>, request: &GroundRequest, caller: &Caller) -> bool {
     let has_budget = caller.key.as_ref().is_some_and(|key| key.row.daily_usd.is_some());
     request.max_cost_usd == Some(0.0)

@@ -28,8 +28,8 @@ impl ApproachService {
     /// Finds standing poses for an instance, or for the object that a question means.
     ///
     /// # Errors
-    /// [`Error`] for an unknown or unparsed scene, an unknown instance or one that is not a thing,
-    /// an invalid request, coordinates that the scene does not have, or overload.
+    /// [`Error`] for an unknown or unparsed scene, an unknown instance or one that is not an
+    /// object, an invalid request, a coordinate frame that the scene does not have, or overload.
     pub async fn approach(
         &self,
         scene_id: &str,
@@ -113,8 +113,8 @@ impl ApproachService {
         Ok(result)
     }
 
-    /// Returns the map of a scene's floor. What is higher above the floor than `height_m` is not an
-    /// obstacle.
+    /// Returns the map of a scene's floor. Anything higher than `height_m` above the floor is not
+    /// an obstacle.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`]; an invalid

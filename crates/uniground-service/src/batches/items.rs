@@ -125,7 +125,7 @@ mod tests {
     /// Batches of earlier versions store whole questions. They are returned unchanged, without
     /// parsing.
     #[test]
-    fn complete_questions_are_not_changed_by_merging() {
+    fn items_without_defaults_are_returned_unchanged() {
         let none = BatchDefaults::from_stored(None).unwrap();
         assert!(matches!(
             none.merge("{ \"query\" : 1.50 }").unwrap(),

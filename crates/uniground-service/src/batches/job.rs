@@ -51,9 +51,9 @@ impl JobKind for BatchJob {
 
 /// Items read from the database at once.
 const WINDOW: u32 = 512;
-/// The interval at which finished items are written,
+/// The interval at which finished items are written.
 const WRITE_EVERY: Duration = Duration::from_millis(200);
-/// or the number of finished items that triggers a write earlier.
+/// The number of finished items that triggers an earlier write.
 const WRITE_AFTER: usize = 64;
 /// Attempts at a question after transient errors, and the wait before the second attempt. Each
 /// later wait is twice as long.

@@ -422,7 +422,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn batch_size_limit_is_exact() {
+    fn batches_above_the_size_limit_are_rejected() {
         assert!(check_size(MAX_STORED_BYTES).is_ok());
         let refused = check_size(MAX_STORED_BYTES + 1).unwrap_err();
         assert_eq!(

@@ -43,8 +43,8 @@ struct TurnedBox {
 }
 
 impl CorrectionService {
-    /// Returns the things of a scene's current parse with corrections applied. Floor, walls and
-    /// ceiling are left out.
+    /// Returns the objects of a scene's current parse with corrections applied. Excludes floor,
+    /// walls and ceiling.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].

@@ -40,7 +40,7 @@ impl CorrectionService {
     ///
     /// # Errors
     /// [`Error::Invalid`], [`Error::InstanceNotFound`]; [`Error::NotAThing`] for a merge of
-    /// instances that are not things, [`Error::NoParts`] for a split that leaves nothing;
+    /// instances that are not objects, [`Error::NoParts`] for a split without known parts;
     /// [`Error::TooManyCorrections`].
     pub async fn correct(
         &self,

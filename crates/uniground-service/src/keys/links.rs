@@ -19,7 +19,7 @@ pub const PARAMETER: &str = "link";
 const MAX_PATHS: usize = 500;
 const MAX_PATH_CHARS: usize = 500;
 const SECONDS: std::ops::RangeInclusive<u32> = 10..=86_400;
-/// The suffix that stands for everything below a path.
+/// The suffix of a path for everything below it.
 const ALL: &str = "/*";
 /// The maker of links created with the server's own key, and where no key is required.
 const OWN: &str = "own";
@@ -211,7 +211,7 @@ mod tests {
         assert_eq!(
             opens(&links[0].token, &cloud, later(59)),
             reader,
-            "no more than reading, whoever made it"
+            "links have the scope read, whatever the scope of their maker"
         );
         assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(KeyRejection::LinkExpired));
         for below in [cloud.clone(), format!("{SCENE}/instances/3/views/0.jpg")] {
@@ -234,7 +234,7 @@ mod tests {
         assert_eq!(
             opens(&links[0].token, &cloud, now),
             Err(KeyRejection::Revoked),
-            "it goes with its key"
+            "a link is rejected once its key is revoked"
         );
     }
 

@@ -72,7 +72,7 @@ impl NamingService {
     }
 
     /// Starts naming a scene that has just been parsed, if configured. Errors are only logged,
-    /// because the parse is done. The server's own budget pays, whoever uploaded the scene.
+    /// because the parse is done. The server's own budget pays, not that of the uploader.
     pub(super) async fn name_when_parsed(&self, scene_id: &str) {
         if self.vlm.as_ref().is_none_or(|vlm| vlm.names() != WhenNamed::Parse) {
             return;

@@ -352,7 +352,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn import_settings_are_kept_unless_overridden() {
+    fn import_settings_of_the_earlier_job_are_kept_unless_overridden() {
         let payload = r#"{"scene_id": "s", "settings": {"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off", "fusion": {"voxel_m": 0.03}}}}"#;
         let kept = json!({"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off"}});
         assert_eq!(with_import_settings_of(payload, None), Some(kept));

@@ -240,7 +240,7 @@ mod tests {
     use uniground_types::placement::SceneToMap;
 
     #[test]
-    fn frames_in_map_coordinates_are_transformed_to_the_scene() {
+    fn inverse_transforms_map_coordinates_to_the_scene() {
         let s = std::f64::consts::FRAC_1_SQRT_2;
         let map = SceneToFrame::scene_to_map(&SceneToMap {
             rotation: [0.0, 0.0, s, s],

@@ -73,7 +73,7 @@ impl UploadFixture {
     }
 }
 
-/// Bytes in chunks of uneven lengths. The body then ends or breaks off.
+/// Returns a body with these bytes in chunks. The body then ends or breaks off.
 fn body(
     bytes: &[u8],
     end: Option<()>,
@@ -94,7 +94,7 @@ fn sum_of(bytes: &[u8]) -> Checksum {
     Checksum { algorithm: ChecksumAlgorithm::Sha256, sum: Sha256::digest(bytes).to_vec() }
 }
 
-/// Starts like an archive, so that its first bytes are accepted.
+/// Returns bytes that start like an archive, so that they are accepted.
 fn archive(length: usize) -> Vec<u8> {
     let mut bytes: Vec<u8> = (0..length).map(|i| (i * i % 251) as u8).collect();
     bytes[..4].copy_from_slice(b"PK\x03\x04");
@@ -185,7 +185,7 @@ async fn concurrent_senders_never_mix_bytes() {
         let id = id.clone();
         async move { service.append(&id, part(0, None, receiver), Caller::operator()).await }
     });
-    // Returns once the first part has been taken. From then on the upload is busy.
+    // Returns once the service has received the first chunk. From then on the upload is busy.
     sender.send(Ok::<_, Infallible>(Bytes::from(bytes[..1000].to_vec()))).await.unwrap();
     let second = fixture.append(&id, part(0, None, body(&bytes[..0], None))).await;
     assert!(matches!(second, Err(Error::UploadBusy { .. })), "{second:?}");
@@ -208,9 +208,9 @@ async fn concurrent_senders_never_mix_bytes() {
     ));
 }
 
-/// Bytes beyond the announced length are rejected. The bytes that fit are stored.
+/// The bytes that fit are stored.
 #[tokio::test]
-async fn an_endless_body_is_cut_at_the_limit() {
+async fn bytes_beyond_the_announced_length_are_rejected() {
     let fixture = UploadFixture::new().await;
     let (bytes, id) = (archive(30_000), fixture.start_upload(20_000).await);
     let long = fixture.append(&id, part(0, None, body(&bytes, None))).await;
@@ -221,7 +221,7 @@ async fn an_endless_body_is_cut_at_the_limit() {
     );
 }
 
-/// A backup contains the record but not the file. A file without a record is an orphan.
+/// A backup contains the record but not the file. A file without a record is removed.
 #[tokio::test]
 async fn an_upload_whose_file_is_missing_restarts_at_zero() {
     let fixture = UploadFixture::new().await;
@@ -239,7 +239,7 @@ async fn an_upload_whose_file_is_missing_restarts_at_zero() {
 }
 
 #[tokio::test]
-async fn files_that_are_no_scan_are_rejected_by_their_first_bytes() {
+async fn invalid_files_are_rejected_by_their_first_bytes() {
     let fixture = UploadFixture::new().await;
     let id = fixture.start_upload(1 << 30).await;
     let upload = fixture.append(&id, part(0, None, body(&[b'x'; 5000], None))).await.unwrap();

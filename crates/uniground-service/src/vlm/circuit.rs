@@ -33,7 +33,7 @@ struct CircuitState {
     /// The number of failed calls in a row, the outcome of the last one, and the time of the first
     /// one.
     failing: Option<(u32, &'static str, String)>,
-    /// Calls in a row whose signal was `Gone` or `Failing`: the server is down, or may be.
+    /// Calls in a row whose signal was `Unreachable` or `Failing`: the server may be down.
     down: u32,
     open: Option<OpenCircuit>,
 }
@@ -42,11 +42,11 @@ struct CircuitState {
 struct OpenCircuit {
     until: Instant,
     wait: Duration,
-    /// A call is trying the server, since this time.
+    /// Start time of the probe, a call that tries the server again.
     trying: Option<Instant>,
 }
 
-/// A try that never ends blocks other tries no longer than this.
+/// A probe that never ends blocks other probes no longer than this.
 const MAX_PROBE_DURATION: Duration = Duration::from_mins(10);
 
 impl CircuitBreaker {
@@ -54,7 +54,7 @@ impl CircuitBreaker {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Admits a call, or returns the time until a call may try.
+    /// Admits a call if the circuit is closed, or as a probe if one is due.
     ///
     /// # Errors
     /// The time to wait.
@@ -91,7 +91,7 @@ impl CircuitBreaker {
         state.open = is_down.then(|| OpenCircuit { until: now + wait, wait, trying: None });
     }
 
-    /// Records that a trying call was abandoned before its answer. The next call may try.
+    /// Records that a probe was abandoned before its answer. The next call becomes the probe.
     pub fn release_probe(&self) {
         if let Some(open) = &mut self.state().open {
             open.trying = None;
@@ -119,13 +119,13 @@ mod tests {
         circuit.record(CallSignal::Unreachable, "unreachable", start);
         assert_eq!(circuit.admit(after(1)), Err(Duration::from_secs(4)));
         assert!(circuit.condition().unwrap_err().starts_with("unreachable since"));
-        assert!(circuit.admit(after(5)).is_ok(), "one tries it");
-        assert!(circuit.admit(after(5)).is_err(), "and nobody beside");
+        assert!(circuit.admit(after(5)).is_ok(), "one probe is admitted");
+        assert!(circuit.admit(after(5)).is_err(), "a second probe is rejected");
         circuit.record(CallSignal::Unreachable, "unreachable", after(6));
         assert_eq!(circuit.admit(after(6)), Err(Duration::from_secs(10)));
         assert!(circuit.admit(after(16)).is_ok());
         circuit.release_probe();
-        assert!(circuit.admit(after(16)).is_ok(), "who tried it left");
+        assert!(circuit.admit(after(16)).is_ok(), "the released probe is replaced");
         circuit.record(CallSignal::Up, "answered", after(17));
         assert!(
             circuit.admit(after(17)).is_ok()
@@ -143,7 +143,7 @@ mod tests {
         failing(FAILURES - 1);
         circuit.record(CallSignal::Unclear, "refused", now);
         failing(FAILURES - 1);
-        assert!(circuit.admit(now).is_ok(), "not in a row");
+        assert!(circuit.admit(now).is_ok(), "the failures are not in a row");
         failing(1);
         assert!(circuit.admit(now).is_err());
         assert!(circuit.condition().unwrap_err().contains("10 calls"));

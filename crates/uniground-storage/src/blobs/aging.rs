@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn folder_age_is_that_of_the_last_change() {
+    fn folder_age_counts_from_the_last_change() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         for id in ["a", "b"] {

@@ -272,7 +272,7 @@ mod tests {
             [a.exists(), b.exists(), c.exists(), cache.bytes() == 20],
             [true, false, true, true]
         );
-        // All are in use: the cache exceeds its limit only as long as that lasts.
+        // All folders are pinned: the cache exceeds its limit until one is released.
         let also = cache.pin(&c);
         let last = cache.pin(&d);
         cache.add(&d, 10);
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn existing_folders_are_evicted_by_age() {
+    async fn folders_found_at_start_are_evicted_by_age() {
         let root = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(root.path()).unwrap();
         let tmp = folder(root, "tmp");

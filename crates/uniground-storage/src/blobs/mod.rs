@@ -1,4 +1,4 @@
-//! Files beside the database. This is the only place that publishes and removes them.
+//! Files outside the database. Only this module publishes and removes them.
 //!
 //! ```text
 //! blobs/contents/<sha256>/...     an unpacked archive
@@ -15,8 +15,8 @@
 //!
 //! Published folders may be stored in an object store instead ([`objects`]). Local folders are then
 //! copies, which readers download ([`shared`]). Copies that are not in use are evicted when there
-//! are too many ([`cache`]). Readers ask for files with [`Blobs::pin_file`] and [`Blobs::pin_folder`],
-//! wherever the files are stored.
+//! are too many ([`cache`]). Readers get files with [`Blobs::pin_file`] and
+//! [`Blobs::pin_folder`], wherever the files are stored.
 
 mod aging;
 mod cache;
@@ -87,7 +87,7 @@ impl Scratch {
 impl Drop for Scratch {
     fn drop(&mut self) {
         drop(self.beyond.take());
-        // A published folder has moved away already. A folder that cannot be removed now is removed
+        // A published folder has already been moved. A folder that cannot be removed now is removed
         // at the next start.
         if let Err(error) = remove_tree(&self.path, &self.tmp) {
             tracing::warn!(folder = %self.path, %error, "temporary folder could not be removed");
@@ -454,7 +454,7 @@ mod tests {
         .unwrap()
     }
 
-    /// Thousands of nested folders, whose full path is longer than the system allows.
+    /// Nests thousands of folders, so that the full path is longer than the system allows.
     #[test]
     fn folders_of_any_depth_are_removed() {
         let data = tempfile::tempdir().unwrap();
@@ -462,7 +462,7 @@ mod tests {
         let mut top = blobs.tmp.join("0");
         fs::create_dir(&top).unwrap();
         for i in 1..3000 {
-            // From the inside out: move the inner folder into the next outer one.
+            // Move the inner folder into the next outer one: the path would be too long to create.
             let outer = blobs.tmp.join(i.to_string());
             fs::create_dir(&outer).unwrap();
             fs::rename(&top, outer.join("a name that is not short")).unwrap();
@@ -510,7 +510,7 @@ mod tests {
         );
     }
 
-    /// A folder under `tmp/` with these files.
+    /// Creates a folder under `tmp/` with these files.
     fn write_scratch(blobs: &Blobs, files: &[(&str, &str)]) -> Scratch {
         let scratch = blobs.scratch().unwrap();
         for (file, text) in files {
@@ -525,13 +525,13 @@ mod tests {
         fs::read_to_string(place.join(file)).unwrap_or_else(|error| format!("{file}: {error}"))
     }
 
-    /// Names under `tmp/`.
+    /// Returns the names under `tmp/`.
     fn list_tmp(blobs: &Blobs) -> Vec<String> {
         let entries = blobs.tmp.read_dir_utf8().unwrap();
         entries.map(|entry| entry.unwrap().file_name().to_owned()).collect()
     }
 
-    /// Waits until what is removed in the background is gone.
+    /// Waits until the background removal has finished.
     async fn wait_until_tmp_is_empty(blobs: &Blobs) {
         for _ in 0..2000 {
             if list_tmp(blobs).is_empty() {
@@ -539,10 +539,10 @@ mod tests {
             }
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
-        panic!("still there: {:?}", list_tmp(blobs));
+        panic!("not removed: {:?}", list_tmp(blobs));
     }
 
-    /// The same folders, looked at only.
+    /// Opens the same folders read-only.
     fn open_read_only_blobs(data: &tempfile::TempDir) -> Blobs {
         Blobs::open_read_only(Utf8Path::from_path(data.path()).unwrap()).unwrap()
     }
@@ -598,7 +598,7 @@ mod tests {
         assert_eq!(read(&place, "cloud.ply"), "points");
         assert_eq!(read(&place, "views/1.jpg"), "picture");
         assert_eq!(read(&place, checksums::SUMS), sums);
-        assert!(!path.exists(), "it has moved");
+        assert!(!path.exists(), "the scratch folder was moved");
         assert_eq!(blobs.check_folder(&place, CheckDepth::Bytes).unwrap(), []);
         assert_eq!(list_tmp(&blobs), [""; 0]);
     }
@@ -626,7 +626,7 @@ mod tests {
         assert_eq!(read(&place, "a"), "first");
         blobs.publish(write_scratch(&blobs, &[("a", "third")]), &place).unwrap();
         assert_eq!(read(&place, "a"), "first");
-        assert_eq!(list_tmp(&blobs), [""; 0], "those of the others are gone");
+        assert_eq!(list_tmp(&blobs), [""; 0], "the folders of the losers are removed");
     }
 
     #[test]
@@ -648,7 +648,7 @@ mod tests {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.content("h");
-        // A sum that is not the file's shows that it was believed.
+        // A wrong checksum is stored unchanged, which shows that the file was not read.
         let known = Sums::from([("a".into(), "0123".to_owned())]);
         blobs
             .publish_with_checksums(
@@ -673,7 +673,7 @@ mod tests {
     }
 
     #[test]
-    fn a_published_folder_links_its_files_and_checksums() {
+    fn link_files_links_files_and_returns_their_checksums() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let place = blobs.content("h");
@@ -705,7 +705,7 @@ mod tests {
         assert!(!place.exists());
         wait_until_tmp_is_empty(&blobs).await;
         blobs.discard(place).await.unwrap();
-        assert!(other.join("views/1.jpg").exists(), "others stay");
+        assert!(other.join("views/1.jpg").exists(), "other folders are kept");
     }
 
     #[tokio::test]
@@ -727,7 +727,7 @@ mod tests {
         let (place, missing) = (blobs.parse("p"), blobs.parse("q"));
         blobs.publish(write_scratch(&blobs, &[("a", "old")]), &place).unwrap();
         let mut aside = blobs.set_aside(vec![missing, place.clone()]).await.unwrap();
-        assert_eq!(aside.len(), 1, "nothing was where the other would be");
+        assert_eq!(aside.len(), 1, "a missing folder is skipped");
         assert!(!place.exists() && aside[0].path().starts_with(blobs.tmp()));
         blobs.put_back(aside.remove(0), place.clone()).await.unwrap();
         assert_eq!(read(&place, "a"), "old");
@@ -737,7 +737,7 @@ mod tests {
         blobs.publish(write_scratch(&blobs, &[("a", "new")]), &place).unwrap();
         blobs.put_back(aside.remove(0), place.clone()).await.unwrap();
         assert_eq!(read(&place, "a"), "new");
-        assert_eq!(list_tmp(&blobs), [""; 0], "that of before is gone");
+        assert_eq!(list_tmp(&blobs), [""; 0], "the old folder is removed");
 
         let mut aside = blobs.set_aside(vec![place]).await.unwrap();
         let nowhere = blobs.root.join("no/such/kind");
@@ -756,14 +756,13 @@ mod tests {
         wait_until_tmp_is_empty(&blobs).await;
     }
 
-    /// Outside of a runtime a task could not be begun.
+    /// Spawning a task would panic here, outside of a Tokio runtime.
     #[test]
-    fn removing_nothing_spawns_no_task() {
+    fn remove_later_without_folders_spawns_no_task() {
         let data = tempfile::tempdir().unwrap();
         open_blobs(&data).remove_later(Vec::new());
     }
 
-    /// Only a missing folder is no error.
     #[test]
     fn a_folder_that_cannot_be_moved_is_an_error() {
         let data = tempfile::tempdir().unwrap();
@@ -776,7 +775,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_are_listed_by_name_and_files_among_them_are_stray() {
+    fn folders_are_listed_and_files_among_them_are_stray() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         assert!(blobs.names("parses").unwrap().is_empty());
@@ -804,12 +803,12 @@ mod tests {
         let looking = open_read_only_blobs(&data);
         assert!(looking.names("parses").unwrap().is_empty());
         assert_eq!(looking.names("answers").unwrap(), ["a"]);
-        // Who writes there is told.
+        // With write access, a missing kind is an error.
         assert_eq!(blobs.names("parses").unwrap_err().kind(), io::ErrorKind::NotFound);
     }
 
     #[test]
-    fn unchanged_temporary_files_are_leftovers() {
+    fn temporary_files_older_than_the_limit_are_leftovers() {
         let data = tempfile::tempdir().unwrap();
         let blobs = open_blobs(&data);
         let minute = Duration::from_mins(1);
@@ -825,7 +824,7 @@ mod tests {
             let left = blobs.list_leftovers(unchanged).unwrap();
             let mut names: Vec<String> =
                 left.iter().map(|aside| aside.path().file_name().unwrap().to_owned()).collect();
-            // They are only looked at here.
+            // Do not drop the results: that would remove the files.
             left.into_iter().for_each(std::mem::forget);
             names.sort();
             names
@@ -833,7 +832,7 @@ mod tests {
         assert_eq!(left(minute * 60), ["two hours old"]);
         assert_eq!(left(minute * 10), ["half an hour old", "two hours old"]);
         assert_eq!(left(minute * 180), [""; 0]);
-        assert_eq!(left(Duration::ZERO).len(), 3, "after a start all of it");
+        assert_eq!(left(Duration::ZERO).len(), 3, "all files count without a minimum age");
         drop(blobs.list_leftovers(minute * 60).unwrap());
         assert_eq!(left(Duration::ZERO), ["from tomorrow", "half an hour old"]);
     }
@@ -858,7 +857,7 @@ mod tests {
         }
         assert_eq!(list_tmp(&blobs), [""; 0]);
         assert_eq!(read(&kept, "a"), "1");
-        // What is no folder and below none can not be looked at.
+        // A path below a file is an error.
         let below_a_file = kept.join("a/b");
         let error = remove_tree(&below_a_file, &blobs.tmp).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::NotADirectory);

@@ -276,7 +276,7 @@ impl Blobs {
     ) -> io::Result<()> {
         let SharedBlobs { objects, cache, .. } = shared;
         let PendingUpload { files, seal, begun } = put;
-        // The row must be written before orphan collection takes the folder for an orphan.
+        // The row must be written before orphan collection removes the folder as an orphan.
         if begun.elapsed() > objects.grace / 2 {
             return Err(ObjectStoreUnavailable::wrap(
                 "putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)",
@@ -336,7 +336,7 @@ mod tests {
 
     const DAY: Duration = Duration::from_hours(24);
 
-    /// Several machines with their own folders, over one object store.
+    /// Several machines with separate folders that share one object store.
     struct Site {
         store: Arc<InMemory>,
         machines: Vec<(tempfile::TempDir, Blobs)>,
@@ -443,7 +443,7 @@ mod tests {
             );
             assert!(
                 place.join("cloud.ply").exists(),
-                "what it never had is no reason to doubt what is here"
+                "a request for an unknown file does not remove the local copy"
             );
             assert!(blobs.check_folder(&place, CheckDepth::Bytes).unwrap().is_empty());
             assert_eq!(
@@ -465,9 +465,9 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn unsealed_files_are_not_a_folder() {
+    async fn files_without_a_seal_are_not_a_published_folder() {
         let site = Site::new(2, u64::MAX, DAY).await;
-        // The writer ended before it put the seal.
+        // The writer ended before it uploaded the seal.
         for (file, _) in FILES {
             site.store
                 .put(&Path::from(format!("rooms/a/contents/c/0123/{file}")), "torn".into())
@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_first_of_two_publishers_wins_and_the_other_leaves_nothing() {
+    async fn the_first_of_two_publishers_wins_and_files_of_the_other_are_removed() {
         let site = Site::new(2, u64::MAX, DAY).await;
         // Both machines start before either has finished.
         let prepared = site
@@ -522,7 +522,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_removed_folder_is_gone_everywhere_and_can_be_republished() {
+    async fn a_removed_folder_is_removed_on_all_machines_and_can_be_republished() {
         let site = Site::new(2, u64::MAX, DAY).await;
         site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
         site.run_on(1, |blobs| read(&blobs, &blobs.content("c"), "cloud.ply").unwrap()).await;
@@ -538,7 +538,7 @@ mod tests {
         );
         wait_until_objects_left(&site, 0).await;
         site.run_on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
-        // This machine still has the previous seal, and not all the files.
+        // This machine still has the previous seal and only one of the files.
         assert_eq!(
             site.run_on(1, |blobs| read_all_files(&blobs, &blobs.content("c"))).await.len(),
             FILES.len()

@@ -105,7 +105,7 @@ mod tests {
     use std::fs;
 
     #[tokio::test]
-    async fn sizes_follow_the_files() {
+    async fn sizes_are_updated_when_files_change() {
         let data = tempfile::tempdir().unwrap();
         let blobs = Blobs::open(
             Utf8Path::from_path(data.path()).unwrap(),

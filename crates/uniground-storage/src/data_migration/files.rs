@@ -211,8 +211,8 @@ mod tests {
     use std::sync::Arc;
     use std::time::{Duration, SystemTime};
 
-    /// Two data folders. The first has a published parse, checkpoints of a scan, and half an
-    /// upload.
+    /// Creates two data folders. The first has a published parse, checkpoints of a scan, and an
+    /// unfinished upload.
     fn folders() -> (tempfile::TempDir, Blobs, Blobs) {
         let root = tempfile::tempdir().unwrap();
         let [from, to] = ["old", "new"].map(|name| {
@@ -258,7 +258,7 @@ mod tests {
         assert_eq!(reported, [("parses", 1, 0), ("checkpoints", 1, 8), ("uploads", 1, 4)]);
         assert_eq!(damaged, []);
         assert!(to.check_folder(&to.parse("p"), CheckDepth::Bytes).unwrap().is_empty());
-        // A log that grows on one side grows there only.
+        // Changes at the source do not affect the copies.
         for log in [from.checkpoints("c").join("stage.log"), from.upload("u")] {
             fs::write(log, "more").unwrap();
         }
@@ -266,7 +266,7 @@ mod tests {
             (text(to.checkpoints("c").join("stage.log")), text(to.upload("u"))),
             ("finished".into(), "half".into())
         );
-        // Migration keeps the age of everything.
+        // Migration keeps modification times.
         assert!(
             to.list_folders_older_than("parses", Duration::from_hours(98), SystemTime::now())
                 .unwrap()
@@ -278,10 +278,10 @@ mod tests {
     }
 
     #[test]
-    fn a_second_attempt_completes_the_first() {
+    fn a_second_run_completes_the_first() {
         let (_root, from, to) = folders();
         run_file_migration(&from, &to);
-        // Removed at the source, and incomplete at the target.
+        // Folders that the source does not have, and an incomplete folder at the target.
         fs::create_dir(to.parse("gone")).unwrap();
         fs::write(to.upload("gone"), "x").unwrap();
         fs::remove_file(to.parse("p").join("views/1.jpg")).unwrap();
@@ -297,10 +297,10 @@ mod tests {
         );
     }
 
-    /// As for another disk: checks every file against its checksum, and keeps files that were
-    /// damaged before as they are.
+    /// Copying (to another disk) checks every file against its checksum, and copies damaged files
+    /// unchanged.
     #[test]
-    fn a_copy_is_complete_or_reported_as_damaged() {
+    fn damaged_files_are_copied_and_reported() {
         let (_root, from, to) = folders();
         let (source, place) = (from.parse("p"), to.parse("p"));
         let mut damaged = DamagedFolders::new();

@@ -333,7 +333,7 @@ mod tests {
         let mut known: Vec<&str> =
             TABLES.into_iter().chain(["_sqlx_migrations", "data_folder", "members"]).collect();
         known.sort_unstable();
-        assert_eq!(tables, known, "what becomes of a table when a store is moved?");
+        assert_eq!(tables, known, "add new tables to TABLES or to the exceptions of this test");
         for (place, table) in TABLES.iter().enumerate() {
             let sql = "SELECT \"table\" FROM pragma_foreign_key_list($1)";
             let above: Vec<String> = sqlx::query_scalar(sql)
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn one_statement_inserts_many_rows() {
+    fn insert_statements_have_one_tuple_per_row() {
         let columns = [("id".to_owned(), ColumnType::Text), ("usd".to_owned(), ColumnType::Real)];
         assert_eq!(
             insert_statement("t", &columns, 2),

@@ -110,7 +110,7 @@ impl TargetFolder {
         Blobs::open(&self.path, &BlobHome::Folder, FileAccess::ReadWrite)
     }
 
-    /// Returns the path of an unfinished SQLite database, where no server looks for it.
+    /// Returns the path of an unfinished SQLite database. No server opens this path.
     pub fn unfinished_database(&self) -> Utf8PathBuf {
         self.path.join("tmp").join(DATABASE)
     }

@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_instance_of_another_version_keeps_its_known_fields() {
+    fn known_fields_of_other_versions_are_read() {
         let stored = r#"{"id": 7, "aabb": {"center": [1, 2, 3], "size": [1, 1, 1]}, "names": [{"name": "mug", "score": 0.5}], "mood": "blue",
                 "views": [{"frame": 3, "visible_points": 9, "box_px": [1, 2, 3, 4]}]}"#;
         let instance: Instance = serde_json::from_str::<InstanceRecord>(stored).unwrap().into();
@@ -164,7 +164,7 @@ mod tests {
         assert_eq!(
             (instance.views[0].box_px, &instance.views[0].mask),
             ([1, 2, 3, 4], &None),
-            "made before masks were kept"
+            "records of earlier versions have no mask"
         );
         let again = InstanceRecord::from(&instance);
         let read: InstanceRecord =

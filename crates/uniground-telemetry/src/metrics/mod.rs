@@ -3,7 +3,7 @@
 //! Each part counts its own work: requests in `http`, jobs in their lanes, questions, models and
 //! storage in `service`. One value is created at the start and passed down. There is no global
 //! state, so two servers in one process count separately. Labels have few values by construction:
-//! templates of routes, methods, statuses, kinds and codes; never an id, a name or a question.
+//! route templates, methods, statuses, kinds and codes; never ids, names or questions.
 
 mod jobs;
 mod process;
@@ -55,7 +55,7 @@ impl Default for Metrics {
         let own = registry.sub_registry_with_prefix("uniground");
         own.register(
             "build",
-            "The running program",
+            "Version of the running server",
             Info::new([("version", env!("CARGO_PKG_VERSION"))]),
         );
         Self {
@@ -76,7 +76,7 @@ impl Metrics {
     pub fn text(&self) -> String {
         self.process.update();
         let mut text = String::new();
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         let _ = text::encode(&mut text, &self.registry);
         text
     }

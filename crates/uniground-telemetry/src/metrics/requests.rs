@@ -48,10 +48,11 @@ impl RequestMetrics {
         };
         registry.register(
             "http_requests",
-            "Requests by method, template of the route and status",
+            "Finished requests by method, route template and status",
             requests.finished.clone(),
         );
-        let help = "From a request's header to its answer's; bodies that are streamed take longer";
+        let help =
+            "Time from the request header to the response header; streamed bodies take longer";
         registry.register_with_unit(
             "http_request_duration",
             help,
@@ -60,23 +61,23 @@ impl RequestMetrics {
         );
         registry.register(
             "http_requests_in_flight",
-            "Requests that have no answer yet",
+            "Requests without a response yet",
             requests.in_flight.clone(),
         );
-        registry.register("http_connections", "Connections open now", requests.connections.clone());
+        registry.register("http_connections", "Open connections", requests.connections.clone());
         registry.register(
             "http_connections_limit",
-            "Connections that may be open at once",
+            "Maximum number of open connections",
             requests.connections_limit.clone(),
         );
-        let help = "Connections turned away because all places had a request under way";
+        let help = "Connections refused because all open connections had a request in progress";
         registry.register("http_connections_refused", help, requests.connections_refused.clone());
         registry.register(
             "http_event_streams",
-            "Event streams open now",
+            "Open event streams",
             requests.event_streams.clone(),
         );
-        let help = "Audit entries that could not be written: too many at once, or a database that does not take them";
+        let help = "Audit entries that were not written, because the queue was full or the database failed";
         registry.register("audit_entries_dropped", help, requests.audit_entries_dropped.clone());
         requests
     }
@@ -130,7 +131,11 @@ mod tests {
             requests.finished.get(&Labels { method, route: route.into(), status }).map(|n| n.get())
         };
         assert_eq!(of("other", "none", 405), Some(1));
-        assert_eq!(of("GET", "/v1/scenes", CALLER_LEFT), Some(1), "who left is counted too");
+        assert_eq!(
+            of("GET", "/v1/scenes", CALLER_LEFT),
+            Some(1),
+            "requests of disconnected clients are counted"
+        );
         assert_eq!(requests.in_flight.get(), 0);
     }
 }

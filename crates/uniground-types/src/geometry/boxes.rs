@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn half_shifted_unit_cubes_overlap_by_a_third() {
+    fn unit_cubes_shifted_by_half_have_iou_one_third() {
         let a = boxed([0.0; 3], [1.0; 3]);
         let b = boxed([0.5, 0.0, 0.0], [1.5, 1.0, 1.0]);
         assert!((a.iou(&b) - 1.0 / 3.0).abs() < 1e-6);
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_rectangle_is_found_with_its_yaw() {
+    fn min_area_returns_the_yaw_of_a_rotated_rectangle() {
         let (sin, cos) = 0.5_f32.sin_cos();
         let corners = [(-2.0, -0.5), (2.0, -0.5), (2.0, 0.5), (-2.0, 0.5)];
         let turned: Vec<_> = corners

@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_axis_ends_up_as_z() {
+    fn every_up_axis_is_rotated_to_z() {
         for axis in UpAxis::ALL {
             let turned = axis.to_z_up() * axis.direction();
             assert!((turned - Vector3::z()).norm() < 1e-6, "{axis:?} became {turned:?}");
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn level_cameras_tell_up_and_tumbling_ones_do_not() {
+    fn up_axis_is_estimated_only_from_level_cameras() {
         // An OpenCV camera with the identity pose looks along +Z with image-down +Y, so up is -Y.
         assert_eq!(UpAxis::from_cameras(&[Isometry3::identity()]), Some(UpAxis::NegY));
         let upside_down = Isometry3::rotation(Vector3::z() * std::f32::consts::PI);

@@ -182,7 +182,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn single_values_replace_those_of_the_preset() {
+    fn single_values_override_the_preset() {
         let settings = ParseSettings::from_request(
             ParsePreset::Paper,
             Some(json!({"parsing": {"superpoints": {"seed_m": 0.5}}})),
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_settings_are_named_by_pointer() {
+    fn errors_of_invalid_settings_have_a_json_pointer() {
         for (overrides, expected) in [
             (
                 json!({"parsing": {"superpoints": {"voxel_m": -1}}}),
@@ -209,7 +209,7 @@ mod tests {
             (json!({"parsing": {"superpoint": {}}}), "/settings/parsing"),
             (json!({"import": {"fusion": {"voxel_m": 0}}}), "/settings/import/fusion/voxel_m"),
             (json!({"import": {"metres_per_unit": 0}}), "/settings/import/metres_per_unit"),
-            // Infinite as an `f32`.
+            // Becomes infinite as an `f32`.
             (
                 json!({"parsing": {"superpoints": {"normal_weight": 1e300}}}),
                 "/settings/parsing/superpoints/normal_weight",
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_setting_of_yesterday_is_read_under_its_new_name() {
+    fn deprecated_setting_names_are_accepted() {
         let settings = ParseSettings::from_request(
             ParsePreset::Default,
             Some(json!({"parsing": {"wholes": {"enabled": false}}})),

@@ -245,7 +245,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_presets_make_sense_and_survive_json() {
+    fn both_presets_are_valid_and_round_trip_through_json() {
         for settings in [ParsingSettings::default(), ParsingSettings::paper()] {
             assert_eq!(settings.check(), Ok(()));
             let json = serde_json::to_string(&settings).unwrap();
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_named() {
+    fn errors_of_invalid_values_name_the_setting() {
         let mut settings = ParsingSettings::default();
         settings.superpoints.voxel_m = f32::NAN;
         assert_eq!(settings.check().unwrap_err().0, "/superpoints/voxel_m");
