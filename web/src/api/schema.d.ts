@@ -2129,7 +2129,7 @@ export interface components {
              */
             top_k?: number;
         };
-        /** @description The things of a scene, as `uniground eval` reads annotations. */
+        /** @description Objects of a scene, in the format of annotations for `uniground eval`. */
         GroundTruth: {
             /** @description In order of id. */
             objects: components["schemas"]["TrueObject"][];
@@ -4366,9 +4366,9 @@ export interface components {
             /** @description Problems and how they were handled, one sentence each, in order. */
             corrections: string[];
         };
-        /** @description A thing. Metres, world frame of the scene (Z up). */
+        /** @description An object. Meters, world frame of the scene (Z up). */
         TrueObject: {
-            /** @description Whether somebody has said what it is called, or that it is one thing. */
+            /** @description Whether a correction renamed or merged it. */
             corrected: boolean;
             /**
              * Format: int32
@@ -4379,12 +4379,12 @@ export interface components {
             max: number[];
             /** @description Lowest corner. */
             min: number[];
-            /** @description What it is called. */
+            /** @description Name of the object. */
             name: string;
-            /** @description Turned about the vertical to fit it. */
+            /** @description Box rotated about the vertical axis to fit the object. */
             obb: components["schemas"]["TurnedBox"];
         };
-        /** @description A box turned about the vertical. */
+        /** @description A box rotated about the vertical axis. */
         TurnedBox: {
             center: number[];
             size: number[];

@@ -813,7 +813,7 @@ class GroundRequest(GroundOptions):
 
 @dataclass
 class GroundTruth:
-    """The things of a scene, as `uniground eval` reads annotations."""
+    """Objects of a scene, in the format of annotations for `uniground eval`."""
     scene_id: str
     """UUIDv7 of the scene."""
     objects: list[TrueObject]
@@ -2098,24 +2098,24 @@ class Trace:
 
 @dataclass
 class TrueObject:
-    """A thing. Metres, world frame of the scene (Z up)."""
+    """An object. Meters, world frame of the scene (Z up)."""
     id: int
     """Id of the instance."""
     name: str
-    """What it is called."""
+    """Name of the object."""
     min: Vector
     """Lowest corner."""
     max: Vector
     """Highest corner."""
     obb: TurnedBox
-    """Turned about the vertical to fit it."""
+    """Box rotated about the vertical axis to fit the object."""
     corrected: bool
-    """Whether somebody has said what it is called, or that it is one thing."""
+    """Whether a correction renamed or merged it."""
 
 
 @dataclass
 class TurnedBox:
-    """A box turned about the vertical."""
+    """A box rotated about the vertical axis."""
     center: Vector
     size: Vector
     yaw_deg: float

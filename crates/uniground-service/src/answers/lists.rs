@@ -10,14 +10,14 @@ use std::sync::Arc;
 use uniground_storage::{AnswerFilter, AnswerRepository, AnswerRow, split_page};
 use uniground_types::answer::Answer;
 
-/// How many things are written, one after the other.
+/// Format of a list of records.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LineFormat {
-    /// JSON, a line each.
+    /// One JSON object per line.
     #[default]
     Jsonl,
-    /// A row each, of the figures.
+    /// A table with the numeric fields, one row per record.
     Csv,
 }
 

@@ -7,7 +7,7 @@ use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{Instance, Level};
 use utoipa::ToSchema;
 
-/// The things of a scene, as `uniground eval` reads annotations.
+/// Objects of a scene, in the format of annotations for `uniground eval`.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct GroundTruth {
     /// UUIDv7 of the scene.
@@ -16,24 +16,24 @@ pub struct GroundTruth {
     objects: Vec<TrueObject>,
 }
 
-/// A thing. Metres, world frame of the scene (Z up).
+/// An object. Meters, world frame of the scene (Z up).
 #[derive(Debug, Serialize, ToSchema)]
 struct TrueObject {
     /// Id of the instance.
     id: u32,
-    /// What it is called.
+    /// Name of the object.
     name: String,
     /// Lowest corner.
     min: [f32; 3],
     /// Highest corner.
     max: [f32; 3],
-    /// Turned about the vertical to fit it.
+    /// Box rotated about the vertical axis to fit the object.
     obb: TurnedBox,
-    /// Whether somebody has said what it is called, or that it is one thing.
+    /// Whether a correction renamed or merged it.
     corrected: bool,
 }
 
-/// A box turned about the vertical.
+/// A box rotated about the vertical axis.
 #[derive(Debug, Serialize, ToSchema)]
 struct TurnedBox {
     center: [f32; 3],
