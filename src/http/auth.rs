@@ -99,8 +99,11 @@ fn bearer_token(headers: &HeaderMap) -> Option<&str> {
 
 fn unauthorized(denied: KeyRejection) -> Response {
     let detail = match denied {
-        KeyRejection::NoKey | KeyRejection::UnknownKey => {
+        KeyRejection::NoKey => {
             "this server requires an API key: send the header Authorization: Bearer <key>"
+        }
+        KeyRejection::UnknownKey => {
+            "this server does not know the API key in the header Authorization"
         }
         KeyRejection::Expired => "this key has expired",
         KeyRejection::Revoked => "this key was revoked",

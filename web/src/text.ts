@@ -62,7 +62,7 @@ export const t = {
       upload_too_slow: "The connection is too slow. Use a faster one, or upload with curl from the server's own network.",
       upload_too_large: "Remove frames or shrink the pictures, or ask the administrator to raise --max-upload-bytes.",
       archive_too_large: "Remove frames or shrink the pictures, or ask the administrator to raise --max-unpacked-bytes.",
-      archive_unreadable: "Pack the folder of the scan as .zip, .tar or .tar.zst, or choose a point cloud or a mesh.",
+      archive_unreadable: "Send the file again. If that does not help, pack the folder of the scan as .zip, .tar or .tar.zst, or choose a point cloud or a mesh.",
       archive_entry_unsafe: "Pack the folder without links and without paths that lead out of it.",
       unknown_layout: "The archive needs color/, depth/, pose/ and intrinsic.txt, or a scene.json, or a cloud.ply, at the top or in one folder. Photographs alone are not enough.",
       scene_file_missing: "Add the file named above to the archive, or correct its name in scene.json.",
@@ -106,7 +106,7 @@ export const t = {
     sample: "Open the sample room",
     /** As the server names it. */
     sampleName: "living room",
-    time: "A scanned living room. Getting it ready takes about a minute.",
+    time: "A scanned living room. Getting it ready takes some seconds, and minutes with models.",
     ask: "Or open it with a question:",
     questions: ["the mug on the coffee table", "the orange stool", "the clock on the wall"],
     own: "Or use your own scan",

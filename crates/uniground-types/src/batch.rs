@@ -20,6 +20,10 @@ pub struct BatchItem {
 /// A new batch: a list of questions and common options.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(example = json!({
+    "defaults": {"scene_id": "living room"},
+    "items": [{"query": "the red mug"}, {"query": "the sofa"}],
+})))]
 #[serde(deny_unknown_fields)]
 pub struct BatchRequest {
     /// Questions with `scene_id`, `query` and any other fields of a question. Send longer lists as

@@ -15,6 +15,7 @@ pub const MOST_SCENES: usize = 1000;
 /// A question about many scenes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(example = json!({"query": "the red mug"})))]
 #[serde(deny_unknown_fields)]
 pub struct ManyGroundRequest {
     /// Description of the object in English, 1 to 1000 characters.

@@ -206,6 +206,7 @@ impl DirectionConvention {
 /// A question about a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(example = json!({"query": "the mug on the coffee table"})))]
 #[serde(deny_unknown_fields)]
 pub struct GroundRequest {
     /// Description of the object in English, 1 to 1000 characters.
@@ -259,8 +260,8 @@ pub struct GroundRequest {
     #[serde(default)]
     pub allow_builtin: bool,
     /// Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`.
-    /// Default: 0.5, where about four of five answers are correct for objects named by a model or a
-    /// person, and two of three for other objects. 0 disables `uncertain`.
+    /// Default: 0.5. In rooms that were not used for development, 65 % of `grounded` answers were
+    /// right with SAM 2 and a small CLIP, and 28 % without a model. 0 disables `uncertain`.
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
     pub min_confidence: Option<f32>,
     /// Optional parts to return. Default: all.
@@ -277,6 +278,7 @@ pub struct GroundRequest {
 /// A query that returns only candidates.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[cfg_attr(feature = "openapi", schema(example = json!({"query": "the mug on the coffee table"})))]
 #[serde(deny_unknown_fields)]
 pub struct ShortlistRequest {
     /// Description of the object in English, 1 to 1000 characters.

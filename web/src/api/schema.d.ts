@@ -1465,7 +1465,22 @@ export interface components {
             /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
         };
-        /** @description A new batch: a list of questions and common options. */
+        /**
+         * @description A new batch: a list of questions and common options.
+         * @example {
+         *       "defaults": {
+         *         "scene_id": "living room"
+         *       },
+         *       "items": [
+         *         {
+         *           "query": "the red mug"
+         *         },
+         *         {
+         *           "query": "the sofa"
+         *         }
+         *       ]
+         *     }
+         */
         BatchRequest: {
             /**
              * Format: int32
@@ -2057,7 +2072,12 @@ export interface components {
          * @enum {string}
          */
         GraphRelation: "part_of" | "on" | "on_wall" | "inside" | "above" | "next_to" | "in_zone";
-        /** @description A question about a scene. */
+        /**
+         * @description A question about a scene.
+         * @example {
+         *       "query": "the mug on the coffee table"
+         *     }
+         */
         GroundRequest: {
             /** @description For experiments: parts to omit from the prompt. Default: `full`, which omits nothing. */
             ablation?: components["schemas"]["Ablation"];
@@ -2091,8 +2111,8 @@ export interface components {
             /**
              * Format: float
              * @description Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`.
-             *     Default: 0.5, where about four of five answers are correct for objects named by a model or a
-             *     person, and two of three for other objects. 0 disables `uncertain`.
+             *     Default: 0.5. In rooms that were not used for development, 65 % of `grounded` answers were
+             *     right with SAM 2 and a small CLIP, and 28 % without a model. 0 disables `uncertain`.
              */
             min_confidence?: number | null;
             observer?: components["schemas"]["Observer"] | null;
@@ -2679,7 +2699,12 @@ export interface components {
             /** @description The query, unchanged. */
             query: string;
         };
-        /** @description A question about many scenes. */
+        /**
+         * @description A question about many scenes.
+         * @example {
+         *       "query": "the red mug"
+         *     }
+         */
         ManyGroundRequest: {
             /** @description Only search scenes with all of these labels. */
             labels?: {
@@ -3991,7 +4016,12 @@ export interface components {
             /** @description The query, unchanged. */
             query: string;
         };
-        /** @description A query that returns only candidates. */
+        /**
+         * @description A query that returns only candidates.
+         * @example {
+         *       "query": "the mug on the coffee table"
+         *     }
+         */
         ShortlistRequest: {
             /**
              * @description Whether to rank by names and measurements if the encoder fails or is not the one of the

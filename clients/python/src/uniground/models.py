@@ -350,8 +350,8 @@ class BatchItemOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5, where about four of five
-    answers are correct for objects named by a model or a person, and two of three for other objects. 0 disables `uncertain`.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5. In rooms that were not used
+    for development, 65 % of `grounded` answers were right with SAM 2 and a small CLIP, and 28 % without a model. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
     """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""
@@ -786,8 +786,8 @@ class GroundOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5, where about four of five
-    answers are correct for objects named by a model or a person, and two of three for other objects. 0 disables `uncertain`.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5. In rooms that were not used
+    for development, 65 % of `grounded` answers were right with SAM 2 and a small CLIP, and 28 % without a model. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
     """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""
