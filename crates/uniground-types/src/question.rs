@@ -5,8 +5,7 @@ pub use crate::placement::{FrameChoice, Observer};
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// Default of `min_confidence`. About four of five grounded answers with at least this confidence
-/// are correct if a model or a person named the objects (docs/EVALUATION.md).
+/// Default of `min_confidence`. docs/EVALUATION.md has the share of correct answers above it.
 pub const DEFAULT_MIN_CONFIDENCE: f32 = 0.5;
 
 const MAX_QUERY_CHARS: usize = 1000;
