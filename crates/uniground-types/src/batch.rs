@@ -21,8 +21,10 @@ pub struct BatchItem {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "openapi", schema(example = json!({
-    "defaults": {"scene_id": "living room"},
-    "items": [{"query": "the red mug"}, {"query": "the sofa"}],
+    "items": [
+        {"scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42", "query": "the red mug"},
+        {"scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42", "query": "the sofa"},
+    ],
 })))]
 #[serde(deny_unknown_fields)]
 pub struct BatchRequest {

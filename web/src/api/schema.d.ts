@@ -1468,15 +1468,14 @@ export interface components {
         /**
          * @description A new batch: a list of questions and common options.
          * @example {
-         *       "defaults": {
-         *         "scene_id": "living room"
-         *       },
          *       "items": [
          *         {
-         *           "query": "the red mug"
+         *           "query": "the red mug",
+         *           "scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42"
          *         },
          *         {
-         *           "query": "the sofa"
+         *           "query": "the sofa",
+         *           "scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42"
          *         }
          *       ]
          *     }

@@ -79,6 +79,10 @@ impl LasRecords {
     /// Checks that the announced number of points is allowed and fits into the file.
     pub fn check(&self, file: &Utf8Path, bounds: &CloudBounds) -> Result<(), IngestError> {
         bounds.check(file, self.points)?;
+        self.check_length(file)
+    }
+
+    fn check_length(&self, file: &Utf8Path) -> Result<(), IngestError> {
         match self.points.saturating_mul(self.bytes as u64) > self.file_bytes {
             true => {
                 let reason = format!(
@@ -96,6 +100,8 @@ impl LasRecords {
         file: &Utf8Path,
         mut gathered: CloudBuilder,
     ) -> Result<CloudBuilder, IngestError> {
+        // Before memory is allocated for them.
+        self.check_length(file)?;
         gathered.expect(file, usize::try_from(self.points).unwrap_or(usize::MAX))?;
         gathered.set_has_color(self.color.is_some());
         let per_block = (BLOCK_BYTES / self.bytes).max(1);
@@ -188,6 +194,12 @@ mod tests {
                 .to_string()
                 .contains("announces 900 points but has only 52 bytes")
         );
+        // Also where the number of points has no limit.
+        let folder = tempfile::tempdir().unwrap();
+        let file = Utf8Path::from_path(folder.path()).unwrap().join("a.las");
+        many[107..111].copy_from_slice(&u32::MAX.to_le_bytes());
+        std::fs::write(&file, &many).unwrap();
+        assert!(crate::read_cloud(&file).unwrap_err().to_string().contains("only 52 bytes"));
         // Found by fuzzing: a version 1.4 count whose size in bytes overflows.
         let mut endless = las();
         endless.splice(227..227, [0; 148]);
