@@ -20,12 +20,6 @@ pub struct BatchItem {
 /// A new batch: a list of questions and common options.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[cfg_attr(feature = "openapi", schema(example = json!({
-    "items": [
-        {"scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42", "query": "the red mug"},
-        {"scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42", "query": "the sofa"},
-    ],
-})))]
 #[serde(deny_unknown_fields)]
 pub struct BatchRequest {
     /// Questions with `scene_id`, `query` and any other fields of a question. Send longer lists as

@@ -1465,21 +1465,7 @@ export interface components {
             /** @description Cursor of the next page. `null` on the last page. */
             next_cursor?: string | null;
         };
-        /**
-         * @description A new batch: a list of questions and common options.
-         * @example {
-         *       "items": [
-         *         {
-         *           "query": "the red mug",
-         *           "scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42"
-         *         },
-         *         {
-         *           "query": "the sofa",
-         *           "scene_id": "0191d7e4-9f5c-7c1a-8d2e-5b6f3a1c0e42"
-         *         }
-         *       ]
-         *     }
-         */
+        /** @description A new batch: a list of questions and common options. */
         BatchRequest: {
             /**
              * Format: int32
