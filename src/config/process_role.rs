@@ -49,7 +49,7 @@ pub struct WorkerConfig {
     /// Kinds of jobs to run, comma-separated
     #[arg(long, env = "UNIGROUND_KINDS", value_enum, value_delimiter = ',', default_values_t = JobType::ALL, value_name = "KIND")]
     pub kinds: Vec<JobType>,
-    /// Number of jobs of each kind to run in parallel [default: 1 parse, 1 naming, 4 batches]
+    /// Number of jobs of each kind to run in parallel [default: 1 parse, 4 naming, 4 batches]
     #[arg(long, env = "UNIGROUND_CONCURRENCY", value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     pub concurrency: Option<u16>,
     #[command(flatten)]
