@@ -218,7 +218,7 @@ mod tests {
         Frame {
             index: FrameIndex(0),
             color: image::RgbImage::new(4, 4),
-            depth: DepthImage { width: 4, height: 4, depth_m }.into(),
+            depth: DepthImage { width: 4, height: 4, depth_m },
             color_camera: camera,
             depth_camera: camera,
         }

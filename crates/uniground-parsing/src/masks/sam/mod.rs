@@ -315,7 +315,7 @@ pub(super) mod tests {
                 Rgb([40, 60, 90])
             }
         });
-        let depth = DepthImage { width: 96, height: 64, depth_m: vec![2.0; 96 * 64] }.into();
+        let depth = DepthImage { width: 96, height: 64, depth_m: vec![2.0; 96 * 64] };
         Frame { index: FrameIndex(0), color, depth, color_camera: camera, depth_camera: camera }
     }
 
