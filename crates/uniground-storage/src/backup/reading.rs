@@ -174,6 +174,6 @@ mod tests {
         assert_eq!(taken(folder).unwrap_err(), "Damaged(\"views/1.jpg missing\")");
         fs::write(folder.join(SUMS), "00  ../../passwords\n").unwrap();
         assert_eq!(taken(folder).unwrap_err(), "Damaged(\".sha256sums names ../../passwords\")");
-        assert_eq!(taken(&folder.join("nowhere")).unwrap_err(), "Gone");
+        assert_eq!(taken(&folder.join("nowhere")).unwrap_err(), "Missing");
     }
 }
