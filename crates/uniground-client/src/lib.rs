@@ -8,7 +8,7 @@
 //! let created = client.create_scene(None, "application/zip", std::fs::read("living_room.zip")?).await?;
 //! let job = created.job.ok_or("nothing to wait for")?;
 //! client.follow_job(&job.id, |job| println!("{:.0} %", job.progress * 100.0)).await?;
-//! let answer = client.ground(&created.scene.id, &GroundRequest::of("the mug on the coffee table")).await?;
+//! let answer = client.ground(&created.scene.id, &GroundRequest::new("the mug on the coffee table")).await?;
 //! println!("{:?} at {:?}", answer.status, answer.aabb);
 //! # Ok(())
 //! # }
