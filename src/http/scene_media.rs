@@ -39,7 +39,7 @@ pub struct PointsParameters {
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 206, description = "The part requested by `Range`", body = Binary, content_type = "application/octet-stream"),
         (status = 307, description = "Redirect to the object store, if the server is configured for it", headers(("location" = String))),
-        problems::Common, problems::NotFound, problems::Conflict,
+        problems::Common, problems::NotFound, problems::Conflict, problems::Unprocessable,
     ),
     security(("key" = ["read"]), ())
 )]
