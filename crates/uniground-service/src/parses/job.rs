@@ -181,6 +181,8 @@ impl ParseRunner {
             (self.blobs.clone(), self.parse_pool.clone(), self.models.clone(), settings.clone());
         let (service, entered, scan_folder, parsing) =
             (self.clone(), span.clone(), content.clone(), progress.sub_range(0.0, parsed_by));
+        // A scene with a parse shows that one.
+        let is_first_parse = scene.parse_id.is_none();
         let work = move || {
             let _entered = entered.enter();
             let folder = blobs.open_checkpoints(&hash)?;
@@ -196,8 +198,8 @@ impl ParseRunner {
                 let task = Task::Import { content, settings, checkpoints: folder, origin };
                 service.import(&task, &checkpoints, &parsing.sub_range(0.0, imported))?
             };
-            if let Err(error) = files::write_draft(&scan, &blobs, &draft) {
-                tracing::warn!(%draft, %error, "the draft of the cloud could not be written");
+            if is_first_parse && let Err(error) = files::write_draft(&scan, &blobs, &draft) {
+                tracing::warn!(%draft, %error, "draft of the cloud could not be written; viewers show no points until the parse is done");
             }
             // Parallel work stays in the pool of parses, whose threads have a low priority.
             pool.install(|| {
