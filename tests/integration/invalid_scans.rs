@@ -412,7 +412,7 @@ async fn errors_found_while_parsing_fail_the_job() {
             "cloud_empty",
             "cloud.ply",
         ),
-        ("depth in eight bits", eight_bit, "frame_unreadable", "16-bit grey"),
+        ("depth in eight bits", eight_bit, "frame_unreadable", "16-bit gray"),
         (
             "a cloud in map coordinates",
             Scan::cloud_only().with("cloud.ply", map_cloud()),

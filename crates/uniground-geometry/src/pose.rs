@@ -7,14 +7,14 @@ use nalgebra::{Rotation3, Translation3, UnitQuaternion};
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs)] // Every message describes its variant.
 pub enum PoseError {
-    #[error("pose holds a value that is not finite")]
+    #[error("pose has a value that is not finite")]
     NotFinite,
     #[error(
         "pose is not a rigid transform (determinant {determinant:.3}, deviation from orthonormal {deviation:.3})"
     )]
     NotRigid { determinant: f32, deviation: f32 },
     #[error(
-        "pose lies {kilometres:.0} km from the origin, more than 10: take an offset off the whole scan first"
+        "pose is {kilometres:.0} km from the origin; the limit is 10 km: subtract an offset from the whole scan first"
     )]
     TooFar { kilometres: f32 },
 }

@@ -18,7 +18,7 @@ pub enum IngestError {
     #[error("the archive unpacks to more than {limit}")]
     ArchiveTooLarge { limit: String },
     #[error(
-        "no known scene layout: expected scene.json, or color/ depth/ pose/ and intrinsic.txt, a scan of one of the known data sets and apps, or a cloud or mesh; the archive holds {found}"
+        "unknown scene layout: expected scene.json, color/ depth/ pose/ with intrinsic.txt, a scan of a supported data set or app, a cloud or a mesh; the archive contains {found}"
     )]
     UnknownLayout { found: String },
     #[error("{file}: {reason}")]
@@ -30,7 +30,7 @@ pub enum IngestError {
     #[error("{file}: intrinsics do not fit the picture: {reason}")]
     BadIntrinsics { file: Utf8PathBuf, reason: String },
     #[error(
-        "the scan has {color} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}"
+        "the scan has {color} color pictures, {depth} depth pictures and {pose} poses; first one without a match: {first}"
     )]
     FrameCountMismatch { color: usize, depth: usize, pose: usize, first: Utf8PathBuf },
     #[error("frame {frame}: {file}: {source}")]
@@ -47,23 +47,23 @@ pub enum IngestError {
     #[error("no frame can be used: {reason}")]
     NoUsableFrames { reason: String },
     #[error(
-        "{damaged} of {total} frames are damaged or incomplete, up to a tenth would be left out; the first: {first}"
+        "{damaged} of {total} frames are damaged or incomplete, but at most a tenth can be skipped; the first: {first}"
     )]
     TooManyDamaged { damaged: usize, total: usize, first: Box<IngestError> },
     #[error("this looks like {looks_like}, but {missing}")]
     IncompleteLayout { looks_like: &'static str, missing: String },
     #[error(
-        "which axis of the cloud points up can not be told ({reason}): say it, for example up=z"
+        "cannot determine which axis of the cloud points up ({reason}): set it, for example up=z"
     )]
     UpUnknown { reason: String },
     #[error(transparent)]
     Frame(#[from] FrameError),
     #[error(
-        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other reading of poses and depth fits (the best, {hypothesis}: {other_agreement:.0}%)"
+        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other convention fits (best: {hypothesis}, {other_agreement:.0}%). Check pose, camera_axes and depth_scale_m"
     )]
     NothingFits { agreement: f32, hypothesis: String, other_agreement: f32 },
     #[error(
-        "these frames do not lie in this scene: {agreement:.0}% of its points in view fit their depth. Their poses must be told in the scene's world: that of the files it was made of, or say which with world="
+        "these frames do not fit this scene: {agreement:.0}% of its points in view fit their depth. Their poses must be in the coordinates of the files that the scene was made from, or set world=scene or world=map"
     )]
     DoesNotBelong { agreement: f32 },
     #[error("{file}: {source}")]
@@ -151,10 +151,10 @@ impl IngestError {
         let file = file.into();
         match source.kind() {
             NotFound => Self::MissingFile { file },
-            InvalidData => Self::malformed(file, "not a text file in UTF-8"),
-            UnexpectedEof => Self::malformed(file, "it ends too early"),
+            InvalidData => Self::malformed(file, "not a UTF-8 text file"),
+            UnexpectedEof => Self::malformed(file, "the file is truncated"),
             IsADirectory | NotADirectory | InvalidFilename | InvalidInput => {
-                Self::malformed(file, "not the name of a file")
+                Self::malformed(file, "not a file, or not a valid file name")
             }
             _ => Self::Io { file, source },
         }

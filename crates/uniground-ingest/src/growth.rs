@@ -54,7 +54,7 @@ pub fn check_fit(
     first: u32,
 ) -> Result<FitReport, IngestError> {
     if scan.frames.is_empty() {
-        let reason = "a scene grows by frames, pictures with depth and poses: a cloud alone can not be added".to_owned();
+        let reason = "a scene can only be extended with frames (pictures with depth and poses), not with a cloud alone".to_owned();
         return Err(IngestError::NoUsableFrames { reason });
     }
     let world = SourceFrame::near_scene(to_scene);

@@ -24,10 +24,10 @@ pub(super) fn guess_meters_per_unit(positions: &[Point3<f32>], warnings: &mut Ve
     let across = extent(0).max(extent(1)).max(extent(2));
     let (metres, name) = match across {
         a if a <= LARGEST_M || a > LARGEST_MM => return 1.0,
-        a if a <= LARGEST_CM => (0.01, "centimetres"),
-        _ => (0.001, "millimetres"),
+        a if a <= LARGEST_CM => (0.01, "centimeters"),
+        _ => (0.001, "millimeters"),
     };
-    warnings.push(format!("the cloud is {across:.0} units across: lengths are taken as {name} (metres_per_unit={metres}); metres_per_unit=1 if they are metres"));
+    warnings.push(format!("the cloud is {across:.0} units across: {name} are assumed (metres_per_unit={metres}); set metres_per_unit=1 if they are meters"));
     metres
 }
 

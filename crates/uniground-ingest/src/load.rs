@@ -167,7 +167,7 @@ fn read_own_cloud(
     let LoadedCloud { dropped, without_color, has_color, thinned, .. } = loaded;
     if without_color > 0 {
         warnings.push(format!(
-            "{file}: the colours of {without_color} points are not numbers: taken as grey"
+            "{file}: the colors of {without_color} points are not numbers: shown as gray"
         ));
     }
     if dropped > 0 {
@@ -176,15 +176,17 @@ fn read_own_cloud(
     }
     if !has_color {
         warnings.push(format!(
-            "{file}: no colour; points are shown grey and colour words can not be answered"
+            "{file}: no color; points are shown gray and questions about colors cannot be answered"
         ));
     }
     if thinned > 1 {
-        warnings.push(format!("{file}: thinned out, one of {thinned} points is kept"));
+        warnings.push(format!("{file}: downsampled, one of {thinned} points is kept"));
     }
     if loaded.offset != [0.0; 3] && scan.frames.is_empty() {
         let [x, y, z] = loaded.offset;
-        warnings.push(format!("{file}: in map coordinates; {x} {y} {z} was taken off, import.source_to_scene leads back"));
+        warnings.push(format!(
+            "{file}: in map coordinates; {x} {y} {z} was subtracted, see import.source_to_scene"
+        ));
     }
     Ok(loaded)
 }
@@ -200,14 +202,14 @@ fn resolve_meters_per_unit(
     if let Some(asked) = settings.metres_per_unit {
         return match asked.is_finite() && (1e-6..=1e6).contains(&asked) {
             true => Ok(asked),
-            false => {
-                Err(IngestError::malformed("metres_per_unit", format!("{asked} is no length")))
-            }
+            false => Err(IngestError::malformed(
+                "metres_per_unit",
+                format!("{asked} is not between 1e-6 and 1e6"),
+            )),
         };
     }
     if !scan.has_scale {
-        let missing =
-            "it has no scale of its own: say how long its unit is, metres_per_unit".into();
+        let missing = "it has no scale: set metres_per_unit to the length of its unit".into();
         return Err(IngestError::IncompleteLayout {
             looks_like: "a COLMAP reconstruction",
             missing,
@@ -298,8 +300,10 @@ fn warn_of_odd_size(positions: &[Point3<f32>], warnings: &mut Vec<String>) {
     let Some(extent) = Aabb::around(positions) else { return };
     let across = extent.size.max();
     if across < 1.0 {
-        warnings.push(format!("the scene is only {across:.3} m across: are its lengths metres?"));
+        warnings.push(format!("the scene is only {across:.3} m across: set metres_per_unit if its lengths are not meters"));
     } else if across > 200.0 {
-        warnings.push(format!("the scene is {across:.0} m across: are its lengths metres?"));
+        warnings.push(format!(
+            "the scene is {across:.0} m across: set metres_per_unit if its lengths are not meters"
+        ));
     }
 }

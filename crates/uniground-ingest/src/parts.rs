@@ -62,7 +62,7 @@ impl GrownScan {
             serde_json::from_slice(&text).map_err(|error| IngestError::malformed(GROWN, error))?;
         match grown.format == FORMAT && !grown.parts.is_empty() {
             true => Ok(Some(grown)),
-            false => Err(IngestError::malformed(GROWN, format!("not of the format {FORMAT}"))),
+            false => Err(IngestError::malformed(GROWN, format!("its format is not {FORMAT}"))),
         }
     }
 

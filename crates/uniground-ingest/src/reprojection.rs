@@ -120,7 +120,7 @@ pub(super) fn check(
         && other >= wanted
     {
         warnings.push(format!(
-            "poses, axes or depth are not as declared: {:.0}% of the sampled points fit the depth pictures as the files are to be read, but {:.0}% do with {}; read so",
+            "poses, axes or depth are not as declared: {:.0}% of the sampled points fit the depth pictures as declared, but {:.0}% do with {}, which is used",
             fits * 100.0,
             other * 100.0,
             reading.describe(&declared),
@@ -129,7 +129,7 @@ pub(super) fn check(
     }
     match agreement {
         None => warnings
-            .push("hardly any sampled point projects onto measured depth: the frames may not overlap, or not belong together".into()),
+            .push("almost no sampled point projects onto measured depth: the frames may not overlap or may be of different scans".into()),
         Some(agreement) if agreement < NOTHING_FITS => {
             let (other_agreement, hypothesis) =
                 best.map_or((0.0, "none".into()), |(other, reading)| (other * 100.0, reading.describe(&declared)));

@@ -96,7 +96,7 @@ pub(super) fn unpack(
     // A frame holds at least a pose, two times and two sizes.
     if header.frames > MAX_FRAMES || header.frames.saturating_mul(96) > bytes {
         return Err(malformed(format!(
-            "it announces {} frames in {bytes} bytes, {MAX_FRAMES} are read at most",
+            "it declares {} frames in {bytes} bytes; the limit is {MAX_FRAMES} frames",
             header.frames
         )));
     }
@@ -115,7 +115,7 @@ pub(super) fn unpack(
             (read_u64(&mut source).map_err(at)?, read_u64(&mut source).map_err(at)?);
         if color_bytes.max(depth_bytes) > MAX_PICTURE_BYTES {
             return Err(malformed(format!(
-                "frame {i}: a picture of {} bytes",
+                "frame {i}: a picture has {} bytes; the limit is {MAX_PICTURE_BYTES}",
                 color_bytes.max(depth_bytes)
             )));
         }
@@ -164,11 +164,13 @@ fn read_header(source: &mut impl Read) -> io::Result<Header> {
     let strange = |what: String| io::Error::other(what);
     let version = read_u32(source)?;
     if version != VERSION {
-        return Err(strange(format!("it is of version {version}")));
+        return Err(strange(format!("it has version {version}")));
     }
     let name_bytes = read_u64(source)?;
     if name_bytes > MAX_NAME_BYTES {
-        return Err(strange(format!("a name of {name_bytes} bytes")));
+        return Err(strange(format!(
+            "its name has {name_bytes} bytes; the limit is {MAX_NAME_BYTES}"
+        )));
     }
     let name = String::from_utf8_lossy(&read_exact_bytes(source, name_bytes)?).into_owned();
     let (color, _color_extrinsics): ([f32; 16], [f32; 16]) =
@@ -179,17 +181,17 @@ fn read_header(source: &mut impl Read) -> io::Result<Header> {
         (read_u32(source)?.cast_signed(), read_u32(source)?.cast_signed());
     if !(color_codec == COLOR_PNG || color_codec == COLOR_JPEG) || depth_codec != DEPTH_ZLIB {
         return Err(strange(format!(
-            "its pictures are coded as {color_codec} and {depth_codec}: JPEG or PNG and zlib are read"
+            "codecs {color_codec} (color) and {depth_codec} (depth) are not supported: use JPEG or PNG, and zlib"
         )));
     }
     let [cw, ch, dw, dh] =
         [read_u32(source)?, read_u32(source)?, read_u32(source)?, read_u32(source)?];
     if [cw, ch, dw, dh].iter().any(|side| *side == 0 || *side > MAX_SIDE) {
-        return Err(strange(format!("pictures of {cw}x{ch} and {dw}x{dh}")));
+        return Err(strange(format!("picture sizes {cw}x{ch} and {dw}x{dh} are not supported")));
     }
     let [depth_shift]: [f32; 1] = read_floats(source)?;
     if !(depth_shift.is_finite() && depth_shift > 0.0) {
-        return Err(strange(format!("a depth shift of {depth_shift}")));
+        return Err(strange(format!("its depth shift is {depth_shift}, it must be positive")));
     }
     let frames = read_u64(source)?;
     Ok(Header {
@@ -211,7 +213,7 @@ fn depth_png(packed: &[u8], [width, height]: [u32; 2]) -> io::Result<Vec<u8>> {
     ZlibDecoder::new(packed).take(expected + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 != expected {
         return Err(io::Error::other(format!(
-            "its depth unpacks to {} bytes, {width}x{height} has {expected}",
+            "its depth unpacks to {} bytes, but {width}x{height} needs {expected}",
             bytes.len()
         )));
     }
@@ -309,7 +311,7 @@ mod tests {
     fn invalid_headers_and_missing_frames_are_refused() {
         for (bytes, expected) in [
             (sens(2), "frame 1"),
-            (sens(u64::MAX), "announces"),
+            (sens(u64::MAX), "declares"),
             (sens(1)[..200].to_vec(), "not a .sens file"),
             ([&5_u32.to_le_bytes()[..], &sens(1)[4..]].concat(), "version 5"),
         ] {

@@ -150,18 +150,18 @@ fn copy_sibling_files(
 #[must_use]
 pub fn describe_content(head: &[u8]) -> &'static str {
     match head {
-        [] => "this is empty",
+        [] => "the file is empty",
         [0xff, 0xd8, ..] | [0x89, b'P', b'N', b'G', ..] => {
-            "this is a picture: a scan has many, with depth and poses"
+            "this is a single picture: a scan needs many, with depth and poses"
         }
         [_, _, _, _, b'f', b't', b'y', b'p', ..] => {
             "this is a video: a scan needs its frames as pictures, with depth and poses"
         }
         [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => {
-            "this is a ROS bag: export colour, depth and poses from it first"
+            "this is a ROS bag: export color, depth and poses from it first"
         }
         [b'S', b'Q', b'L', b'i', b't', b'e', ..] => {
-            "this is a database: export RTAB-Map's with `rtabmap-export --images --poses_camera`"
+            "this is a database: if it is RTAB-Map's, run `rtabmap-export --images --poses_camera`"
         }
         _ => {
             "this is no scan: expected an archive (.zip, .tar, .tar.zst, .r3d), a .sens file, a cloud or a mesh"

@@ -131,7 +131,7 @@ fn checked(
     if lens_is_odd {
         return Err(IngestError::BadIntrinsics {
             file: frame.color,
-            reason: "the distortion of its lens is no number".into(),
+            reason: "its lens distortion is not plausible".into(),
         });
     }
     frame.color_intrinsics = fit(root, &frame.color, frame.color_intrinsics)?;
@@ -171,7 +171,7 @@ fn fit(
     let widest = width.max(height) as f32;
     if ![fx, fy].iter().all(|f| (widest * SHORTEST_FOCAL..=widest * LONGEST_FOCAL).contains(f)) {
         return Err(bad(format!(
-            "a focal length of {fx} x {fy} pixels makes no camera of {width}x{height}"
+            "a focal length of {fx} x {fy} pixels is not plausible at {width}x{height}"
         )));
     }
     if !(0.0..=width as f32).contains(&cx) || !(0.0..=height as f32).contains(&cy) {

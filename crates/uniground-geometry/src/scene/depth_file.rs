@@ -44,10 +44,7 @@ pub(super) fn read(frame: &FrameRef, size: (u32, u32)) -> Result<DepthImage, Fra
             .map(|unit| if unit == u8::MAX { 0.0 } else { f32::from(unit) * scale_m })
             .collect(),
         PixelValues::Bytes(_) => {
-            return Err(not_depth_error(
-                frame,
-                "8-bit grey in units that do not reach a metre".into(),
-            ));
+            return Err(not_depth_error(frame, "8-bit gray with a smaller `depth_scale_m`".into()));
         }
     };
     Ok(DepthImage { width, height, depth_m })
@@ -115,6 +112,6 @@ pub(super) fn read_compressed(file: &Utf8Path, expected: u64) -> io::Result<Vec<
         (bytes.len(), if bytes.len() as u64 > expected { "more than " } else { "" });
     Err(io::Error::new(
         io::ErrorKind::InvalidData,
-        format!("it unpacks to {more}{found} bytes, its picture has {expected}"),
+        format!("it unpacks to {more}{found} bytes, but its picture needs {expected}"),
     ))
 }

@@ -159,7 +159,7 @@ impl Embeddings {
         if two != 2 || normed != count || dim == 0 {
             return Err(io::Error::new(
                 io::ErrorKind::InvalidData,
-                "embeddings and their norms do not belong together",
+                "embeddings and their norms do not match",
             ));
         }
         let values: Vec<f32> =

@@ -65,7 +65,8 @@ pub fn write<'a>(
 /// # Errors
 /// Returns I/O errors of `file`, or an error for a file that [`write_instances_ply`] did not write.
 pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<InstanceId>> {
-    let malformed = || io::Error::new(io::ErrorKind::InvalidData, "this is no cloud by instance");
+    let malformed =
+        || io::Error::new(io::ErrorKind::InvalidData, "not a complete PLY with instances");
     let (mut line, mut count) = (String::new(), None);
     while line != "end_header\n" {
         line.clear();

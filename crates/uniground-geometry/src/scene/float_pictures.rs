@@ -105,7 +105,7 @@ fn exr_size(headers: &[Header]) -> io::Result<(u32, u32)> {
     let first = headers
         .iter()
         .find(|header| !header.deep)
-        .ok_or_else(|| damaged_error("all its layers are deep: flatten it"))?;
+        .ok_or_else(|| damaged_error("all its layers are deep: flatten the image"))?;
     let side = |pixels: usize| u32::try_from(pixels).map_err(damaged_error);
     Ok((side(first.layer_size.width())?, side(first.layer_size.height())?))
 }
@@ -119,7 +119,7 @@ fn read_exr(file: &Utf8Path) -> io::Result<SingleChannelImage> {
     let bytes = reader.headers().iter().map(bytes).fold(0, u64::saturating_add);
     if bytes > MAX_BYTES {
         return Err(damaged_error(format!(
-            "it announces {bytes} bytes of pixels, {MAX_BYTES} are read at most"
+            "it declares {bytes} bytes of pixels; the limit is {MAX_BYTES}"
         )));
     }
     let size = exr_size(reader.headers())?;
@@ -163,7 +163,7 @@ fn read_tiff(file: &Utf8Path) -> io::Result<SingleChannelImage> {
         (tiff.dimensions().map_err(damaged_error)?, tiff.colortype().map_err(damaged_error)?);
     let not_depth = || {
         damaged_error(format!(
-            "it is no depth picture: it must be grey, floats or 16 bits, this is {colors:?}"
+            "not a depth picture: it must be gray with floats or 16 bits; this is {colors:?}"
         ))
     };
     if !matches!(colors, tiff::ColorType::Gray(_)) {
@@ -188,8 +188,6 @@ fn read_tiff(file: &Utf8Path) -> io::Result<SingleChannelImage> {
 fn check_pixel_count((width, height): (u32, u32), count: usize) -> io::Result<()> {
     match count as u64 == u64::from(width) * u64::from(height) {
         true => Ok(()),
-        false => {
-            Err(damaged_error(format!("it holds {count} numbers for {width}x{height} pixels")))
-        }
+        false => Err(damaged_error(format!("it has {count} numbers for {width}x{height} pixels"))),
     }
 }

@@ -43,7 +43,7 @@ pub enum FrameError {
         #[source]
         source: io::Error,
     },
-    #[error("frame {frame}: {file} can not be decoded: {source}")]
+    #[error("frame {frame}: {file} cannot be decoded: {source}")]
     Undecodable {
         frame: FrameIndex,
         file: Utf8PathBuf,
@@ -51,11 +51,11 @@ pub enum FrameError {
         source: image::ImageError,
     },
     #[error(
-        "frame {frame}: {file} is no depth picture: it must be 16-bit grey, floats (EXR, TIFF), or 8-bit grey with a `depth_scale_m` of 0.004 or more; this is {found}"
+        "frame {frame}: {file} is not a depth picture: it must be 16-bit gray, floats (EXR, TIFF), or 8-bit gray with a `depth_scale_m` of 0.004 or more; this is {found}"
     )]
     NotDepth { frame: FrameIndex, file: Utf8PathBuf, found: String },
     #[error(
-        "frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}"
+        "frame {frame}: {file} is {found_width}x{found_height}, but its intrinsics are for {width}x{height}"
     )]
     WrongSize {
         frame: FrameIndex,

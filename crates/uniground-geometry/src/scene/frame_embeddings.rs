@@ -88,7 +88,7 @@ impl FrameEmbeddings {
         if one != 1 || of != count || dim == 0 {
             return Err(io::Error::new(
                 io::ErrorKind::InvalidData,
-                "embeddings of frames and their frames do not belong together",
+                "embeddings and their frames do not match",
             ));
         }
         let of_row = frames

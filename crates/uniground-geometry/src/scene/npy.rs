@@ -41,6 +41,6 @@ pub(super) fn read<'a>(bytes: &'a [u8], descr: &str) -> io::Result<([usize; 2], 
         whole.then_some((shape, values))
     };
     parse().ok_or_else(|| {
-        io::Error::new(io::ErrorKind::InvalidData, format!("no whole array of {descr}"))
+        io::Error::new(io::ErrorKind::InvalidData, format!("not a complete array of {descr}"))
     })
 }

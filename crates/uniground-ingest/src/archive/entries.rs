@@ -223,7 +223,7 @@ fn extended_header(
     let size = entry.size();
     if size > MAX_EXTENDED_HEADER_BYTES {
         return Err(kind.unreadable(format!(
-            "an extended header has {size} bytes, {MAX_EXTENDED_HEADER_BYTES} at most"
+            "an extended header has {size} bytes; the limit is {MAX_EXTENDED_HEADER_BYTES}"
         )));
     }
     let mut bytes = Vec::new();
@@ -239,9 +239,11 @@ fn pax_path(header: &[u8], kind: ArchiveKind) -> Result<Option<Vec<u8>>, IngestE
         let extension = extension.map_err(|e| kind.unreadable(e))?;
         match extension.key_bytes() {
             b"path" => path = Some(extension.value_bytes().to_owned()),
-            b"size" => return Err(kind.unreadable("a file of 8 GiB or more, or with two sizes")),
+            b"size" => {
+                return Err(kind.unreadable("it has a file of 8 GiB or more, or with two sizes"));
+            }
             key if key.starts_with(b"GNU.sparse.") => {
-                return Err(kind.unreadable("sparse files are not read"));
+                return Err(kind.unreadable("sparse files are not supported"));
             }
             _ => {}
         }

@@ -69,7 +69,7 @@ impl ArchiveKind {
         let reason = reason.to_string();
         // The zip crate's message for a file without the directory at its end.
         let reason = match reason.contains("EOCD") {
-            true => "the file ends early. It is cut off, or no zip: transfer it again".into(),
+            true => "the file is truncated or not a zip. Upload it again".into(),
             false => reason,
         };
         IngestError::ArchiveUnreadable { kind: self.name(), reason }
@@ -212,7 +212,7 @@ mod tests {
         let cut = unpack_bytes(&zip[..zip.len() - 30], ArchiveKind::Zip, &UnpackLimits::default());
         let cut = cut.unwrap_err();
         assert!(matches!(cut, IngestError::ArchiveUnreadable { kind: "zip", .. }), "{cut:?}");
-        assert!(cut.to_string().contains("transfer it again"), "{cut}");
+        assert!(cut.to_string().contains("Upload it again"), "{cut}");
         let noise = unpack_bytes(b"not an archive", ArchiveKind::TarZst, &UnpackLimits::default());
         assert!(
             matches!(noise, Err(IngestError::ArchiveUnreadable { kind: "tar.zst", .. })),

@@ -29,17 +29,17 @@ impl EntryVisitor for ArchiveCheck<'_> {
         }
         if name.len() > self.limits.max_name_bytes {
             let short: String = name.chars().take(80).collect();
-            return Err(IngestError::unsafe_entry(&format!("{short}..."), "has too long a name"));
+            return Err(IngestError::unsafe_entry(
+                &format!("{short}..."),
+                "has a name that is too long",
+            ));
         }
         if kind == EntryKind::Folder {
             return Ok(());
         }
         let path = safe_path(name)?;
         if path.components().count() > self.limits.max_depth {
-            return Err(IngestError::unsafe_entry(
-                name,
-                "lies in too many folders, one in another",
-            ));
+            return Err(IngestError::unsafe_entry(name, "is nested in too many folders"));
         }
         for folder in path.ancestors().skip(1).filter(|folder| !folder.as_str().is_empty()) {
             if self.folders.contains(folder) {
@@ -89,9 +89,9 @@ impl EntryVisitor for ArchiveExtractor<'_> {
         }
         let mut file = File::create_new(&path).map_err(io)?;
         loop {
-            let n = content.read(&mut self.buffer).map_err(|e| {
-                IngestError::malformed(name, format!("it can not be unpacked: {e}"))
-            })?;
+            let n = content
+                .read(&mut self.buffer)
+                .map_err(|e| IngestError::malformed(name, format!("it cannot be unpacked: {e}")))?;
             if n == 0 {
                 return Ok(());
             }
@@ -107,8 +107,8 @@ fn cannot_store(name: &str, source: io::Error) -> IngestError {
         AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory,
     };
     let reason = match source.kind() {
-        AlreadyExists => "stands in the archive twice",
-        InvalidFilename | InvalidInput => "has a name no disk takes",
+        AlreadyExists => "appears twice in the archive",
+        InvalidFilename | InvalidInput => "has a name that is not valid on disk: rename it",
         IsADirectory | NotADirectory => "is both a file and a folder",
         _ => return IngestError::Io { file: name.into(), source },
     };
@@ -119,7 +119,10 @@ fn cannot_store(name: &str, source: io::Error) -> IngestError {
 /// the server's own files.
 pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
     if name.contains(|c: char| c == '\\' || c.is_control()) {
-        return Err(IngestError::unsafe_entry(name, "holds a backslash or a control character"));
+        return Err(IngestError::unsafe_entry(
+            name,
+            "has a backslash or a control character in its name",
+        ));
     }
     let mut path = Utf8PathBuf::new();
     for component in Utf8Path::new(name).components() {
@@ -130,12 +133,12 @@ pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
         }
     }
     if path.as_str().is_empty() {
-        return Err(IngestError::unsafe_entry(name, "has no name"));
+        return Err(IngestError::unsafe_entry(name, "has an empty name"));
     }
     match is_reserved(&path) {
         true => Err(IngestError::unsafe_entry(
             name,
-            "has a name that is reserved for files of the server: rename it or leave it out",
+            "has a name that is reserved for the server: rename it or leave it out",
         )),
         false => Ok(path),
     }

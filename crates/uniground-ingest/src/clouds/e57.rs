@@ -74,7 +74,7 @@ fn open(
     let malformed = |reason: String| IngestError::malformed(file, reason);
     if xml_bytes > MAX_XML_BYTES {
         return Err(malformed(format!(
-            "its description has {xml_bytes} bytes, at most {MAX_XML_BYTES} are read"
+            "its XML section has {xml_bytes} bytes; the limit is {MAX_XML_BYTES}"
         )));
     }
     let reader = E57Reader::new(BufReader::new(source))
@@ -83,7 +83,7 @@ fn open(
         reader.pointclouds().iter().fold(0_u64, |sum, cloud| sum.saturating_add(cloud.records));
     bounds.check(file, points)?;
     if points.saturating_mul(LEAST_BYTES_PER_POINT) > bytes {
-        return Err(malformed(format!("it announces {points} points but has only {bytes} bytes")));
+        return Err(malformed(format!("it declares {points} points but has only {bytes} bytes")));
     }
     Ok((reader, points))
 }

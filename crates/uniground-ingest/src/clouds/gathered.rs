@@ -181,7 +181,7 @@ impl CloudBuilder {
             return Err(IngestError::malformed(
                 file,
                 format!(
-                    "the point ({}, {}, {}) lies more than 10 km from the origin: take an offset off the whole scan first",
+                    "the point ({}, {}, {}) is more than 10 km from the origin: subtract an offset from the whole scan first",
                     p.x, p.y, p.z
                 ),
             ));
@@ -203,7 +203,7 @@ impl CloudBounds {
             true => Err(IngestError::malformed(
                 file,
                 format!(
-                    "it announces {points} points, {} are read at most: thin it out first, a point for every 5 mm is plenty",
+                    "it declares {points} points; the limit is {}: downsample it first, one point per 5 mm is enough",
                     self.announced
                 ),
             )),

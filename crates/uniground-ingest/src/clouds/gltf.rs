@@ -56,19 +56,21 @@ pub(super) fn read(
     while let Some((node, parent, depth)) = left.pop() {
         visited += 1;
         if visited > MAX_NODES || depth > MAX_DEPTH {
-            return Err(malformed("its nodes are too many, or stand in themselves".into()));
+            return Err(malformed(
+                "it has too many nodes, or nodes that contain themselves".into(),
+            ));
         }
         let node = document
             .nodes
             .get(node)
-            .ok_or_else(|| malformed(format!("node {node} is not there")))?;
+            .ok_or_else(|| malformed(format!("node {node} does not exist")))?;
         let to_world = parent * node.to_matrix();
         left.extend(node.children.iter().map(|child| (*child, to_world, depth + 1)));
         let Some(number) = node.mesh else { continue };
         let parts = document
             .meshes
             .get(number)
-            .ok_or_else(|| malformed(format!("mesh {number} is not there")))?;
+            .ok_or_else(|| malformed(format!("mesh {number} does not exist")))?;
         for primitive in &parts.primitives {
             let texture = load_texture(&document, &buffers, primitive, &mut textures, &mut mesh)
                 .map_err(malformed)?;
@@ -96,7 +98,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), Inge
     let (text, binary) = match source.read_exact(&mut magic) {
         Ok(()) if &magic == b"glTF" => read_chunks(&mut source, bytes)
             .map_err(reading)?
-            .ok_or_else(|| malformed("not a whole GLB file of version 2".into()))?,
+            .ok_or_else(|| malformed("not a complete GLB file of version 2".into()))?,
         _ => (read_text(root, file, MAX_JSON_BYTES)?.into_bytes(), None),
     };
     let document: Document = serde_json::from_slice(&text).map_err(|e| malformed(e.to_string()))?;
@@ -104,7 +106,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), Inge
         document.extensions_required.iter().find(|e| !KNOWN_EXTENSIONS.contains(&e.as_str()))
     {
         return Err(malformed(format!(
-            "it needs {strange}, which is not read: export it without compression"
+            "it needs {strange}, which is not supported: export it without compression"
         )));
     }
     Ok((document, binary))
@@ -177,7 +179,7 @@ fn load_texture(
         return Ok(None);
     };
     let Some(slot) = known.get_mut(number) else {
-        return Err(format!("texture {number} is not there"));
+        return Err(format!("texture {number} does not exist"));
     };
     if slot.is_none() {
         let Some(image) = document.textures[number].source else { return Ok(None) };
@@ -221,7 +223,7 @@ fn add_primitive(
     mesh.has_color |= colors.is_some() || texture.is_some() || factor.is_some();
     let factor = factor.map_or([1.0; 3], |f| [f[0], f[1], f[2]]);
     let corner = |i: usize| -> Result<MeshVertex, String> {
-        let p = positions.get(i).ok_or_else(|| format!("vertex {i} is not there"))?;
+        let p = positions.get(i).ok_or_else(|| format!("vertex {i} does not exist"))?;
         let p = to_world.transform_point(&nalgebra::Point3::new(p[0], p[1], p[2]));
         let own = colors
             .as_ref()
@@ -269,9 +271,7 @@ fn add_primitive(
             }
         }
         mode => {
-            return Err(format!(
-                "primitives of mode {mode} are not read: triangles and points are"
-            ));
+            return Err(format!("primitive mode {mode} is not supported: use triangles or points"));
         }
     }
     Ok(())
@@ -354,11 +354,11 @@ mod tests {
             (
                 r#""count":3,"type":"VEC3""#,
                 r#""count":4000000000,"type":"VEC3""#,
-                "more than its buffer holds",
+                "larger than its buffer",
             ),
-            (r#""byteOffset":36"#, r#""byteOffset":36000"#, "more than its buffer holds"),
+            (r#""byteOffset":36"#, r#""byteOffset":36000"#, "larger than its buffer"),
             (r#""nodes":[0]"#, r#""nodes":[7]"#, "node 7"),
-            (r#""mesh":0"#, r#""mesh":0,"children":[0]"#, "stand in themselves"),
+            (r#""mesh":0"#, r#""mesh":0,"children":[0]"#, "contain themselves"),
             (
                 r#""asset""#,
                 r#""extensionsRequired":["KHR_draco_mesh_compression"],"asset""#,

@@ -96,7 +96,7 @@ fn open(
     let points = reader.header().number_of_points();
     bounds.check(file, points)?;
     if points / 100 * LEAST_BYTES_PER_100_POINTS > bytes {
-        return Err(malformed(format!("it announces {points} points but has only {bytes} bytes")));
+        return Err(malformed(format!("it declares {points} points but has only {bytes} bytes")));
     }
     Ok(reader)
 }

@@ -170,7 +170,7 @@ fn detect_kind(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestErro
         None if file.extension() == Some("ply") => Ok(CloudKind::Ply),
         None => Err(IngestError::malformed(
             file,
-            "not a cloud that is read: PLY, PCD, LAS, LAZ, E57, XYZ, PTS, TXT, CSV, OBJ, glTF and GLB are",
+            "not a supported cloud: use PLY, PCD, LAS, LAZ, E57, XYZ, PTS, TXT, CSV, OBJ, glTF or GLB",
         )),
     }
 }

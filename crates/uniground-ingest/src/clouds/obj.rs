@@ -84,7 +84,7 @@ impl ObjReader {
             .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
             .collect::<Result<_, _>>()?;
         let [x, y, z, rest @ ..] = &values[..] else {
-            return Err("a vertex has three numbers".into());
+            return Err("a vertex needs three numbers".into());
         };
         self.positions.push([*x, *y, *z]);
         // Colors are usually in `0..=1`; some writers use bytes. A single fourth number is a
@@ -121,17 +121,18 @@ impl ObjReader {
             let mut parts = word.split('/');
             let index = |part: Option<&str>, count: usize| -> Result<Option<usize>, String> {
                 let Some(part) = part.filter(|p| !p.is_empty()) else { return Ok(None) };
-                let number: i64 = part.parse().map_err(|_| format!("{word:?} is no corner"))?;
+                let number: i64 =
+                    part.parse().map_err(|_| format!("{word:?} is not a face corner"))?;
                 let at = if number < 0 {
                     number.checked_add(count as i64)
                 } else {
                     number.checked_sub(1)
                 };
                 let at = at.and_then(|at| usize::try_from(at).ok()).filter(|at| *at < count);
-                at.map(Some).ok_or_else(|| format!("{word:?} names a vertex that is not there"))
+                at.map(Some).ok_or_else(|| format!("{word:?} names a vertex that does not exist"))
             };
             let at = index(parts.next(), self.positions.len())?
-                .ok_or_else(|| format!("{word:?} is no corner"))?;
+                .ok_or_else(|| format!("{word:?} is not a face corner"))?;
             let uv = index(parts.next(), self.uvs.len())?;
             corners.push(MeshVertex {
                 at: self.positions[at],

@@ -142,7 +142,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
     if least > bytes.saturating_add(1) {
         return Err(IngestError::malformed(
             file,
-            format!("it announces {} points but has only {bytes} bytes", header.points),
+            format!("it declares {} points but has only {bytes} bytes", header.points),
         ));
     }
     Ok((header, source))
@@ -157,7 +157,7 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
         if !read_line(source, &mut line, MAX_LINE_BYTES).map_err(|e| e.to_string())? {
             return Err("it ends within its header".into());
         }
-        let text = std::str::from_utf8(&line).map_err(|_| "its header is no text")?;
+        let text = std::str::from_utf8(&line).map_err(|_| "its header is not text")?;
         let mut words = text.split_ascii_whitespace();
         let Some(key) = words.next().filter(|key| !key.starts_with('#')) else { continue };
         let words: Vec<&str> = words.take(MAX_FIELDS + 1).collect();
@@ -180,7 +180,12 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
                     Some(&"ascii") => PcdEncoding::Ascii,
                     Some(&"binary") => PcdEncoding::Binary,
                     Some(&"binary_compressed") => PcdEncoding::Compressed,
-                    other => return Err(format!("DATA is {other:?}")),
+                    other => {
+                        return Err(format!(
+                            "DATA is {:?}, not ascii, binary or binary_compressed",
+                            other.copied().unwrap_or_default()
+                        ));
+                    }
                 };
                 let fields = parse_fields(names, &sizes, &kinds, &counts)?;
                 let row_bytes = fields.iter().map(Field::size_bytes).sum();
@@ -189,7 +194,7 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
                     usize::try_from(points).ok().filter(|n| n.checked_mul(row_bytes).is_some());
                 return Ok(Header {
                     fields,
-                    points: points.ok_or("it announces more points than there can be")?,
+                    points: points.ok_or("it declares more points than are possible")?,
                     data,
                     row_bytes,
                 });
@@ -197,7 +202,7 @@ fn read_header(source: &mut impl BufRead) -> Result<Header, String> {
             _ => {}
         }
     }
-    Err("its header does not end".into())
+    Err("its header has no DATA line".into())
 }
 
 fn parse_fields(
@@ -220,11 +225,13 @@ fn parse_fields(
             ("F", 4 | 8) => (PcdFieldType::Float, sizes[i] as usize),
             ("I", 1 | 2 | 4 | 8) => (PcdFieldType::Signed, sizes[i] as usize),
             ("U", 1 | 2 | 4 | 8) => (PcdFieldType::Unsigned, sizes[i] as usize),
-            (kind, size) => return Err(format!("{name} is of type {kind} with {size} bytes")),
+            (kind, size) => {
+                return Err(format!("{name} has the unsupported type {kind} with {size} bytes"));
+            }
         };
         let count = counts.get(i).copied().unwrap_or(1);
         if count > 4096 || count == 0 {
-            return Err(format!("{name} has {count} numbers a point"));
+            return Err(format!("COUNT of {name} is {count}; it must be 1 to 4096"));
         }
         let field = Field { name, size, kind, count: count as usize, offset };
         offset += field.size_bytes();
@@ -276,7 +283,11 @@ fn read_ascii(
             }
         }
         if found < most {
-            return Err(format!("point {row} has {} values, {} at least", found + 1, most + 1));
+            return Err(format!(
+                "point {row} has {} values; at least {} are needed",
+                found + 1,
+                most + 1
+            ));
         }
         gathered.push(position, color);
     }
@@ -321,7 +332,7 @@ fn read_compressed(
     let (compressed, unpacked_bytes) = (size(0), size(4));
     if unpacked_bytes != header.points * header.row_bytes {
         return Err(format!(
-            "it unpacks to {unpacked_bytes} bytes, {} points have {}",
+            "it unpacks to {unpacked_bytes} bytes, but {} points need {}",
             header.points,
             header.points * header.row_bytes
         ));
@@ -461,9 +472,9 @@ mod tests {
     #[test]
     fn false_counts_and_invalid_rows_are_refused() {
         for (bytes, expected) in [
-            (header(1_000_000_000, "binary"), "announces 1000000000 points"),
-            (header(1_000_000_000, "binary_compressed"), "announces 1000000000 points"),
-            (header(usize::MAX, "ascii"), "more points than there can be"),
+            (header(1_000_000_000, "binary"), "declares 1000000000 points"),
+            (header(1_000_000_000, "binary_compressed"), "declares 1000000000 points"),
+            (header(usize::MAX, "ascii"), "more points than are possible"),
             (header(0, "binary"), "no points"),
             ([header(2, "ascii"), b"0 1 2 3\n0 1 2 3 4 \xff\n".to_vec()].concat(), "not text"),
             ([header(3, "ascii"), b"0 1 2 3\n0 1 2 3\n".to_vec()].concat(), "2 of 3 points"),

@@ -90,7 +90,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
     let properties: usize = header.elements.values().map(|element| element.properties.len()).sum();
     if properties > MAX_PROPERTIES {
         return Err(malformed(format!(
-            "it announces {properties} properties, {MAX_PROPERTIES} are read at most"
+            "it declares {properties} properties; the limit is {MAX_PROPERTIES}"
         )));
     }
     let vertex = header
@@ -106,7 +106,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
     // allocation.
     if vertex.count as u64 > bytes / 3 {
         return Err(malformed(format!(
-            "it announces {} vertices but has only {bytes} bytes",
+            "it declares {} vertices but has only {bytes} bytes",
             vertex.count
         )));
     }
@@ -114,7 +114,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
     let lies = |e: &&ElementDef| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0);
     if let Some(liar) = header.elements.values().find(lies) {
         return Err(malformed(format!(
-            "it announces {} rows of {:?} but has only {bytes} bytes",
+            "it declares {} rows of {:?} but has only {bytes} bytes",
             liar.count, liar.name
         )));
     }
@@ -128,8 +128,11 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
         let line_start = text.len();
         let most = (MAX_HEADER_BYTES - text.len()) as u64;
         if source.take(most).read_until(b'\n', &mut text)? == 0 {
-            let reason =
-                if most == 0 { "its header does not end" } else { "it ends within its header" };
+            let reason = if most == 0 {
+                "its header has no end_header"
+            } else {
+                "it ends within its header"
+            };
             return Err(io::Error::other(reason));
         }
         match text[line_start..].trim_ascii() {
@@ -334,7 +337,7 @@ mod tests {
         for (bytes, expected) in [
             (header("binary_little_endian", 1, &format!("{XYZ_RGB}{columns}")), "306 properties"),
             (endless_line, "longer than 65536 bytes"),
-            (endless_header, "header does not end"),
+            (endless_header, "header has no end_header"),
         ] {
             let message = read_bytes(&bytes).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
@@ -346,14 +349,14 @@ mod tests {
             check(root, Utf8Path::new("cloud.ply"), &CloudBounds { announced: 8, kept: 8 })
                 .unwrap_err()
                 .to_string();
-        assert!(message.contains("announces 9 points"), "{message}");
+        assert!(message.contains("declares 9 points"), "{message}");
     }
 
     #[test]
     fn invalid_files_are_refused_with_the_reason() {
         for (bytes, expected) in [
             (b"hello".to_vec(), "not a PLY file"),
-            (header("binary_little_endian", 1_000_000_000, XYZ_RGB), "announces 1000000000 vertices"),
+            (header("binary_little_endian", 1_000_000_000, XYZ_RGB), "declares 1000000000 vertices"),
             ([header("binary_little_endian", 3, XYZ_RGB), vec![0; 20]].concat(), "truncated"),
             ([header("ascii", 2, XYZ_RGB), b"1 2 3 4 5 6\n".to_vec()].concat(), "1 of 2 rows"),
             (b"ply\nformat binary_little_endian 1.0\nelement foo 400000000\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n".to_vec(), "400000000 rows"),

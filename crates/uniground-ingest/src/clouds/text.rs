@@ -92,7 +92,7 @@ pub(super) fn read(
             skipped += usize::from(found > 0 && !text.trim_start().starts_with(['#', '/']));
             if skipped > 3 {
                 return Err(malformed(format!(
-                    "line {number} is no line of three or more numbers"
+                    "line {number} does not have three or more numbers"
                 )));
             }
             continue;

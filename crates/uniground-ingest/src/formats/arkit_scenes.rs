@@ -111,12 +111,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if scan.frames.is_empty() {
         return Err(incomplete(
             LOOKS_LIKE,
-            "no picture has depth, a camera and a pose at its time",
+            "no picture has depth, a camera and a pose at the same time",
         ));
     }
     if left_out > 0 {
         scan.warnings.push(format!(
-            "{left_out} of {} pictures left out: no depth, camera or pose at their time",
+            "{left_out} of {} pictures skipped: no depth, camera or pose at the same time",
             color.len()
         ));
     }

@@ -19,11 +19,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let Some(cloud) = folder.first_file(CLOUDS) else {
         return Err(incomplete(
             LOOKS_LIKE,
-            "it has no dense cloud (fused.ply): poses without depth are not read. Make one with `colmap stereo_fusion`, and say metres_per_unit",
+            "it has no dense cloud (fused.ply): poses without depth are not supported. Make one with `colmap stereo_fusion` and set metres_per_unit",
         ));
     };
     let mut scan = Scan::new(&folder.root, "colmap-dense");
-    scan.warnings.push("its pictures are left aside: they have no depth".into());
+    scan.warnings.push("its pictures are ignored: they have no depth".into());
     scan.has_scale = false;
     scan.cloud = Some(cloud);
     Ok(scan)

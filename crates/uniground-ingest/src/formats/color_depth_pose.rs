@@ -194,7 +194,7 @@ pub(super) fn add_frames(
         }
         UnmatchedImages::LeftOut if !alone.is_empty() => {
             scan.warnings.push(format!(
-                "{} pictures left out, nothing else was taken at their moment: {} and so on",
+                "{} pictures skipped, no other file has the same time; the first: {}",
                 alone.len(),
                 alone[0]
             ));
@@ -223,7 +223,7 @@ fn match_poses(
             if poses.len() != color.len() {
                 return Err(IngestError::malformed(
                     file,
-                    format!("it holds {} poses for {} colour pictures", poses.len(), color.len()),
+                    format!("it has {} poses for {} color pictures", poses.len(), color.len()),
                 ));
             }
             poses

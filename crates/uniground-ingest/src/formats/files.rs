@@ -116,7 +116,7 @@ impl FolderListing {
         if !self.names.is_empty() && self.names.iter().all(|name| is_picture(name)) {
             return format!(
                 "only pictures ({shown}). Depth pictures and camera poses are needed too: export \
-                 the scan, not its photographs"
+                 the scan, not only its photos"
             );
         }
         match self.names.len() {

@@ -94,7 +94,7 @@ pub(super) fn intrinsics_from_values(
     };
     let [fx, fy, cx, cy] = at.map(|i| values[i] as f32);
     let (width, height) = picture_size(root, picture)?
-        .ok_or_else(|| IngestError::malformed(picture, "it does not say its size"))?;
+        .ok_or_else(|| IngestError::malformed(picture, "the picture does not state its size"))?;
     Ok(Intrinsics { width, height, fx, fy, cx, cy })
 }
 

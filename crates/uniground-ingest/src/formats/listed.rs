@@ -27,7 +27,7 @@ impl<'de, T: Deserialize<'de>> Visitor<'de> for BoundedFrameList<T> {
         while let Some(frame) = entries.next_element()? {
             if frames.len() == MAX_FRAMES {
                 return Err(A::Error::custom(format!(
-                    "more than {MAX_FRAMES} frames, as many are read at most: leave some out"
+                    "more than {MAX_FRAMES} frames, which is the limit: leave some out"
                 )));
             }
             frames.push(frame);

@@ -21,7 +21,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     );
     if clouds.len() > 1 {
         scan.warnings.push(format!(
-            "{cloud} is read; {} other clouds lie beside it: {} and so on",
+            "{cloud} is used; {} other clouds are ignored, the first: {}",
             clouds.len() - 1,
             clouds[1]
         ));

@@ -88,7 +88,7 @@ fn check_frames(file: &str, frames: usize) -> Result<(), IngestError> {
     match frames > MAX_FRAMES {
         true => Err(IngestError::malformed(
             file,
-            format!("{frames} frames, {MAX_FRAMES} are read at most: leave some out"),
+            format!("{frames} frames; the limit is {MAX_FRAMES}: leave some out"),
         )),
         false => Ok(()),
     }

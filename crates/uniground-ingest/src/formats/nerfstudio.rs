@@ -82,8 +82,9 @@ impl Camera {
     fn intrinsics(&self, root: &Utf8Path, picture: &Utf8Path) -> Result<Intrinsics, IngestError> {
         let (width, height) = match (self.w, self.h) {
             (Some(w), Some(h)) => (w.round() as u32, h.round() as u32),
-            _ => picture_size(root, picture)?
-                .ok_or_else(|| IngestError::malformed(picture, "it does not say its size"))?,
+            _ => picture_size(root, picture)?.ok_or_else(|| {
+                IngestError::malformed(picture, "the picture does not state its size")
+            })?,
         };
         let by_angle = self.camera_angle_x.map(|angle| 0.5 * width as f32 / (0.5 * angle).tan());
         let fx = self
@@ -122,7 +123,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         let model = transforms.camera_model.as_deref().unwrap_or("fisheye");
         return Err(incomplete(
             LOOKS_LIKE,
-            format!("its cameras are {model}: undistort the pictures to pinholes first"),
+            format!("its cameras are {model}: undistort the pictures to a pinhole camera first"),
         ));
     }
     let mut scan = Scan::new(root, "nerfstudio");
@@ -141,11 +142,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         if scan.cloud.is_none() {
             return Err(incomplete(
                 LOOKS_LIKE,
-                "its frames have no depth_file_path and there is no cloud: pictures alone are not read, add depth or a cloud in metres",
+                "its frames have no depth_file_path and there is no cloud: pictures alone are not supported, add depth or a cloud in meters",
             ));
         }
         scan.warnings.push(format!(
-            "{} pictures are left aside: they have no depth (depth_file_path), the cloud is read alone",
+            "{} pictures are ignored: they have no depth (depth_file_path), only the cloud is used",
             transforms.frames.len()
         ));
         return Ok(scan);

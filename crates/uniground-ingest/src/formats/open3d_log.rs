@@ -42,14 +42,14 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let pictures =
         ScanImages { color, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
     let Some(first) = pictures.color.first() else {
-        return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing"));
+        return Err(incomplete(LOOKS_LIKE, "its color pictures are missing"));
     };
     let mut scan = Scan::new(&folder.root, "open3d-log");
     let color = if intrinsics::find_color_file(folder).is_some() {
         intrinsics::read_color_intrinsics(folder, first)?
     } else {
         scan.warnings.push(
-            "nothing says which camera it was: taken as a PrimeSense (525 525 319.5 239.5); intrinsic.txt or camera_intrinsic.json says better"
+            "unknown camera: a PrimeSense (525 525 319.5 239.5) is assumed; add intrinsic.txt or camera_intrinsic.json if that is wrong"
                 .into(),
         );
         PRIMESENSE

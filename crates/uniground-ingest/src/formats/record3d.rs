@@ -60,13 +60,16 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     };
     let whole = Intrinsics { width: metadata.w, height: metadata.h, fx, fy, cx, cy };
     if whole.width == 0 || whole.height == 0 {
-        return Err(IngestError::malformed(file, "its pictures have no size"));
+        return Err(IngestError::malformed(file, "its picture size is 0"));
     }
     let (portrait, usual) = (whole.height >= whole.width, USUAL_DEPTH);
     let usual = if portrait { usual } else { (usual.1, usual.0) };
     let (dw, dh) = (metadata.dw.unwrap_or(usual.0), metadata.dh.unwrap_or(usual.1));
     if dw == 0 || dh == 0 || u64::from(dw) * u64::from(dh) > 40_000_000 {
-        return Err(IngestError::malformed(file, format!("depth pictures of {dw}x{dh}")));
+        return Err(IngestError::malformed(
+            file,
+            format!("its depth size {dw}x{dh} is not supported"),
+        ));
     }
     let mut scan = Scan::new(&folder.root, "record3d");
     scan.camera_axes = CameraAxes::Opengl;

@@ -69,7 +69,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         confidence: Vec::new(),
     };
     if pictures.color.is_empty() || pictures.depth.is_empty() {
-        return Err(incomplete(LOOKS_LIKE, "results/ holds no frame* and depth* pictures"));
+        return Err(incomplete(LOOKS_LIKE, "results/ has no frame* and depth* pictures"));
     }
     let mut scan = Scan::new(&folder.root, "replica");
     let file = [CAMERA.into(), room.join(CAMERA)]
@@ -79,7 +79,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         read_parameters(&folder.root, &file)?
     } else {
         scan.warnings.push(format!(
-            "{CAMERA} is missing: taken as 1200x680, focal length 600, depth in 1/6553.5 m"
+            "{CAMERA} is missing: assumed 1200x680, focal length 600, depth in 1/6553.5 m"
         ));
         USUAL
     };

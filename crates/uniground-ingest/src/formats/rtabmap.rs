@@ -37,7 +37,9 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         .map(|name| find_folder(folder, name).ok_or_else(|| missing(name)));
     let (rgb, depth, calibration) = (rgb?, depth?, calibration?);
     let file = find_poses_file(folder).ok_or_else(|| {
-        missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 10)")
+        missing(
+            "the file with the camera's poses (rtabmap-export --poses_camera --poses_format 10)",
+        )
     })?;
     let pictures = ScanImages {
         color: folder.files(&rgb, PICTURES)?,
@@ -50,7 +52,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     scan.up = Some(uniground_geometry::up_axis::UpAxis::Z);
     if !file.as_str().ends_with("camera_poses.txt") {
         scan.warnings
-            .push(format!("{file} is taken for the camera's poses; those of a robot's base would need its mounting taken off"));
+            .push(format!("{file} is assumed to hold the camera's poses. If they are a robot base's, export with --poses_camera"));
     }
     let cameras = FrameCameras { color: read_camera(&folder.root, first)?, depth: None };
     let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);
@@ -67,7 +69,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 fn read_camera(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
     let text = read_text(root, file, MAX_CALIBRATION_BYTES)?;
     let missing =
-        |key: &str| IngestError::malformed(file, format!("{key} is missing or no number"));
+        |key: &str| IngestError::malformed(file, format!("{key} is missing or not a number"));
     let number = |key: &str| -> Result<u32, IngestError> {
         let line = text.lines().find_map(|line| line.trim().strip_prefix(key)?.strip_prefix(':'));
         line.and_then(|v| v.trim().parse().ok()).ok_or_else(|| missing(key))

@@ -81,7 +81,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             let taken: ScannerAppFrame = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
                 .map_err(|e| IngestError::malformed(file, e))?;
             let pose = matrix_from_values(&taken.pose).ok_or_else(|| {
-                IngestError::malformed(file, "cameraPoseARFrame has not 16 numbers")
+                IngestError::malformed(file, "cameraPoseARFrame must have 16 numbers")
             })?;
             let camera =
                 intrinsics::intrinsics_from_values(root, file, &taken.intrinsics, picture)?;

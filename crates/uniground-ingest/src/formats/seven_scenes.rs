@@ -87,7 +87,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         }
         None => {
             scan.warnings
-                .push("cameras are taken as the Kinect of 7-Scenes (585 585 320 240); intrinsic.txt says better".into());
+                .push("unknown camera: the Kinect of 7-Scenes (585 585 320 240) is assumed; add intrinsic.txt if that is wrong".into());
             FrameCameras { color: KINECT, depth: None }
         }
     };
@@ -101,7 +101,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 fn parse_camera(info: &Utf8Path, text: &str, which: &str) -> Result<Intrinsics, IngestError> {
     let lower = which.to_ascii_lowercase();
     let missing =
-        |key: &str| IngestError::malformed(info, format!("{key} is missing or no number"));
+        |key: &str| IngestError::malformed(info, format!("{key} is missing or not a number"));
     let size = |side: &str| {
         let key = format!("m_{lower}{side}");
         find_values(text, &key).and_then(|v| v.parse::<u32>().ok()).ok_or_else(|| missing(&key))

@@ -34,7 +34,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let Some(first) = color.first() else {
         return Err(incomplete(
             LOOKS_LIKE,
-            "its video is not decoded here: run `mkdir rgb && ffmpeg -i rgb.mp4 -start_number 0 -q:v 2 rgb/%06d.jpg` in its folder first",
+            "its video cannot be decoded here: run `mkdir rgb && ffmpeg -i rgb.mp4 -start_number 0 -q:v 2 rgb/%06d.jpg` in its folder first",
         ));
     };
     let camera = intrinsics::read_intrinsics(root, Utf8Path::new(CAMERA), first)?;

@@ -48,7 +48,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         IngestError::malformed(
             file,
             format!(
-                "no list of poses: its lines have {n} numbers, 8 (time, position, quaternion), 12 or 16 (matrix) are read"
+                "not a list of poses: its lines have {n} numbers, expected 8 (time, position, quaternion), 12 or 16 (matrix)"
             ),
         )
     };
@@ -56,7 +56,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         3 => parse_log(&rows).map(Trajectory::Ordered).ok_or_else(|| {
             IngestError::malformed(
                 file,
-                "not a log of poses: three numbers, then four lines of four",
+                "not a log of poses: expected three numbers, then four lines of four",
             )
         }),
         12 | 16 => {

@@ -37,7 +37,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     });
     let ((color, heading), (depth, _)) = (color?, depth?);
     let poses_file = folder.first_file(POSES).ok_or_else(|| {
-        incomplete(LOOKS_LIKE, "groundtruth.txt is missing: a trajectory in its format (timestamp tx ty tz qx qy qz qw) will do")
+        incomplete(LOOKS_LIKE, "groundtruth.txt is missing: add a trajectory in its format (timestamp tx ty tz qx qy qz qw)")
     })?;
     let Trajectory::Timed(mut poses) = trajectory::read(root, &poses_file)? else {
         return Err(IngestError::malformed(
@@ -79,7 +79,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     if alone + untracked > 0 {
         scan.warnings.push(format!(
-            "of {} colour pictures {alone} have no depth picture and {untracked} no pose within {} ms: left out",
+            "of {} color pictures, {alone} without a depth picture and {untracked} without a pose within {} ms are skipped",
             color.len(),
             pairing::SAME_MOMENT_S * 1000.0
         ));
@@ -87,7 +87,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     match scan.frames.is_empty() {
         true => Err(incomplete(
             LOOKS_LIKE,
-            "no colour picture has a depth picture and a pose at its time",
+            "no color picture has a depth picture and a pose at the same time",
         )),
         false => Ok(scan),
     }
@@ -148,7 +148,7 @@ fn read_camera(
         (of(535.4, 539.2, 320.1, 247.6), None)
     } else {
         scan.warnings.push(
-            "nothing says which camera it was: taken as a Kinect (525 525 319.5 239.5); intrinsic.txt beside the lists says better".into(),
+            "unknown camera: a Kinect (525 525 319.5 239.5) is assumed; add intrinsic.txt beside the lists if that is wrong".into(),
         );
         (of(525.0, 525.0, 319.5, 239.5), None)
     })

@@ -37,7 +37,7 @@ pub fn fuse(
             remove_damaged(frames, damaged, warnings)?;
             return match cloud.is_empty() {
                 true => Err(IngestError::NoUsableFrames {
-                    reason: "no depth picture holds a measurement that others confirm".into(),
+                    reason: "no depth measurement is confirmed by another picture".into(),
                 }),
                 false => Ok(cloud),
             };
@@ -96,7 +96,7 @@ fn remove_damaged(
         let named: Vec<String> =
             damaged.iter().take(MAX_NAMED).map(|(_, error)| error.to_string()).collect();
         warnings.push(format!(
-            "{count} of {total} frames skipped, they can not be decoded: {}",
+            "{count} of {total} frames skipped, they cannot be decoded: {}",
             named.join("; ")
         ));
         frames.retain(|frame| damaged.iter().all(|(index, _)| *index != frame.index));

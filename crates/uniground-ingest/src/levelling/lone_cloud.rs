@@ -38,7 +38,7 @@ const FAR_AHEAD: f32 = 0.6;
 /// Returns the up direction if it is clear. Otherwise returns the names of the possible directions.
 pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<&UpCandidate, String> {
     let Some(best) = candidates.first() else {
-        return Err("the cloud has no flat surfaces to tell it by".into());
+        return Err("the cloud has no flat surfaces".into());
     };
     let lead = best.score - candidates.get(1).map_or(0.0, |next| next.score);
     let is_room = best.width_m >= ROOM_WIDTH_M && ROOM_HEIGHT_M.contains(&best.height_m);
@@ -49,9 +49,12 @@ pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<&UpCandidate, Stri
     }
     let names: Vec<&str> =
         candidates.iter().take(2).map(|c| UpAxis::nearest(&c.fit.up).name()).collect();
-    let why =
-        if is_room { "by its surfaces it" } else { "it is no whole room, and by its surfaces it" };
-    Err(format!("{why} may be {}", names.join(" or ")))
+    let why = if is_room {
+        "its surfaces suggest"
+    } else {
+        "it is not a whole room, and its surfaces suggest"
+    };
+    Err(format!("{why} {}", names.join(" or ")))
 }
 
 /// Maximum number of directions that are examined.

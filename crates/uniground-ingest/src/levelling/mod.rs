@@ -84,13 +84,15 @@ pub(super) fn find_up_of_frames(
     // Cameras without roll determine up on their own, although not exactly.
     let (up, evidence) = match cameras.filter(|c| c.by_roll && said.up.is_none()) {
         _ if believed => (fit.up, describe(&fit)),
-        Some(cameras) => (cameras.up, "cameras held without roll; surfaces do not tell".to_owned()),
+        Some(cameras) => {
+            (cameras.up, "cameras held without roll; surfaces are not conclusive".to_owned())
+        }
         None => return Ok(up_along_axis(up_without_surfaces(axis, said, warnings), None)),
     };
     let axis = said.up.unwrap_or_else(|| UpAxis::nearest(&up));
     if said.up.is_none() && axis != UpAxis::Z {
         warnings.push(format!(
-            "the files do not say which axis is up: the cameras hold {} up, taken as that",
+            "the files do not state the up axis: {} is assumed from the cameras; set up= if that is wrong",
             axis.name()
         ));
     }
@@ -131,7 +133,7 @@ pub(super) fn find_up_of_cloud(
         lone_cloud::choose_up(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
     let axis = UpAxis::nearest(&best.fit.up);
     warnings.push(format!(
-        "nothing says which axis is up and there are no cameras to tell: by its floor, its height and what stands on it taken as {}",
+        "the files do not state the up axis: {} is assumed from the shape of the cloud; set up= if that is wrong",
         axis.name()
     ));
     Ok(rotate_upright(
@@ -161,14 +163,14 @@ fn describe(fit: &UpFit) -> String {
 fn up_without_surfaces(axis: Option<UpAxis>, said: UpHint, warnings: &mut Vec<String>) -> UpAxis {
     let Some(axis) = axis else {
         warnings.push(
-            "the files do not say which axis is up and the cameras do not agree on one: taken as z"
+            "the files do not state the up axis: z is assumed, the cameras do not agree; set up= if that is wrong"
                 .into(),
         );
         return UpAxis::Z;
     };
     if said.up.is_none() && axis != UpAxis::Z {
         warnings.push(format!(
-            "the files do not say which axis is up: the cameras hold {} up, taken as that",
+            "the files do not state the up axis: {} is assumed from the cameras; set up= if that is wrong",
             axis.name()
         ));
     }
@@ -201,7 +203,7 @@ fn rotate_upright(
         upright.turn =
             Isometry3::from_parts(nalgebra::Translation3::identity(), level) * upright.turn;
         warnings.push(format!(
-            "the world of the files is tilted by {tilt_deg:.1} degrees from {} up: turned level",
+            "the files' axes are tilted by {tilt_deg:.1} degrees from {} up: rotated level",
             axis.name()
         ));
     }

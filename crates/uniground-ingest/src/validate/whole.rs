@@ -29,7 +29,7 @@ pub(super) fn check_is_complete(root: &Utf8Path, file: &Utf8Path) -> Result<(), 
         true => Ok(()),
         false => Err(IngestError::malformed(
             file,
-            format!("the {kind} is cut short: it has no end mark"),
+            format!("the {kind} is truncated: it has no end marker"),
         )),
     }
 }

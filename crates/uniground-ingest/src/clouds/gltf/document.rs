@@ -178,9 +178,9 @@ impl<'a> Buffers<'a> {
     fn read_uri(&self, uri: &str) -> Result<Vec<u8>, IngestError> {
         if let Some(data) = uri.strip_prefix("data:") {
             let text = data.split_once(";base64,").map(|(_, text)| text);
-            return text.and_then(decode_base64).ok_or_else(|| {
-                IngestError::malformed(self.file, "a data address that is not base64")
-            });
+            return text
+                .and_then(decode_base64)
+                .ok_or_else(|| IngestError::malformed(self.file, "a data URI is not base64"));
         }
         let name = uri.replace("%20", " ");
         let path = sibling_path(self.file, &name).ok_or_else(|| IngestError::UnsafeEntry {
@@ -196,13 +196,13 @@ impl<'a> Buffers<'a> {
 
     pub fn read_image(&self, document: &Document, number: usize) -> Result<Cow<'_, [u8]>, String> {
         let image =
-            document.images.get(number).ok_or_else(|| format!("image {number} is not there"))?;
+            document.images.get(number).ok_or_else(|| format!("image {number} does not exist"))?;
         match (&image.uri, image.buffer_view) {
             (Some(uri), _) => self.read_uri(uri).map(Cow::Owned).map_err(|e| e.to_string()),
             (None, Some(view)) => {
                 self.read_view(document, view).map(|(bytes, _)| Cow::Borrowed(bytes))
             }
-            (None, None) => Err(format!("image {number} has no bytes")),
+            (None, None) => Err(format!("image {number} has no data")),
         }
     }
 
@@ -214,15 +214,15 @@ impl<'a> Buffers<'a> {
         let view = document
             .buffer_views
             .get(number)
-            .ok_or_else(|| format!("view {number} is not there"))?;
+            .ok_or_else(|| format!("view {number} does not exist"))?;
         let buffer = self
             .bytes
             .get(view.buffer)
-            .ok_or_else(|| format!("buffer {} is not there", view.buffer))?;
+            .ok_or_else(|| format!("buffer {} does not exist", view.buffer))?;
         let end = view.byte_offset.checked_add(view.byte_length);
         let bytes = end.and_then(|end| buffer.get(view.byte_offset..end));
         Ok((
-            bytes.ok_or_else(|| format!("view {number} is more than its buffer holds"))?,
+            bytes.ok_or_else(|| format!("view {number} is larger than its buffer"))?,
             view.byte_stride,
         ))
     }
@@ -237,29 +237,32 @@ impl<'a> Buffers<'a> {
         let accessor = document
             .accessors
             .get(number)
-            .ok_or_else(|| format!("accessor {number} is not there"))?;
+            .ok_or_else(|| format!("accessor {number} does not exist"))?;
         if accessor.sparse.is_some() {
-            return Err("sparse accessors are not read".into());
+            return Err("sparse accessors are not supported".into());
         }
-        let view =
-            accessor.buffer_view.ok_or_else(|| format!("accessor {number} has no numbers"))?;
+        let view = accessor.buffer_view.ok_or_else(|| format!("accessor {number} has no data"))?;
         let (bytes, stride) = self.read_view(document, view)?;
         let found = match accessor.shape.as_str() {
             "SCALAR" => 1,
             "VEC2" => 2,
             "VEC3" => 3,
             "VEC4" => 4,
-            other => return Err(format!("accessor {number} is of type {other}")),
+            other => return Err(format!("accessor {number} has the unsupported type {other}")),
         };
         let size = match accessor.component_type {
             5120 | 5121 => 1,
             5122 | 5123 => 2,
             5125 | 5126 => 4,
-            other => return Err(format!("accessor {number} has components of type {other}")),
+            other => {
+                return Err(format!(
+                    "accessor {number} has the unsupported component type {other}"
+                ));
+            }
         };
         if found < columns {
             return Err(format!(
-                "accessor {number} has {found} numbers a row, {columns} are needed"
+                "accessor {number} has {found} numbers per row; {columns} are needed"
             ));
         }
         let row = found * size;
@@ -270,7 +273,7 @@ impl<'a> Buffers<'a> {
             .checked_sub(1)
             .map_or(Some(0), |rows| rows.checked_mul(stride)?.checked_add(row));
         if needed.is_none_or(|needed| needed > bytes.len()) {
-            return Err(format!("accessor {number} is more than its buffer holds"));
+            return Err(format!("accessor {number} is larger than its buffer"));
         }
         let Accessor { count, component_type: component, normalized, .. } = *accessor;
         Ok(AccessorRows { bytes, stride, count, columns, component, normalized })

@@ -71,11 +71,11 @@ fn chunks_fit(source: &mut File, points: u64, bytes: u64) -> io::Result<Result<(
         return Ok(Ok(()));
     };
     let Some(version_and_count) = i64_from(table)? else {
-        return Ok(Err("its table of chunks lies behind its end"));
+        return Ok(Err("its chunk table is past the end of the file"));
     };
     let count = version_and_count.cast_unsigned() >> 32;
     let room = bytes.saturating_sub(points) / LEAST_CHUNK_BYTES;
-    Ok(if count > room { Err("it announces more chunks than it has room for") } else { Ok(()) })
+    Ok(if count > room { Err("it declares more chunks than fit in the file") } else { Ok(()) })
 }
 
 fn u32_at(header: &[u8], from: usize) -> u32 {

@@ -51,7 +51,7 @@ impl LasRecords {
             3 | 5 => Some(28),
             7 | 8 | 10 => Some(30),
             0 | 1 | 4 | 6 | 9 => None,
-            _ => return Err(malformed("its points are of a format that is not read")),
+            _ => return Err(malformed("its point format is not supported")),
         };
         if bytes < color.map_or(20, |color| color + 6) {
             return Err(malformed("its point records are too short"));
@@ -86,7 +86,7 @@ impl LasRecords {
         match self.points.saturating_mul(self.bytes as u64) > self.file_bytes {
             true => {
                 let reason = format!(
-                    "it announces {} points but has only {} bytes of them",
+                    "it declares {} points but has only {} bytes of them",
                     self.points, self.file_bytes
                 );
                 Err(IngestError::malformed(file, reason))
@@ -192,7 +192,7 @@ mod tests {
             read(&many)
                 .unwrap_err()
                 .to_string()
-                .contains("announces 900 points but has only 52 bytes")
+                .contains("declares 900 points but has only 52 bytes")
         );
         // Also where the number of points has no limit.
         let folder = tempfile::tempdir().unwrap();
@@ -207,7 +207,7 @@ mod tests {
         endless[94..96].copy_from_slice(&375_u16.to_le_bytes());
         endless[96..100].copy_from_slice(&375_u32.to_le_bytes());
         endless[247..255].copy_from_slice(&(u64::MAX / 2).to_le_bytes());
-        assert!(read(&endless).unwrap_err().to_string().contains("1000 are read at most"));
+        assert!(read(&endless).unwrap_err().to_string().contains("the limit is 1000"));
     }
 
     proptest! {

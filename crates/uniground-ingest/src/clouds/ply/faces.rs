@@ -62,7 +62,7 @@ fn for_each_triangle(
         // The comparison detects indices that are negative, too large or not a number.
         let position = vertices.positions.get(at).filter(|_| at as f64 == index);
         let position =
-            position.ok_or_else(|| format!("{index} names a vertex that is not there"))?;
+            position.ok_or_else(|| format!("{index} names a vertex that does not exist"))?;
         let tint = vertices.colors[at].map(|c| f32::from(c) / 255.0);
         Ok::<_, String>(MeshVertex {
             at: [position.x, position.y, position.z].map(f64::from),
@@ -180,8 +180,8 @@ mod tests {
         let mut below = whole.clone();
         below[last..].copy_from_slice(&(-1_i32).to_le_bytes());
         for (bytes, expected) in [
-            (&stray, "face: 9 names a vertex that is not there"),
-            (&below, "face: -1 names a vertex that is not there"),
+            (&stray, "face: 9 names a vertex that does not exist"),
+            (&below, "face: -1 names a vertex that does not exist"),
             (&whole[..last].to_vec(), "face: truncated"),
         ] {
             let message = read_bytes(bytes).unwrap_err().to_string();

@@ -148,7 +148,7 @@ impl PlyRows {
         let mut words = text.split_ascii_whitespace();
         let too_few = || {
             let (found, announced) = (text.split_ascii_whitespace().count(), self.columns.len());
-            format!("row {row} has {found} values, its header announces {announced}")
+            format!("row {row} has {found} values, but the header declares {announced}")
         };
         for column in &self.columns {
             let word = words.next().ok_or_else(too_few)?;
@@ -230,7 +230,7 @@ impl PlyRows {
                 PlyColumn::List(count, item, of) => {
                     let items = next_number(source, count, order)?;
                     if items < 0.0 || items.fract() != 0.0 {
-                        return Err(format!("a list of {items} values"));
+                        return Err(format!("a list has the invalid length {items}"));
                     }
                     let mut left = items as u64;
                     while *of == ListOf::Corners && left > 0 && corners.len() < MAX_CORNERS {
