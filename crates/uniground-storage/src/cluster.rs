@@ -303,9 +303,9 @@ impl ProcessLease {
             });
             let trouble = match seen.await {
                 Ok(Ok(())) => continue,
-                Ok(Err(StoreError::DatabaseInUse)) => "somebody has it for itself",
-                Ok(Err(_)) => "it refuses or is gone",
-                Err(_) => "it does not answer",
+                Ok(Err(StoreError::DatabaseInUse)) => "another process has exclusive access",
+                Ok(Err(_)) => "connection refused or closed",
+                Err(_) => "no response",
             };
             tracing::warn!(trouble, "database connection lost; reconnecting");
             *held_connection = None;

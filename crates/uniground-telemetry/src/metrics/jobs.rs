@@ -29,24 +29,28 @@ impl JobMetrics {
             duration: Histograms::new_with_constructor(long_seconds),
             lanes: Family::default(),
         };
-        registry.register("jobs_queued", "Jobs that wait", jobs.queued.clone());
-        registry.register("jobs_running", "Jobs in a worker's hands", jobs.running.clone());
-        let help = "How long ago the oldest job that waits was asked for; 0 where none waits";
+        registry.register("jobs_queued", "Jobs in the queue", jobs.queued.clone());
+        registry.register("jobs_running", "Running jobs", jobs.running.clone());
+        let help = "Age of the oldest queued job; 0 if the queue is empty";
         registry.register_with_unit(
             "jobs_oldest_queued_age",
             help,
             Unit::Seconds,
             jobs.oldest.clone(),
         );
-        registry.register("jobs_finished", "Jobs that ended, by how", jobs.finished.clone());
+        registry.register("jobs_finished", "Finished jobs, by state", jobs.finished.clone());
         registry.register(
             "jobs_retried",
-            "Jobs put back because what failed may pass",
+            "Jobs queued again after a transient failure",
             jobs.retried.clone(),
         );
-        let help = "One run of a job, from its start to its end";
+        let help = "Duration of one run of a job";
         registry.register_with_unit("job_duration", help, Unit::Seconds, jobs.duration.clone());
-        registry.register("lane_up", "Whether jobs of this kind are worked on", jobs.lanes.clone());
+        registry.register(
+            "lane_up",
+            "Whether workers for this kind of job are running",
+            jobs.lanes.clone(),
+        );
         jobs
     }
 

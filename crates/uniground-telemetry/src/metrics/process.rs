@@ -24,13 +24,13 @@ impl ProcessMetrics {
         began.set(process.started_at.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64());
         registry.register_with_unit(
             "process_start_time",
-            "When the server was started, seconds since 1970",
+            "Start time of the server, seconds since 1970",
             Unit::Seconds,
             began,
         );
         registry.register_with_unit(
             "process_resident_memory",
-            "Memory that is not swapped out",
+            "Resident memory of the process",
             Unit::Bytes,
             process.resident.clone(),
         );

@@ -59,17 +59,16 @@ impl QuestionMetrics {
             computing_limit: Gauge::default(),
             uploads: Gauge::default(),
         };
-        let help = "Questions by what came of them and by who decided; those of batches too";
+        let help = "Questions by status and reasoner, including those of batches";
         registry.register("questions", help, questions.answered.clone());
         registry.register(
             "question_failures",
-            "Questions without an answer, by the code of the problem",
+            "Questions without an answer, by problem code",
             questions.failures.clone(),
         );
-        let help =
-            "Answers in which a built-in part took the place of a model that could not be used";
+        let help = "Answers that used a built-in component because a model was not available";
         registry.register("questions_degraded", help, questions.degraded.clone());
-        let help = "From a question's arrival to its answer, kept";
+        let help = "Time from receiving a question to storing its answer";
         registry.register_with_unit(
             "question_duration",
             help,
@@ -78,22 +77,22 @@ impl QuestionMetrics {
         );
         registry.register(
             "batch_items",
-            "Questions of batches by what came of them",
+            "Questions of batches by outcome",
             questions.items.clone(),
         );
         registry.register(
             "cache_requests",
-            "Looks into what is kept in memory",
+            "Cache lookups, by cache and outcome",
             questions.caches.clone(),
         );
-        let help = "Stages of parses that were computed, not taken from an earlier attempt";
+        let help = "Duration of parse stages that were computed, not restored from a checkpoint";
         registry.register_with_unit(
             "parse_stage_duration",
             help,
             Unit::Seconds,
             questions.stages.clone(),
         );
-        let help = "Parses from the unpacked scan to the kept result";
+        let help = "Duration of parses, from the unpacked scan to the stored result";
         registry.register_with_unit(
             "parse_duration",
             help,
@@ -102,12 +101,12 @@ impl QuestionMetrics {
         );
         registry.register(
             "questions_computing",
-            "Places at work on questions that are taken",
+            "Questions being computed",
             questions.computing.clone(),
         );
         registry.register(
             "questions_computing_limit",
-            "Places at work on questions",
+            "Maximum number of questions computed at once",
             questions.computing_limit.clone(),
         );
         registry.register("uploads_in_flight", "Uploads being received", questions.uploads.clone());

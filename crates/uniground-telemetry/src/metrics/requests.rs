@@ -48,10 +48,11 @@ impl RequestMetrics {
         };
         registry.register(
             "http_requests",
-            "Requests by method, template of the route and status",
+            "Requests by method, route template and status",
             requests.finished.clone(),
         );
-        let help = "From a request's header to its answer's; bodies that are streamed take longer";
+        let help =
+            "Time from a request's headers to the response headers; streamed bodies take longer";
         registry.register_with_unit(
             "http_request_duration",
             help,
@@ -60,23 +61,24 @@ impl RequestMetrics {
         );
         registry.register(
             "http_requests_in_flight",
-            "Requests that have no answer yet",
+            "Requests in progress",
             requests.in_flight.clone(),
         );
-        registry.register("http_connections", "Connections open now", requests.connections.clone());
+        registry.register("http_connections", "Open connections", requests.connections.clone());
         registry.register(
             "http_connections_limit",
-            "Connections that may be open at once",
+            "Maximum number of open connections",
             requests.connections_limit.clone(),
         );
-        let help = "Connections turned away because all places had a request under way";
+        let help = "Connections refused because the limit was reached and all were busy";
         registry.register("http_connections_refused", help, requests.connections_refused.clone());
         registry.register(
             "http_event_streams",
-            "Event streams open now",
+            "Open event streams",
             requests.event_streams.clone(),
         );
-        let help = "Audit entries that could not be written: too many at once, or a database that does not take them";
+        let help =
+            "Audit entries that could not be written: too many at once, or a failing database";
         registry.register("audit_entries_dropped", help, requests.audit_entries_dropped.clone());
         requests
     }

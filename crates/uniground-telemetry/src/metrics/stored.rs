@@ -33,27 +33,27 @@ impl StoredMetrics {
             ready: Gauge::default(),
             components: Family::default(),
         };
-        registry.register("scenes", "Scenes that are stored", stored.scenes.clone());
-        registry.register("parses", "Parses that are stored", stored.parses.clone());
+        registry.register("scenes", "Stored scenes", stored.scenes.clone());
+        registry.register("parses", "Stored parses", stored.parses.clone());
         registry.register("instances", "Instances of all parses", stored.instances.clone());
-        registry.register("answers", "Answers that are stored", stored.answers.clone());
-        registry.register("batches", "Batches that are stored, by state", stored.batches.clone());
+        registry.register("answers", "Stored answers", stored.answers.clone());
+        registry.register("batches", "Stored batches, by state", stored.batches.clone());
         registry.register_with_unit(
             "database_size",
-            "The database with its journal",
+            "Size of the database, with its journal",
             Unit::Bytes,
             stored.database_bytes.clone(),
         );
-        let help = "Files beside the database, by kind; measured in the background, a minute apart at least";
+        let help = "Size of files outside the database, by kind; measured at most once a minute";
         registry.register_with_unit("blobs_size", help, Unit::Bytes, stored.blob_bytes.clone());
         registry.register_with_unit(
             "disk_free",
-            "Bytes that may still be written",
+            "Free disk space",
             Unit::Bytes,
             stored.free_bytes.clone(),
         );
-        registry.register("ready", "Whether /readyz says so", stored.ready.clone());
-        let help = "What the service needs, each 1 where it is well; the vision-language model does not count for being ready";
+        registry.register("ready", "Whether /readyz reports ready", stored.ready.clone());
+        let help = "Components of the service: 1 if healthy; the vision-language model does not affect readiness";
         registry.register("component_up", help, stored.components.clone());
         stored
     }

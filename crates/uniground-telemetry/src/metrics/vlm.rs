@@ -45,37 +45,37 @@ impl VlmMetrics {
         };
         registry.register(
             "vlm_calls",
-            "Calls of the vision-language model by what came of them",
+            "Calls of the vision-language model by outcome",
             vlm.calls.clone(),
         );
         registry.register(
             "vlm_attempts",
-            "Requests sent to the model's endpoint, repeated ones included",
+            "Requests sent to the model's endpoint, including retries",
             vlm.attempts.clone(),
         );
-        registry.register("vlm_tokens", "Tokens of calls that were answered", vlm.tokens.clone());
+        registry.register("vlm_tokens", "Tokens of successful calls", vlm.tokens.clone());
         registry.register(
             "vlm_spent_usd",
-            "What calls have cost since the start, US dollars",
+            "Cost of calls since the start, US dollars",
             vlm.spent.clone(),
         );
-        let help = "One call with all its attempts and the waits between them";
+        let help = "Duration of a call, including retries and waits";
         registry.register_with_unit("vlm_call_duration", help, Unit::Seconds, vlm.duration.clone());
-        let help = "Replies that had to be asked for again, by what was wrong with them";
+        let help = "Malformed replies that were requested again, by problem";
         registry.register("vlm_malformed_replies", help, vlm.malformed.clone());
         registry.register(
             "vlm_questions_waiting",
-            "Questions that wait for the model or speak with it",
+            "Questions waiting for the model or using it",
             vlm.waiting.clone(),
         );
         registry.register(
             "vlm_spent_today_usd",
-            "Spent on this day (UTC), US dollars",
+            "Amount spent today (UTC), US dollars",
             vlm.spent_today.clone(),
         );
         registry.register(
             "vlm_daily_limit_usd",
-            "What may be spent in a day, US dollars; 0: no limit",
+            "Daily spending limit, US dollars; 0: no limit",
             vlm.daily_limit.clone(),
         );
         vlm
