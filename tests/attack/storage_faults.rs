@@ -76,7 +76,7 @@ fn run_foreign_folder(report: &mut Report) {
     let output = serve_command(folder, "127.0.0.1:0").output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     let held = !output.status.success()
-        && told.contains("not a data folder")
+        && told.contains("not a uniground data folder")
         && folder.join("tmp/thesis.txt").exists();
     report.row(
         "--data-dir on a foreign folder",

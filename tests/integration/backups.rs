@@ -255,7 +255,7 @@ async fn a_damaged_backup_is_refused_and_nothing_is_restored() {
         server.data().as_str(),
     ]);
     assert!(
-        !within.status.success() && output_text(&within).contains("in the data folder itself"),
+        !within.status.success() && output_text(&within).contains("inside the data folder"),
         "{}",
         output_text(&within)
     );

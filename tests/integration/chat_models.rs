@@ -377,7 +377,7 @@ fn a_recorded_evaluation_is_replayed_without_calls() {
     let told = String::from_utf8_lossy(&partly.stderr).into_owned();
     assert!(
         told.contains("18 of 19 questions failed")
-            && told.contains("the replay cache has no answer"),
+            && told.contains("the replay cache has no reply"),
         "{told}"
     );
     // An invalid record is reported with its line number.
@@ -385,6 +385,6 @@ fn a_recorded_evaluation_is_replayed_without_calls() {
     let broken = run_eval(&root.join("e"), &["--replay", record.as_str()]);
     assert_contains(
         String::from_utf8_lossy(&broken.stderr),
-        "answers.jsonl:1: not a recorded answer",
+        "answers.jsonl:1: not a recorded reply",
     );
 }

@@ -392,7 +392,7 @@ async fn a_folder_can_switch_to_another_database() {
     assert_eq!(moved["files"], json!([]));
     let aside = moved["set_aside"].as_str().unwrap();
     assert!(Utf8Path::new(aside).is_file() && !data.join("uniground.sqlite").exists(), "{aside}");
-    assert_contains(startup_error(&data, SQLITE), "its rows are kept in PostgreSQL");
+    assert_contains(startup_error(&data, SQLITE), "its rows are stored in PostgreSQL");
     let server = house.server(&data, &database);
     assert_same(&fetch_all(&server, &lived.paths).await, &before);
     assert_work_continues(&server, &lived, &before).await;
@@ -423,7 +423,7 @@ async fn invalid_targets_are_refused_and_change_nothing() {
     for (to, why) in [
         (&other, "is not empty"),
         (&full, "is not empty (thesis.tex)"),
-        (&data.join("new"), "can not lie in the other"),
+        (&data.join("new"), "must not be inside the other"),
     ] {
         let told = migrate_error((&data, SQLITE), (to, SQLITE));
         assert!(told.contains(why), "{to}: {told}");
@@ -432,11 +432,11 @@ async fn invalid_targets_are_refused_and_change_nothing() {
     let told = migrate_error((&house.at("nowhere"), SQLITE), (&free, SQLITE));
     assert!(told.contains("nowhere") && !free.exists(), "{told}");
     let told = migrate_error((&data, "postgres://robot:s3cret@127.0.0.1:1/rooms"), (&free, SQLITE));
-    assert!(told.contains("are kept in SQLite: say so with --from-database"), "{told}");
+    assert!(told.contains("are stored in SQLite: set --from-database"), "{told}");
     let told = migrate_error((&data, SQLITE), (&free, "postgres://robot:s3cret@127.0.0.1:1/rooms"));
     assert!(told.contains("postgres://127.0.0.1:1/rooms") && !told.contains("s3cret"), "{told}");
     let told = migrate_error((&data, SQLITE), (&free, "mysql://robot@127.0.0.1/rooms"));
-    assert!(told.contains("mysql:// is no database for this"), "{told}");
+    assert!(told.contains("mysql:// is not a supported database"), "{told}");
     assert_eq!(fs::read_to_string(full.join("thesis.tex")).unwrap(), "words");
     // A refused migration changes nothing.
     for folder in [&data, &other] {
@@ -465,7 +465,7 @@ async fn a_failed_migration_is_not_served_and_can_be_repeated() {
     execute("PRAGMA foreign_keys = OFF; INSERT INTO answers (id, scene_id, parse_id, body, created_at) VALUES ('stray', 'gone', 'gone', '{}', '')").await;
     for _ in 0..2 {
         let told = migrate_error((&old, SQLITE), (&new, &database));
-        assert!(told.contains("rows of answers could not be moved"), "{told}");
+        assert!(told.contains("rows of answers could not be migrated"), "{told}");
         assert_contains(startup_error(&new, &database), "run the same `uniground migrate` again");
     }
     execute("DELETE FROM answers WHERE id = 'stray'").await;

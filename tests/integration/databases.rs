@@ -41,7 +41,7 @@ async fn a_folder_refuses_another_database() {
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(
         !refused.status.success()
-            && told.contains(&format!("its rows are kept in {own}: say so with --database")),
+            && told.contains(&format!("its rows are stored in {own}: set --database")),
         "{told}"
     );
 }
@@ -60,7 +60,7 @@ fn an_unreachable_database_is_reported_without_its_password() {
     let refused = run_serve(data, "mysql://robot:s3cret@127.0.0.1/rooms");
     let told = String::from_utf8_lossy(&refused.stderr);
     assert!(
-        told.contains("mysql:// is no database for this") && !told.contains("s3cret"),
+        told.contains("mysql:// is not a supported database") && !told.contains("s3cret"),
         "{told}"
     );
 }

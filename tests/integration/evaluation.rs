@@ -148,7 +148,7 @@ fn a_server_gives_the_same_figures_as_the_process() {
     // Options that need an in-process run are refused before any question is asked.
     let oracle = configuration::expand_matrix("source=oracle", &Configuration::default()).unwrap();
     let refused = run(&suite, &system, &RunOptions { cells: &oracle, ..options }).unwrap_err();
-    assert!(format!("{refused:#}").contains("need a run in process"), "{refused:#}");
+    assert!(format!("{refused:#}").contains("run without --server"), "{refused:#}");
     drop(system);
     runtime.block_on(server.stop());
 }

@@ -230,7 +230,7 @@ fn a_server_with_invalid_models_does_not_start() {
         ([&there[..], &["--masks", "tiny-dual-encoder"]].concat(), "promptable-segmenter"),
         (
             [&there[..], &["--encoder", "tiny-dual-encoder", "--provider", "cuda"]].concat(),
-            "cuda is not there",
+            "cuda is not available",
         ),
         (
             vec![
@@ -400,9 +400,9 @@ async fn infer(
 async fn a_misbehaving_inference_server_is_reported_at_load() {
     for (misbehavior, expected) in [
         (Misbehavior::Hangs, "timed out"),
-        (Misbehavior::Garbage, "the answer is none"),
+        (Misbehavior::Garbage, "the response is invalid"),
         (Misbehavior::Unavailable, "503 Service Unavailable: busy (4 attempts)"),
-        (Misbehavior::NotANumber, "no numbers"),
+        (Misbehavior::NotANumber, "NaN or infinite values"),
         (Misbehavior::Short, "values for the shape"),
     ] {
         let address = serve_inference(misbehavior).await;

@@ -337,7 +337,7 @@ async fn gc_requires_the_folder_of_a_stopped_server() {
         let refused = run_gc(&nothing, more);
         assert!(
             !refused.status.success()
-                && String::from_utf8_lossy(&refused.stderr).contains("not a data folder"),
+                && String::from_utf8_lossy(&refused.stderr).contains("not a uniground data folder"),
             "{refused:?}"
         );
         assert!(!nothing.exists(), "gc created {nothing}");

@@ -13,11 +13,11 @@ pub enum ClientError {
     Problem(Box<Problem>),
     #[error("the server answered {status} without a problem document: {body}")]
     Unexpected { status: StatusCode, body: String },
-    #[error("the server can not be reached or broke off")]
+    #[error("the server could not be reached or closed the connection")]
     Transport(#[from] reqwest::Error),
-    #[error("the server's answer can not be read")]
+    #[error("the server's response could not be read")]
     Undecodable(#[from] serde_json::Error),
-    #[error("{0} is not an address of a server")]
+    #[error("{0} is not a server address")]
     BadAddress(String),
 }
 

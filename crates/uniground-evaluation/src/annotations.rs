@@ -270,7 +270,7 @@ fn check_object(object: SceneObject) -> Result<SceneObject, String> {
     check_box(&object.aabb)?;
     object.rotated.map_or(Ok(()), |b| check_box(&Aabb { center: b.center, size: b.size }))?;
     if object.rotated.is_some_and(|b| !b.rotation.coords.iter().all(|v| v.is_finite())) {
-        return Err("the box is turned by no angle".into());
+        return Err("the rotation of the box is not a number".into());
     }
     Ok(object)
 }
@@ -280,7 +280,7 @@ fn check_object(object: SceneObject) -> Result<SceneObject, String> {
 pub(super) fn check_box(aabb: &Aabb) -> Result<(), String> {
     let within = |v: &f32| v.is_finite() && v.abs() <= MAX_COORDINATE_M;
     if !aabb.center.iter().chain(aabb.size.iter()).all(within) {
-        Err("the box has coordinates that are no metres in a room".into())
+        Err(format!("the box is not within {MAX_COORDINATE_M} meters of the origin"))
     } else if aabb.size.iter().any(|&edge| edge <= 0.0) {
         Err(format!(
             "the box has no volume ({} x {} x {} m)",
@@ -329,7 +329,8 @@ fn read_npy(bytes: &[u8]) -> Result<Vec<u32>, &'static str> {
         return Err("not an .npy file of version 1");
     }
     let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
-    let header = bytes.get(10..data).map(String::from_utf8_lossy).ok_or("the header is cut off")?;
+    let header =
+        bytes.get(10..data).map(String::from_utf8_lossy).ok_or("the header is truncated")?;
     if !header.contains("'<u2'") {
         return Err("expected u16 values");
     }

@@ -119,9 +119,12 @@ pub fn expand_matrix(
         ensure!(!values.is_empty(), "the axis {axis} has no values");
         ensure!(
             (1..values.len()).all(|i| !values[..i].contains(&values[i])),
-            "the axis {axis} has a value twice"
+            "the axis {axis} repeats a value"
         );
-        ensure!(cells.len() * values.len() <= MAX_CELLS, "more than {MAX_CELLS} cells");
+        ensure!(
+            cells.len() * values.len() <= MAX_CELLS,
+            "the matrix has more than {MAX_CELLS} cells"
+        );
         let mut varied = Vec::with_capacity(cells.len() * values.len());
         for (name, configuration) in cells {
             for value in &values {
@@ -138,7 +141,7 @@ pub fn expand_matrix(
             && configuration.reasoner == ReasonerChoice::Builtin;
         ensure!(
             !asks_nobody,
-            "{name}: parser=auto asks no model where reasoner=builtin decides; say parser=builtin or parser=vlm"
+            "{name}: parser=auto uses no model with reasoner=builtin; use parser=builtin or parser=vlm"
         );
     }
     if let [(name, _)] = cells.as_mut_slice()
@@ -167,7 +170,7 @@ fn set_parse(configuration: &mut Configuration, axis: &str, value: &str) -> anyh
         configuration.settings.get_or_insert_with(|| Value::Object(serde_json::Map::new()));
     for name in axis.split('.') {
         let object = place.as_object_mut().with_context(|| {
-            format!("{axis}: another axis sets the whole of which this is a part")
+            format!("{axis}: another axis already sets the object that contains it")
         })?;
         place = object.entry(name).or_insert_with(|| Value::Object(serde_json::Map::new()));
     }
@@ -222,7 +225,7 @@ fn set_axis(configuration: &mut Configuration, axis: &str, value: &str) -> anyho
 fn parse_bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
     ensure!(
         value != AUTO,
-        "{axis}={AUTO}: a figure must say what it was measured with: {builtin}, or a bundle's name"
+        "{axis}={AUTO} is not allowed, because results must name the model: use {builtin} or a bundle's name"
     );
     Ok(if value == BUILTIN { builtin } else { value }.to_owned())
 }
@@ -230,7 +233,7 @@ fn parse_bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String
 /// Parses a value in the spelling of the HTTP API.
 fn parse_word<T: DeserializeOwned>(axis: &str, value: &str, known: &str) -> anyhow::Result<T> {
     serde_json::from_value(value.into())
-        .map_err(|_| anyhow::anyhow!("{axis}={value}: there is only {known}"))
+        .map_err(|_| anyhow::anyhow!("{axis}={value}: expected one of {known}"))
 }
 
 #[cfg(test)]
@@ -286,13 +289,13 @@ mod tests {
     fn unknown_axes_and_values_are_rejected_with_the_known_ones() {
         for (matrix, expected) in [
             ("sources=oracle", "the axes are source"),
-            ("source=magic", "there is only parsed, oracle"),
+            ("source=magic", "expected one of parsed, oracle"),
             ("top_k=0", "expected 1 to 100"),
             ("top_k", "expected axis=value"),
             ("top_k=3;top_k=5", "given twice"),
             ("source=", "has no values"),
-            ("encoder=builtin,auto", "must say what it was measured with"),
-            ("parser=auto", "asks no model where reasoner=builtin decides"),
+            ("encoder=builtin,auto", "results must name the model"),
+            ("parser=auto", "uses no model with reasoner=builtin"),
             ("parsing.merging.max_hop=9", "max_hop: must be 1 to 4"),
             ("parsing.merge.max_hop=1", "unknown field `merge`"),
         ] {

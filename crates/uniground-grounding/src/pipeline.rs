@@ -119,7 +119,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
         if without_parser == WithoutModel::Fail && !was_asked {
             return Err(QuestionError::Unread(why).into());
         }
-        corrections.push(format!("the built-in parser read the question: {why}"));
+        corrections.push(format!("the built-in parser was used: {why}"));
         degraded = was_demanded;
     }
     let took = start.elapsed();
@@ -141,7 +141,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
         })
         .await?;
     if let Some(why) = used.missing {
-        corrections.push(format!("names and measures answered, not the encoder: {why}"));
+        corrections.push(format!("names and measures were used instead of the encoder: {why}"));
         degraded = true;
     }
     let mut answered = Answered {
@@ -238,7 +238,7 @@ async fn apply_review<S: SceneSource>(
         }
         Err(undecided) => {
             answered.degraded = true;
-            answered.corrections.push(format!("the built-in reasoner answered: {undecided}"));
+            answered.corrections.push(format!("the built-in reasoner was used: {undecided}"));
         }
     }
     let ms = |took: Duration| took.as_secs_f64() * 1e3;

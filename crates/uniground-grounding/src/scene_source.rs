@@ -124,6 +124,6 @@ pub enum QuestionError {
     #[error(transparent)]
     Review(#[from] AskError),
     /// The model that should have parsed the question could not be asked.
-    #[error("the question could not be read: {0}")]
+    #[error("the question could not be parsed: {0}")]
     Unread(String),
 }

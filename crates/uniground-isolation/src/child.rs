@@ -230,7 +230,7 @@ fn task_outcome(
         // of the scan.
         _ if status.signal().is_none() => {
             return Err(io::Error::other(format!(
-                "it ended with {status} and without an outcome: {}",
+                "it exited with {status} without a result: {}",
                 stderr.trim()
             ))
             .into());
@@ -241,8 +241,7 @@ fn task_outcome(
     if stderr.contains("memory allocation of") || stderr.contains("capacity overflow") {
         return too_costly(format!("{} MB of memory (--reader-memory-mb)", memory_bytes >> 20));
     }
-    let message =
-        format!("{file}: the reader crashed on it; the file is damaged or of another format");
+    let message = format!("{file}: the reader crashed; the file is damaged or has another format");
     Err(IngestError::Reported { kind: IngestErrorKind::Malformed, message }.into())
 }
 

@@ -39,12 +39,10 @@ pub enum ReadError {
     #[error(transparent)]
     Ingest(#[from] IngestError),
     /// The system killed the child process.
-    #[error(
-        "the process that decoded the scan was killed by the system, which may be out of memory"
-    )]
+    #[error("the system killed the process that reads the scan; the machine may be out of memory")]
     Killed,
     /// The child process could not be started, or communication with it failed.
-    #[error("the process that reads scans could not be run")]
+    #[error("the process that reads scans failed")]
     Process(#[from] io::Error),
 }
 

@@ -31,10 +31,7 @@ pub fn run() -> io::Result<()> {
     // A panic has already printed its message and location to stderr.
     let done = catch_unwind(AssertUnwindSafe(|| pool.install(|| task.run(&report_progress()))))
         .unwrap_or_else(|_| {
-            Err(IngestError::Malformed {
-                file: subject,
-                reason: "it is damaged: its reader gave up".into(),
-            })
+            Err(IngestError::Malformed { file: subject, reason: "the file is damaged".into() })
         });
     send_message(&match done {
         Ok(outcome) => Message::Done(outcome),

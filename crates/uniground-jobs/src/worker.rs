@@ -136,7 +136,7 @@ impl Jobs {
         let payload = match serde_json::from_str(&payload) {
             Ok(payload) => payload,
             Err(error) => {
-                let detail = format!("what this job was asked to do can not be read: {error}");
+                let detail = format!("the stored request of this job cannot be read: {error}");
                 tracing::error!(%error, "job payload could not be read");
                 self.metrics.jobs.record_finished(K::NAME, JobState::Failed.as_str(), None);
                 return self

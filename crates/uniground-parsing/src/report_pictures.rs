@@ -58,7 +58,7 @@ pub fn render(
         (
             "instances".into(),
             format!(
-                "The cloud by instance ({}, {structural} of them structural and grey)",
+                "The cloud by instance ({}, {structural} of them structural and gray)",
                 scene.report.instances
             ),
             PictureSubject::Cloud(&by_instance),

@@ -36,7 +36,7 @@ pub enum ScanError {
     #[error("a file of the parse could not be read or written")]
     Io(#[from] std::io::Error),
     /// The import has no checkpoint and must be made first.
-    #[error("the scan's import is not stored")]
+    #[error("the scan has not been imported")]
     NotImported,
 }
 
@@ -255,7 +255,7 @@ pub fn parse_imported_scan(
             scan.scene
                 .report
                 .warnings
-                .push(format!("a model failed and the built-in parts did the work: {error}"));
+                .push(format!("a model failed; the built-in methods were used instead: {error}"));
             scan
         }
         (cut, _) => cut?,

@@ -127,7 +127,7 @@ impl DataFolder {
         match reserve::write(path) {
             Ok(true) => {}
             Ok(false) => tracing::warn!(
-                "disk nearly full: no room for the reserve file, which deleting needs on a full disk"
+                "disk nearly full: no space for the reserve file; deleting on a full disk may fail"
             ),
             Err(error) => {
                 tracing::warn!(%error, "reserve file could not be written; deleting on a full disk may fail");

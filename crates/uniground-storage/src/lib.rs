@@ -110,35 +110,35 @@ use writer::Writer;
 
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    #[error("the database failed")]
+    #[error("database error")]
     Database(#[from] sqlx::Error),
     #[error("the database schema could not be brought up to date")]
     Migration(#[from] sqlx::migrate::MigrateError),
-    #[error("the blob folder failed")]
+    #[error("error in the blob folder")]
     Blobs(#[from] io::Error),
     #[error(
-        "{scheme} is no database for this: \"sqlite\", the file in the data folder, or postgres://USER@HOST/DATABASE"
+        "{scheme} is not a supported database: use \"sqlite\" (the file in the data folder) or postgres://USER@HOST/DATABASE"
     )]
     UnknownDatabase { scheme: String },
-    #[error("its rows are kept in {kept_in}: say so with --database (or UNIGROUND_DATABASE)")]
+    #[error("its rows are stored in {kept_in}: set --database (or UNIGROUND_DATABASE) to it")]
     OtherDatabase { kept_in: &'static str },
     #[error(
-        "its rows are kept in {kept_in}, and this is for SQLite's file only: use {kept_in}'s own tools (a copy of the rows first, then of blobs/)"
+        "its rows are stored in {kept_in}, but this command supports only SQLite: use {kept_in}'s own tools (copy the rows first, then blobs/)"
     )]
     RequiresSqlite { kept_in: &'static str },
-    #[error("its scans and parses are kept in {kept_in}: say so with --blobs (or UNIGROUND_BLOBS)")]
+    #[error("its scans and parses are stored in {kept_in}: set --blobs (or UNIGROUND_BLOBS) to it")]
     BlobsElsewhere { kept_in: String },
     #[error(
-        "its scans and parses are kept in {kept_in}, and this is for those in a data folder only: use the object store's own versions or replication, and \
-         the database's own backups (a copy of the rows first)"
+        "its scans and parses are stored in {kept_in}, but this command supports only data folders: use the object store's own versioning or replication, and \
+         the database's own backups (copy the rows first)"
     )]
     RequiresLocalFiles { kept_in: String },
     #[error(
-        "this data folder holds scans and parses of its own: with an object store (--blobs) use an empty folder, which caches copies"
+        "this data folder already holds scans and parses: with an object store (--blobs), use an empty folder as its cache"
     )]
     FolderHasOwnBlobs,
     #[error(
-        "this data folder, database and object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
+        "this data folder, database and object store do not belong together: check --data-dir, --database and --blobs"
     )]
     StoresDoNotMatch,
     #[error(
@@ -148,17 +148,17 @@ pub enum StoreError {
     #[error("this database is in use by another server and cannot be opened exclusively")]
     DatabaseInUse,
     /// The lease of this job has passed to another worker.
-    #[error("the lease of this job was lost, and another worker has it")]
+    #[error("the lease of this job was lost: another worker has the job")]
     LeaseLost,
     #[error("vectors cannot be stored (--vectors pgvector): {why}")]
     NoVectors { why: String },
     #[error("another server uses this data folder")]
     InUse,
     #[error(
-        "it holds other files ({found}) and is not a data folder of uniground: choose an empty folder"
+        "it contains other files ({found}) and is not a uniground data folder: choose an empty folder"
     )]
     HoldsOtherFiles { found: String },
-    #[error("{folder} is not a data folder of uniground")]
+    #[error("{folder} is not a uniground data folder")]
     NoDataFolder { folder: Utf8PathBuf },
     #[error("a stored record could not be read")]
     Record(#[from] serde_json::Error),

@@ -139,8 +139,8 @@ impl OrphanRepository {
             let folders = unjudged.len();
             tracing::warn!(
                 folders,
-                "the data folder holds scans or parses this database knows nothing of, because it is empty or younger than they are: \
-                 they stay where they are; \"uniground doctor\" lists them"
+                "keeping scans or parses without a row: the database is empty or newer than they are; \
+                 `uniground doctor` lists them"
             );
         }
         if !unclaimed.is_empty() {

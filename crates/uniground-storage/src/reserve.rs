@@ -125,7 +125,7 @@ pub(super) fn make_room_to_open(data_dir: &Utf8Path, error: &StoreError) -> bool
             );
             return true;
         }
-        Err(error) => tracing::error!(%error, "disk full, and no room could be made"),
+        Err(error) => tracing::error!(%error, "disk full, and no space could be freed"),
     }
     false
 }

@@ -35,7 +35,7 @@ impl RoomIndexRepository {
     pub async fn enable_vectors(&self) -> Result<(), StoreError> {
         if self.database.engine == Engine::Sqlite {
             return Err(StoreError::NoVectors {
-                why: "rows are kept in SQLite's file, which can not".into(),
+                why: "SQLite does not support them; use PostgreSQL (--database)".into(),
             });
         }
         if self.has_vectors().await? {

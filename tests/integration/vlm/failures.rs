@@ -57,13 +57,13 @@ async fn a_failing_model_is_reported_or_replaced() {
         (vec![fails(404, "no such model")], 1, "no such model"),
         (vec![fails(500, "oops")], 5, "500 Internal Server Error: oops"),
         (vec![Scripted::After(429, "0")], 5, "429"),
-        (vec![Scripted::Text("<html>".into())], 5, "no chat completion"),
+        (vec![Scripted::Text("<html>".into())], 5, "not a chat completion"),
         (
             vec![Scripted::Json(200, json!({"object": "chat.completion"}))],
             5,
             "missing field `choices`",
         ),
-        (vec![Scripted::Json(200, json!({"choices": []}))], 5, "there is no choice"),
+        (vec![Scripted::Json(200, json!({"choices": []}))], 5, "it has no choices"),
         (vec![Scripted::Flood], 1, "longer than"),
     ] {
         script.take();

@@ -48,7 +48,7 @@ impl ChatClient {
         };
         let too_short = |tokens: u64, what_to_do: &str| {
             (tokens < QUESTION_TOKENS).then(|| {
-                format!("{model} reads at most {tokens} tokens here, a question takes about {QUESTION_TOKENS} and more with more candidates: {what_to_do}")
+                format!("{model} accepts at most {tokens} tokens here, but a question needs about {QUESTION_TOKENS}, more with more candidates: {what_to_do}")
             })
         };
         let by_length = found
@@ -60,11 +60,11 @@ impl ChatClient {
             "library" => match self.ollama_context_length().await {
                 Some(tokens) => too_short(
                     tokens,
-                    "Ollama cuts the rest without a word; set OLLAMA_CONTEXT_LENGTH=16384, or num_ctx in a Modelfile",
+                    "Ollama silently truncates the rest; set OLLAMA_CONTEXT_LENGTH=16384, or num_ctx in a Modelfile",
                 ),
                 None => Some(format!(
-                    "Ollama cuts what is longer than its context without a word, by default 4096 tokens on cards under 24 GB; a question \
-                     takes about {QUESTION_TOKENS}: set OLLAMA_CONTEXT_LENGTH=16384"
+                    "Ollama silently truncates prompts to its context length, by default 4096 tokens on GPUs under 24 GB, but a \
+                     question needs about {QUESTION_TOKENS}: set OLLAMA_CONTEXT_LENGTH=16384"
                 )),
             },
             _ => None,
@@ -93,7 +93,7 @@ impl ChatClient {
         }
         let message = super::read_limited(response).await.ok().flatten().unwrap_or_default();
         Some(format!(
-            "{} refuses {QUESTION_PICTURES} pictures in one prompt, which a question has ({}): start vLLM with \
+            "{} refuses {QUESTION_PICTURES} pictures in one prompt, but a question needs them ({}): start vLLM with \
              --limit-mm-per-prompt '{{\"image\": 25}}' (older versions: image=25)",
             self.endpoint.model,
             super::detail(&self.redact_key(&message))

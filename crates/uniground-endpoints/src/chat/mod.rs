@@ -312,7 +312,7 @@ impl ChatClient {
             let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
             let error = ChatError::Refused {
                 status: status.as_u16(),
-                reason: status.canonical_reason().unwrap_or("of its own"),
+                reason: status.canonical_reason().unwrap_or("(nonstandard status)"),
                 detail: detail(&self.redact_key(&text)),
             };
             // The model may have run before a server error, so it may be billed.
@@ -326,7 +326,7 @@ impl ChatClient {
         let completion: Completion = serde_json::from_str(&text)
             .map_err(|error| Attempt::from_unreadable(error.to_string(), true))?;
         if completion.choices.is_empty() {
-            Err(Attempt::from_unreadable("there is no choice".into(), true))
+            Err(Attempt::from_unreadable("it has no choices".into(), true))
         } else {
             Ok(completion)
         }

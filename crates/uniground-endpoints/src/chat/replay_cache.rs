@@ -32,9 +32,9 @@ pub enum ReplayError {
         #[source]
         error: std::io::Error,
     },
-    #[error("{path}:{line}: not a recorded answer")]
+    #[error("{path}:{line}: not a recorded reply")]
     NotAnAnswer { path: Utf8PathBuf, line: usize },
-    #[error("{path}: nothing was recorded")]
+    #[error("{path}: the file has no recorded replies")]
     Empty { path: Utf8PathBuf },
 }
 

@@ -92,7 +92,7 @@ impl RemoteServer {
         let answer = send_with_retries(|| self.client.get(&url)).map_err(&wrong)?;
         let text = read_limited(answer).map_err(&wrong)?;
         let Metadata { versions, platform, inputs, outputs } = serde_json::from_slice(&text)
-            .map_err(|e| wrong(format!("{url} is no description of a model: {e}")))?;
+            .map_err(|e| wrong(format!("{url} returned invalid model metadata: {e}")))?;
         let ports =
             |described: Vec<PortMetadata>| described.into_iter().map(PortMetadata::port).collect();
         Ok(RemoteNetwork {
@@ -289,21 +289,22 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
     let body = read_limited(answer)?;
     let (header, mut raw) = match header_length {
         Some(length) if length <= body.len() => body.split_at(length),
-        Some(_) => return Err("the answer is shorter than its header says".into()),
+        Some(_) => return Err("the response is shorter than its header length".into()),
         None => (&body[..], &[][..]),
     };
     let Answer { outputs: tensors } =
-        serde_json::from_slice(header).map_err(|e| format!("the answer is none: {e}"))?;
+        serde_json::from_slice(header).map_err(|e| format!("the response is invalid: {e}"))?;
     let mut read = Vec::with_capacity(tensors.len());
     for AnswerTensor { name, datatype, shape, data, parameters } in tensors {
         let count = shape
             .iter()
             .try_fold(1_usize, |product, d| product.checked_mul(*d))
-            .ok_or_else(|| format!("{name}: {shape:?}"))?;
+            .ok_or_else(|| format!("{name}: the shape {shape:?} is too large"))?;
         let size = parameters.and_then(|p| p.binary_data_size);
         let bytes = size
             .map(|size| {
-                raw.split_at_checked(size).ok_or_else(|| format!("{name}: the answer ends early"))
+                raw.split_at_checked(size)
+                    .ok_or_else(|| format!("{name}: the response is truncated"))
             })
             .transpose()?;
         if let Some((_, rest)) = bytes {
@@ -320,7 +321,7 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
                 bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
             }
             (None, Some(data)) => {
-                flatten(&data).ok_or_else(|| format!("{name}: values that are no numbers"))?
+                flatten(&data).ok_or_else(|| format!("{name}: some values are not numbers"))?
             }
             (None, None) => return Err(format!("{name} has no values")),
         };
@@ -335,7 +336,7 @@ fn read_answer(answer: Response, outputs: &[&str]) -> Result<Vec<Tensor>, String
             let at = read
                 .iter()
                 .position(|(name, _)| name == wanted)
-                .ok_or_else(|| format!("{wanted} is missing in the answer"))?;
+                .ok_or_else(|| format!("{wanted} is missing in the response"))?;
             Ok(read.swap_remove(at).1)
         })
         .collect()
@@ -404,7 +405,7 @@ fn read_limited(answer: Response) -> Result<Vec<u8>, String> {
     let read = answer.take(MAX_ANSWER_BYTES + 1).read_to_end(&mut body);
     read.map_err(|e| with_causes(&e))?;
     if body.len() as u64 > MAX_ANSWER_BYTES {
-        return Err("the answer does not end".into());
+        return Err("the response is larger than 1 GiB".into());
     }
     Ok(body)
 }

@@ -40,6 +40,6 @@ impl Probe {
         let status = answer.status();
         // The protocol uses 400 for "not ready"; an unknown endpoint is 404, 405 or 501.
         let unknown = matches!(status.as_u16(), 404 | 405 | 501);
-        if status.is_success() || unknown { Ok(()) } else { Err(format!("it says {status}")) }
+        if status.is_success() || unknown { Ok(()) } else { Err(format!("it answered {status}")) }
     }
 }

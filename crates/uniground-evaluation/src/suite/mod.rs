@@ -282,7 +282,7 @@ fn read_file(
         embodiedscan::read(file, &records, collected);
     } else if !records.is_empty() {
         bail!(
-            "{file}: an unknown list: expected records with query, with description and object_id, or with text or caption"
+            "{file}: unknown kind of list: its records need query, or description and object_id, or text or caption"
         );
     }
     Ok(())
@@ -301,7 +301,7 @@ fn assemble(name: String, folder: &Utf8Path, collected: Collected) -> Suite {
         });
         let omit = |reason: String| Omission::new(&task.file, task.line, reason);
         if let Some((file, line)) = first_of.get(&task.id) {
-            omissions.push(omit(format!("the id {} is taken by {file}:{line}", task.id)));
+            omissions.push(omit(format!("the id {} is already used in {file}:{line}", task.id)));
             continue;
         }
         first_of.insert(task.id.clone(), (task.file.clone(), task.line));

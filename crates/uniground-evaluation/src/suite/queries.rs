@@ -55,7 +55,7 @@ fn parse_target(id: &Value, aabb: Option<Aabb>) -> Result<RawTarget, String> {
         (Value::Null | Value::Bool(false), Some(aabb)) => Ok(RawTarget::Box(aabb)),
         (Value::Null, None) => Ok(RawTarget::Absent),
         (Value::Bool(false), None) => {
-            Err("there is neither target_id nor target_box; \"target_id\": null says there is no such object".into())
+            Err("target_id and target_box are missing; if there is no such object, set \"target_id\": null".into())
         }
         _ => Err("target_id is not an object's number".into()),
     }
@@ -108,7 +108,7 @@ pub(super) fn read_suite(
 fn read(file: &Utf8Path, records: &[Record], scene: Option<&str>, collected: &mut Collected) {
     for (i, record) in records.iter().enumerate() {
         let task = record.decode::<QueryRecord>(file).and_then(|query| {
-            let no_scene = || Omission::new(file, record.line, "the expression names no scene");
+            let no_scene = || Omission::new(file, record.line, "the expression has no scene");
             let scene = query.scene.as_deref().or(scene).ok_or_else(no_scene)?.to_owned();
             Ok(RawTask {
                 file: file.to_owned(),

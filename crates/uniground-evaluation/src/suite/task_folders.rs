@@ -95,7 +95,7 @@ fn read(folder: &Utf8Path, name: &str) -> Result<(RawTask, SceneFiles), Omission
     let query = task
         .description
         .or(task.caption)
-        .ok_or_else(|| omit("there is neither description nor caption"))?;
+        .ok_or_else(|| omit("description and caption are missing"))?;
     let scan = task.scene_id.or(task.scan_id);
     let truth_file = folder.join("gt.json");
     let truth: TruthRecord = read_json(&truth_file)?;
@@ -136,7 +136,7 @@ fn read_candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
     let mut objects = Vec::new();
     for (id, candidate) in records {
         let omit = |what: String| Omission::new(&file, None, format!("candidate {id:?}: {what}"));
-        let number = id.parse().map_err(|_| omit("it is not numbered".into()))?;
+        let number = id.parse().map_err(|_| omit("its id is not a number".into()))?;
         let aabb = to_z_up(&candidate.bbox).map_err(omit)?;
         objects.push(SceneObject {
             id: number,

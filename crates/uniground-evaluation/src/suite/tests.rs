@@ -70,14 +70,17 @@ fn query_lists_are_joined_with_annotations_and_invalid_queries_are_reported() {
     let reported = omission_lines(&suite);
     assert!(reported[0].starts_with("room.queries.json:8 query: invalid type"), "{reported:?}");
     assert!(
-        reported[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"),
+        reported[1].starts_with("room.queries.json:9 target_id and target_box are missing"),
         "{reported:?}"
     );
     assert!(
         reported[2].starts_with("other.queries.json:1 the scene other is missing"),
         "{reported:?}"
     );
-    assert!(reported[3].starts_with("room.queries.json:5 the id left is taken by"), "{reported:?}");
+    assert!(
+        reported[3].starts_with("room.queries.json:5 the id left is already used in"),
+        "{reported:?}"
+    );
     assert_eq!(reported[4], "room.queries.json:6 target 9 is not in the annotations of room");
     assert_eq!(reported[5], "room.queries.json:7 the query is empty");
     assert!(reported[6].starts_with("room.queries.json:11 the box has no volume"), "{reported:?}");
@@ -101,7 +104,7 @@ fn suite_file_lists_its_own_scenes() {
         reported[0].contains("scene gone:") && reported[0].contains("does not exist"),
         "{reported:?}"
     );
-    assert_eq!(reported[1], "suite.json:2 the expression names no scene");
+    assert_eq!(reported[1], "suite.json:2 the expression has no scene");
 }
 
 #[test]
@@ -247,7 +250,7 @@ fn unscorable_suites_are_errors_with_a_reason() {
     for (path, expected) in [
         ("empty.queries.json", "no expression to score (0 left out)"),
         ("broken.queries.json", "broken.queries.json:1: EOF while parsing"),
-        ("unknown.json", "an unknown list"),
+        ("unknown.json", "unknown kind of list"),
         ("columns.csv", "no column scan_id, target_id"),
         ("nothing", "no *.queries.json"),
         ("missing.queries.json", "the scene missing is missing: neither scan nor annotations"),

@@ -72,25 +72,25 @@ impl System for Server {
         } = configuration;
         ensure!(
             *source == Source::Parsed,
-            "a server parses by itself: annotated and recorded instances need a run in process"
+            "a server uses only instances that it parsed: run without --server to use annotated or recorded ones"
         );
         ensure!(
             *names == Names::Own,
-            "a server has the names its own model gave: names=seen needs a run in process"
+            "a server uses only names from its own model: run without --server for names=seen"
         );
         let own = *preset == ParsePreset::Default && settings.is_none();
         ensure!(
             own,
-            "a server parses with its own settings: presets and settings of a parse need a run in process"
+            "a server parses with its own settings: run without --server for parse presets and settings"
         );
         let unnamed = masks == BUILTIN_MASKS && encoder == BUILTIN_ENCODER;
         ensure!(
             unnamed,
-            "a server looks through the models it was started with: masks= and encoder= need a run in process"
+            "a server uses the models it was started with: run without --server for masks= and encoder="
         );
         ensure!(
             !paper_compatible,
-            "a server takes no annotated hints: --paper-compatible needs a run in process"
+            "a server accepts no annotated hints: run without --server for --paper-compatible"
         );
         Ok(())
     }
@@ -117,11 +117,11 @@ impl System for Server {
             let query = [("name", scene.id.as_str()), ("levelling", "off")];
             let created =
                 self.client.create_scene_once(&query, archive.media_type, body, &key).await?;
-            let job = created.job.context("the server parses nothing by itself")?;
+            let job = created.job.context("the server started no parse job")?;
             let job = self.client.follow_job(&job.id, |_| {}).await?;
             if job.state != JobState::Succeeded {
                 let why = job.error.map_or_else(
-                    || format!("it ended as {:?}", job.state),
+                    || format!("the job ended as {:?}", job.state),
                     |e| format!("{} ({})", e.detail, e.code),
                 );
                 bail!("the parse of {} failed: {why}", scene.id);
@@ -132,7 +132,7 @@ impl System for Server {
             let cloud = self.client.bytes(&format!("v1/scenes/{id}/cloud.ply")).await?;
             let folder = tempfile::tempdir()?;
             let file = Utf8Path::from_path(folder.path())
-                .context("the temporary folder is no text")?
+                .context("the path of the temporary folder is not UTF-8")?
                 .join("cloud.ply");
             fs::write(&file, cloud)?;
             let render_scene = RenderScene::new(read_cloud(&file)?);

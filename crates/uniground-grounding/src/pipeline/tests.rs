@@ -173,7 +173,7 @@ fn unavailable_model_falls_back_or_fails_as_configured() {
         (Some(InstanceId(2)), true)
     );
     assert!(
-        answered.corrections[0].contains("the built-in reasoner answered"),
+        answered.corrections[0].contains("the built-in reasoner was used"),
         "{:?}",
         answered.corrections
     );

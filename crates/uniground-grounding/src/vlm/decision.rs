@@ -420,7 +420,7 @@ mod tests {
         assert!(decided.settle(&error));
         assert_eq!(
             decided.corrections,
-            ["asking again failed: no more than 3 calls are made for one question"]
+            ["asking again failed: the limit of 3 model calls per question is reached"]
         );
     }
 

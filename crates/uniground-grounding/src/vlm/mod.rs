@@ -258,8 +258,10 @@ impl Correction {
 /// Describes a correction for the trace.
 fn describe_correction(correction: &Correction) -> String {
     match correction {
-        Correction::OutOfSet { id } => format!("the model answered ID {id}, which is no candidate"),
-        Correction::Unreadable { why } => format!("the model answered something of which {why}"),
+        Correction::OutOfSet { id } => {
+            format!("the model answered ID {id}, which is not a candidate")
+        }
+        Correction::Unreadable { why } => format!("the model's answer could not be used: {why}"),
         Correction::Inconsistent { id, why } => format!("the model answered ID {id}, but {why}"),
     }
 }

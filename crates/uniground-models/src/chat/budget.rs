@@ -22,7 +22,7 @@ struct Account {
 /// A call that was not made because a budget has too little left.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "the budget of {of} is spent: {limit_usd} US dollars, of which {left_usd:.6} are left and about {wanted_usd:.6} are needed"
+    "the budget of {of} is spent: {left_usd:.6} of {limit_usd} US dollars are left, about {wanted_usd:.6} are needed"
 )]
 pub struct OverBudget {
     /// The budget's owner, for people: "this question".

@@ -81,19 +81,19 @@ pub struct ChatReply {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)] // Every message describes its variant.
 pub enum ChatError {
-    #[error("the model's server said {status} {reason}: {detail}")]
+    #[error("the model server answered {status} {reason}: {detail}")]
     Refused { status: u16, reason: &'static str, detail: String },
-    #[error("the model's server can not be reached, or took too long: {0}")]
+    #[error("the model server could not be reached or took too long: {0}")]
     Transport(String),
-    #[error("the model's server answered something that is no chat completion: {0}")]
+    #[error("the model server's reply is not a chat completion: {0}")]
     Undecodable(String),
-    #[error("the replay cache has no answer to this question of {0}")]
+    #[error("the replay cache has no reply of {0} to this request")]
     NotRecorded(String),
-    #[error("the replay cache can not be written")]
+    #[error("the replay cache could not be written")]
     ReplayCache(#[from] std::io::Error),
-    #[error("what the call costs can not be written down: {0}")]
+    #[error("the cost of the model call could not be recorded: {0}")]
     NotRecordable(String),
-    #[error("the model's server is down and is not asked: it is tried again in {again_in_s} s")]
+    #[error("the model server is down: next attempt in {again_in_s} s")]
     Down { again_in_s: u64 },
     /// A budget refused the call. It is shared with other spenders, so only the owner of the model
     /// knows what is left.

@@ -30,7 +30,7 @@ pub enum AskError {
     Chat(#[from] ChatFailure),
     #[error(transparent)]
     Budget(#[from] OverBudget),
-    #[error("no more than {most} calls are made for one question")]
+    #[error("the limit of {most} model calls per question is reached")]
     CallsUsedUp { most: u32 },
 }
 

@@ -353,11 +353,11 @@ impl Bundle {
         for name in &named {
             if !is_file(name) {
                 return Err(wrong(format!(
-                    "its weights are said to lie in {name:?}, which is no file of the same folder"
+                    "its weights must be in the same folder, but it refers to {name:?}"
                 )));
             }
             if !self.path(name).is_file() {
-                return Err(wrong(format!("its weights are missing: {name}")));
+                return Err(wrong(format!("its weights file {name} is missing")));
             }
         }
         Ok(named.into_iter().collect())
@@ -438,7 +438,7 @@ impl Manifest {
                 ("text.file", is_file(&m.text.file), FILE_RULE),
                 ("text.tokenizer", is_file(&m.text.tokenizer), FILE_RULE),
                 ("logit_scale", m.logit_scale.is_finite() && m.logit_scale > 0.0, "above 0"),
-                ("text.template", m.text.template.contains("{}"), "a text with {} in it"),
+                ("text.template", m.text.template.contains("{}"), "a text that contains {}"),
                 (
                     "text.context_length",
                     (1..=65_536).contains(&m.text.context_length),
@@ -468,7 +468,7 @@ impl Manifest {
                         .features
                         .iter()
                         .all(|(role, _)| m.encoder.outputs.get(role).is_some()),
-                    "only features the encoder has",
+                    "only features that encoder.outputs has",
                 ),
                 (
                     "decoder.inputs",
@@ -479,13 +479,13 @@ impl Manifest {
                 (
                     "decoder.inputs.orig_im_size",
                     m.decoder.inputs.orig_im_size.is_none(),
-                    "null: masks are enlarged here",
+                    "null, because uniground resizes masks itself",
                 ),
                 (
                     "decoder.inputs.has_mask_input",
                     m.decoder.inputs.mask_input.is_some()
                         == m.decoder.inputs.has_mask_input.is_some(),
-                    "both mask inputs or none",
+                    "mask_input and has_mask_input to be both set or both null",
                 ),
                 (
                     "decoder.mask_size",

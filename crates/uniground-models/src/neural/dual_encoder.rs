@@ -150,7 +150,7 @@ impl DualEncoder {
         let rows = self.expect_rows(&tower.file, &tower.output, made, pictures.len())?;
         let failed = || ModelError::Run {
             network: tower.file.clone(),
-            why: "a picture has the embedding zero".into(),
+            why: "the embedding of a picture is zero".into(),
         };
         rows.chunks_exact(self.dim()).map(|row| normalize(row).ok_or_else(failed)).collect()
     }
@@ -230,7 +230,7 @@ impl DualEncoder {
         let encoding = self.tokenizer.encode(text, true).map_err(|e| failed(e.to_string()))?;
         if encoding.len() != self.manifest.text.context_length {
             return Err(failed(format!(
-                "{} tokens, the text tower reads {}",
+                "got {} tokens, but the text tower expects {}",
                 encoding.len(),
                 self.manifest.text.context_length
             )));
@@ -280,17 +280,15 @@ fn load_tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, Mod
     let found = short.len();
     let truncation = tokenizer.get_truncation().map(|t| t.max_length);
     if found != context_length || truncation != Some(context_length) {
-        let truncation =
-            truncation.map_or("nothing".to_owned(), |length| format!("{length} tokens"));
+        let truncation = truncation
+            .map_or("does not truncate".into(), |length| format!("truncates to {length}"));
         return Err(wrong(format!(
-            "pads to {found} tokens and cuts at {truncation}, the text tower reads {context_length}: tokenizer and tower disagree"
+            "pads to {found} tokens and {truncation}, but the text tower expects {context_length}"
         )));
     }
     match short.get_ids().last() {
         Some(&pad) if pad == tower.pad_id => Ok(tokenizer),
-        other => {
-            Err(wrong(format!("pads with {other:?}, the text tower expects {}", tower.pad_id)))
-        }
+        other => Err(wrong(format!("pads with {other:?}, but text.pad_id is {}", tower.pad_id))),
     }
 }
 

@@ -77,7 +77,7 @@ fn invalid(why: &'static str) -> io::Error {
 impl Walk {
     fn read_message(&mut self, message: Message, end: u64, depth: u32) -> io::Result<()> {
         if depth > MAX_DEPTH {
-            return Err(invalid("graphs too deep"));
+            return Err(invalid("graphs are nested too deeply"));
         }
         let (mut key, mut value) = (String::new(), String::new());
         while self.at < end {
@@ -101,7 +101,7 @@ impl Walk {
                         _ => self.skip_bytes(length, end)?,
                     }
                 }
-                _ => return Err(invalid("no protobuf")),
+                _ => return Err(invalid("not a protobuf file")),
             }
         }
         if key == "location" {
@@ -141,7 +141,7 @@ impl Walk {
         let mut bytes = vec![0; length as usize];
         self.reader.read_exact(&mut bytes)?;
         self.at += length;
-        String::from_utf8(bytes).map_err(|_| invalid("no name"))
+        String::from_utf8(bytes).map_err(|_| invalid("a name is not UTF-8"))
     }
 }
 

@@ -147,6 +147,6 @@ impl Models {
 fn wrong_kind_error(bundle: &Bundle, wanted: &str) -> ModelError {
     ModelError::Bundle {
         file: bundle.path(super::bundle::MANIFEST),
-        why: format!("is not {wanted}"),
+        why: format!("the bundle is not {wanted}"),
     }
 }

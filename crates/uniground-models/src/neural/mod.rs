@@ -32,11 +32,11 @@ use camino::Utf8PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)] // Every message describes its variant.
 pub enum ModelError {
-    #[error("the ONNX Runtime library was not found: looked at {}", looked_at.join(", "))]
+    #[error("the ONNX Runtime library was not found: searched {}", looked_at.join(", "))]
     NoLibrary { looked_at: Vec<String> },
-    #[error("the ONNX Runtime library {library} can not be used: {why}")]
+    #[error("the ONNX Runtime library {library} cannot be used: {why}")]
     BadLibrary { library: Utf8PathBuf, why: String },
-    #[error("{provider} is not there: {why}")]
+    #[error("{provider} is not available: {why}")]
     NoProvider { provider: Provider, why: String },
     #[error("{file}: {why}")]
     Bundle { file: Utf8PathBuf, why: String },
@@ -44,7 +44,7 @@ pub enum ModelError {
     Tensor { file: Utf8PathBuf, tensor: String, why: String },
     #[error("{network} failed: {why}")]
     Run { network: String, why: String },
-    #[error("{network}: {tensor} has values that are no numbers")]
+    #[error("{network}: {tensor} has NaN or infinite values")]
     NotFinite { network: String, tensor: String },
     #[error("{network} at the inference server: {why}")]
     Remote { network: String, why: String },

@@ -104,7 +104,10 @@ impl Signature {
         };
         let Some(port) = ports.iter().find(|port| port.name == name) else {
             let there: Vec<&str> = ports.iter().map(|port| port.name.as_str()).collect();
-            return Err(wrong(format!("there is no such {word}; there are {}", there.join(", "))));
+            return Err(wrong(format!(
+                "no {word} has this name; the {word}s are {}",
+                there.join(", ")
+            )));
         };
         if port.element != element {
             return Err(wrong(format!("the {word} is {:?}, expected {element:?}", port.element)));

@@ -114,7 +114,9 @@ impl OnnxRuntime {
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         let environment = match &*loaded {
             Some((there, environment)) if *there == library => environment.clone(),
-            Some((there, _)) => return Err(unusable(format!("this process has loaded {there}"))),
+            Some((there, _)) => {
+                return Err(unusable(format!("this process has already loaded {there}")));
+            }
             None => {
                 let builder =
                     ort::init_from(library.as_std_path()).map_err(|e| unusable(e.to_string()))?;

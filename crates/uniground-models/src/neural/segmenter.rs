@@ -281,11 +281,11 @@ impl Segmenter {
         }
         let made = self.decoder.run(&inputs, &[&d.outputs.masks, &d.outputs.iou])?;
         let [masks, iou] = &made[..] else {
-            return Err(self.wrong_output_error("two outputs were expected".into()));
+            return Err(self.wrong_output_error("expected two outputs".into()));
         };
         if masks.shape != [count, d.num_masks, low, low] || iou.shape != [count, d.num_masks] {
             return Err(self.wrong_output_error(format!(
-                "the outputs have the shapes {:?} and {:?}",
+                "unexpected output shapes {:?} and {:?}",
                 masks.shape, iou.shape
             )));
         }

@@ -318,7 +318,7 @@ fn missing_and_unusable_libraries_are_reported() {
     assert!(matches!(other, ModelError::BadLibrary { .. }), "{other}");
     let runtime = engine();
     let error = load(Some(runtime.library.as_str()), Provider::Cuda).unwrap_err().to_string();
-    assert!(error.starts_with("cuda is not there"), "{error}");
+    assert!(error.starts_with("cuda is not available"), "{error}");
 }
 
 #[test]
@@ -366,7 +366,7 @@ fn external_weights_are_loaded_and_fingerprinted() {
         fs::remove_file(path.join("decoder.onnx.data")).unwrap();
     });
     let error = verify(&engine(), &missing).unwrap_err().to_string();
-    assert!(error.contains("weights are missing: decoder.onnx.data"), "{error}");
+    assert!(error.contains("weights file decoder.onnx.data is missing"), "{error}");
 }
 
 #[test]

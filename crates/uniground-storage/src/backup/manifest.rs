@@ -75,9 +75,9 @@ impl Manifest {
     pub fn from_sealed_bytes(bytes: &[u8]) -> Result<Self, BackupError> {
         let damaged = |what: &str| BackupError::Damaged { what: format!("{FILE}: {what}") };
         let SealedManifest { sha256, backup } =
-            serde_json::from_slice(bytes).map_err(|_| damaged("it can not be read"))?;
+            serde_json::from_slice(bytes).map_err(|_| damaged("it cannot be parsed"))?;
         if hex(&Sha256::digest(backup.get())) != sha256 {
-            return Err(damaged("it is not what was written"));
+            return Err(damaged("its checksum does not match"));
         }
         let manifest: Self = serde_json::from_str(backup.get())
             .map_err(|error| BackupError::Unknown { why: error.to_string() })?;
@@ -89,10 +89,10 @@ impl Manifest {
             .iter()
             .find(|kept| !KINDS.contains(&kept.kind.as_str()) || !is_plain_name(&kept.name));
         if let Some(BackupFolder { kind, name, .. }) = strange {
-            return Err(damaged(&format!("it names {kind}/{name}")));
+            return Err(damaged(&format!("it lists the invalid folder {kind}/{name}")));
         }
         if !is_plain_name(&manifest.database.file) {
-            return Err(damaged("it names no database"));
+            return Err(damaged("its database file name is invalid"));
         }
         Ok(manifest)
     }

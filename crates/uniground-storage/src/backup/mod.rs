@@ -39,23 +39,25 @@ use tokio::task::spawn_blocking;
 pub enum BackupError {
     #[error(transparent)]
     Store(#[from] StoreError),
-    #[error("{folder} holds other things ({found}) and no backup: choose an empty folder")]
+    #[error("{folder} contains other files ({found}) and is not a backup: choose an empty folder")]
     NotABackup { folder: Utf8PathBuf, found: String },
-    #[error("{folder} is not empty ({found}): choose a folder that is, or is not there yet")]
+    #[error("{folder} is not empty ({found}): choose an empty or new folder")]
     NotEmpty { folder: Utf8PathBuf, found: String },
-    #[error("a backup can not lie in the data folder itself")]
+    #[error("the backup must not be inside the data folder")]
     Within,
     #[error("another backup is being written to {folder}")]
     Busy { folder: Utf8PathBuf },
-    #[error("this is no backup: {why}")]
+    #[error("this is not a backup: {why}")]
     Unknown { why: String },
     #[error("the backup is damaged: {what}")]
     Damaged { what: String },
     #[error(
-        "the backup was made by uniground {program}, which knows a newer database: restore it with that version or a later one"
+        "the backup was made by the newer uniground {program}: restore it with that version or a later one"
     )]
     Newer { program: String },
-    #[error("the data folder changes faster than it can be copied")]
+    #[error(
+        "the data folder changes faster than it can be copied: try again when the server is less busy"
+    )]
     ChangesTooFast,
     #[error("{file}")]
     File { file: Utf8PathBuf, source: io::Error },

@@ -48,7 +48,9 @@ pub fn parse_checksums(sums: &str) -> Result<Vec<(Utf8PathBuf, &str)>, CopyFailu
         .iter()
         .find(|(file, _)| file.components().any(|step| !matches!(step, Utf8Component::Normal(_))));
     match strange {
-        Some((file, _)) => Err(CopyFailure::Damaged(format!("{SUMS} names {file}"))),
+        Some((file, _)) => {
+            Err(CopyFailure::Damaged(format!("{SUMS} lists the invalid path {file}")))
+        }
         None => Ok(entries),
     }
 }

@@ -307,7 +307,7 @@ fn to_backup_error(place: &str, unsound: CopyFailure) -> BackupError {
 /// Unpacks an archive. Accepts only files, and no path outside the target.
 fn unpack(mut archive: impl BufRead, to: &Utf8Path) -> Result<(), BackupError> {
     let broken = |error: io::Error| BackupError::Damaged {
-        what: format!("the archive can not be read: {error}"),
+        what: format!("the archive cannot be read: {error}"),
     };
     let is_packed = archive.fill_buf().map_err(broken)?.starts_with(&ZSTD);
     let reader: Box<dyn Read> =
@@ -317,14 +317,14 @@ fn unpack(mut archive: impl BufRead, to: &Utf8Path) -> Result<(), BackupError> {
         let mut entry = entry.map_err(broken)?;
         let path = entry.path().map_err(broken)?.into_owned();
         let path = Utf8PathBuf::try_from(path)
-            .map_err(|path| damaged(&format!("{path:?}"), "it has no place in a backup"))?;
+            .map_err(|path| damaged(&format!("{path:?}"), "not allowed in a backup"))?;
         if entry.header().entry_type().is_dir() {
             continue;
         }
         if !entry.header().entry_type().is_file()
             || path.components().any(|step| !matches!(step, Utf8Component::Normal(_)))
         {
-            return Err(damaged(path.as_str(), "it has no place in a backup"));
+            return Err(damaged(path.as_str(), "not allowed in a backup"));
         }
         let file = to.join(&path);
         fs::create_dir_all(file.parent().unwrap_or(to))?;

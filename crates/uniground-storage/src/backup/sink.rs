@@ -122,7 +122,7 @@ impl BackupSink {
     pub fn add_database(&mut self, snapshot: &Utf8Path) -> Result<DatabaseEntry, BackupError> {
         let unreadable = |_| BackupError::File {
             file: snapshot.to_owned(),
-            source: io::Error::other("it can not be read"),
+            source: io::Error::other("it cannot be read"),
         };
         let (sha256, bytes) =
             read_file(snapshot, |_, reader| io::copy(reader, &mut io::sink()).map(drop))

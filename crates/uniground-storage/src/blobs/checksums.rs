@@ -53,7 +53,7 @@ pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
     let sums = std::thread::scope(|scope| {
         let synced = scope.spawn(|| sync_everything(folder));
         let sums = compute_checksums(folder, &files, known, head)?;
-        synced.join().map_err(|_| io::Error::other("the disk could not be waited for"))??;
+        synced.join().map_err(|_| io::Error::other("syncing to disk failed"))??;
         Ok::<_, io::Error>(sums)
     })?;
     fs::write(folder.join(SUMS), sums)?;

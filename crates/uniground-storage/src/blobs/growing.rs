@@ -51,7 +51,7 @@ impl Blobs {
         if file.metadata()?.len() < bytes {
             return Err(io::Error::new(
                 io::ErrorKind::UnexpectedEof,
-                "the file of an upload has lost bytes",
+                "the upload's file is shorter than its recorded size",
             ));
         }
         file.set_len(bytes)?;

@@ -230,7 +230,10 @@ impl Blobs {
             seal => seal?,
         };
         let edition = parse_edition(&seal).ok_or_else(|| {
-            io::Error::new(io::ErrorKind::InvalidData, "a seal without an edition")
+            io::Error::new(
+                io::ErrorKind::InvalidData,
+                "the first line of its checksum file is invalid",
+            )
         })?;
         let mut missing: Sums = parse_seal_checksums(&seal);
         match wanted {
@@ -251,7 +254,7 @@ impl Blobs {
             if checksums::hash_file(&at(number))? != *sum {
                 return Err(io::Error::new(
                     io::ErrorKind::InvalidData,
-                    format!("{file}: its object is not what was put there"),
+                    format!("{file}: the checksum of its object does not match"),
                 ));
             }
         }
@@ -279,7 +282,7 @@ impl Blobs {
         // The row must be written before orphan collection removes the folder as an orphan.
         if begun.elapsed() > objects.grace / 2 {
             return Err(ObjectStoreUnavailable::wrap(
-                "putting a folder there took longer than half of what is kept without a row (--blobs-grace-s)",
+                "the upload took longer than half of --blobs-grace-s: raise this setting",
             ));
         }
         objects.block_on(async {

@@ -205,7 +205,7 @@ impl CheckpointSync {
             if let Err(error) = self.objects.remove_log(&self.hash, &log.name).await {
                 tracing::debug!(
                     error = &error as &dyn std::error::Error,
-                    "checkpoint of other settings kept"
+                    "checkpoint of other settings could not be removed"
                 );
             }
         }

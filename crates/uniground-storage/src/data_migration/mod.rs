@@ -33,29 +33,29 @@ pub struct StoreLocation {
 
 #[derive(Debug, thiserror::Error)]
 pub enum MigrationError {
-    #[error("what is to be moved can not be opened ({data_dir})")]
+    #[error("the source {data_dir} cannot be opened")]
     From { data_dir: Utf8PathBuf, source: StoreError },
-    #[error("the rows of {data_dir} are kept in {kept_in}: say so with --from-database")]
+    #[error("the rows of {data_dir} are stored in {kept_in}: set --from-database to it")]
     FromOtherDatabase { data_dir: Utf8PathBuf, kept_in: &'static str },
     #[error(
-        "scans and parses of {data_dir} are kept in {kept_in}, and those of a folder alone are moved"
+        "the scans and parses of {data_dir} are stored in {kept_in}, but only those in a data folder can be migrated"
     )]
     FromElsewhere { data_dir: Utf8PathBuf, kept_in: String },
-    #[error("the target can not be used ({place})")]
+    #[error("the target {place} cannot be used")]
     To { place: String, source: StoreError },
-    #[error("{place} is not empty ({found}): choose one that is")]
+    #[error("{place} is not empty ({found}): choose an empty one")]
     NotEmpty { place: String, found: String },
     #[error(
-        "nothing would move: --from and --to have the same database (a folder alone is moved by copying it while its server is stopped)"
+        "--from and --to have the same database: to move only the folder, stop its server and copy it"
     )]
     SameDatabase,
-    #[error("one data folder can not lie in the other: choose a folder beside {data_dir}")]
+    #[error("one data folder must not be inside the other: choose a folder next to {data_dir}")]
     Within { data_dir: Utf8PathBuf },
     #[error(
-        "rows of {table} could not be moved (`uniground doctor` looks for what is wrong; what was begun goes on when the command is run again)"
+        "rows of {table} could not be migrated (find the cause with `uniground doctor`, then run the same command again to continue)"
     )]
     Rows { table: &'static str, source: StoreError },
-    #[error("{file} could not be moved (what was begun goes on when the command is run again)")]
+    #[error("{file} could not be migrated (run the same command again to continue)")]
     File { file: Utf8PathBuf, source: io::Error },
     #[error(transparent)]
     Store(#[from] StoreError),

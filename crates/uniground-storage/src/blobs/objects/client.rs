@@ -35,7 +35,7 @@ impl FromStr for Bucket {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        const EXPECTED: &str = "\"folder\", or s3://BUCKET/PREFIX";
+        const EXPECTED: &str = "expected \"folder\" or s3://BUCKET/PREFIX";
         let place = text.strip_prefix("s3://").ok_or(EXPECTED)?;
         let (name, prefix) = place.split_once('/').unwrap_or((place, ""));
         let may_be = |c: char| c.is_ascii_alphanumeric() || "-._".contains(c);

@@ -57,7 +57,7 @@ pub struct Objects {
 
 /// The object store cannot be reached, or refuses. A retry may succeed.
 #[derive(Debug, thiserror::Error)]
-#[error("the object store can not be used")]
+#[error("the object store is not available")]
 pub struct ObjectStoreUnavailable(#[source] Box<dyn std::error::Error + Send + Sync>);
 
 impl ObjectStoreUnavailable {
@@ -207,7 +207,7 @@ async fn with_timeout<T>(work: impl Future<Output = object_store::Result<T>>) ->
     match timeout(REQUEST_TIMEOUT, work).await {
         Ok(done) => done.map_err(to_io_error),
         Err(_) => Err(ObjectStoreUnavailable::wrap(format!(
-            "it took longer than {} s",
+            "no response within {} s",
             REQUEST_TIMEOUT.as_secs()
         ))),
     }
