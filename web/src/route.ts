@@ -30,9 +30,15 @@ export function go(path: string[], parameters: Record<string, string> = {}): voi
   location.hash = address(path, parameters);
 }
 
-/** Changes parameters of this place, without a step in the browser's history unless one is wanted. */
+/**
+ * Changes parameters of this place, without a step in the browser's history unless one is wanted.
+ *
+ * The address changes before `hashchange` arrives. What the place that is being left wants to note in between is dropped:
+ * it would lead back there.
+ */
 export function amend(changes: Record<string, string | null>, step = false): void {
   const { path, parameters } = route.peek();
+  if (address(read().path) !== address(path)) return;
   const changed = new URLSearchParams(parameters);
   for (const [name, value] of Object.entries(changes)) {
     if (value === null) changed.delete(name);

@@ -62,6 +62,21 @@ test("questions of a batch are not among those that were asked by hand", async (
   await close();
 });
 
+test("a room that notes its view while it is being left does not lead back", async () => {
+  const { scenes } = await (await fetch(`${service.api}/v1/scenes`)).json();
+  const { page, complaints, close } = await openPage(browser, `${service.page}/#/scenes/${scenes[0].id}`);
+  await page.getByRole("tab", { name: "Photos" }).waitFor();
+  await page.evaluate(() => {
+    location.hash = "#/batches";
+    // Before `hashchange` arrives.
+    [...document.querySelectorAll("[role=tab]")].find((tab) => /Photos/.test(tab.textContent)).click();
+  });
+  await page.getByRole("heading", { name: "Batches" }).waitFor({ timeout: 5000 });
+  assert.equal(new URL(page.url()).hash, "#/batches");
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
 test("a line that can not be read is named before anything is sent", async () => {
   const { page, close } = await openPage(browser, `${service.page}/#/batches`);
   await page.getByLabel("Questions").fill('the red sofa\n{"query": "the');
