@@ -250,6 +250,7 @@ fn poses_in_the_sample_room_see_the_target_without_collisions() {
 /// The rooms are in a folder beside the checkout where this project is built.
 /// `UNIGROUND_REQUIRE_SHARED=1` makes missing ones a failure.
 #[test]
+#[cfg_attr(debug_assertions, ignore = "takes minutes without optimization; make test runs it")]
 fn poses_in_annotated_rooms_see_the_target_without_collisions() {
     let folder = Utf8PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/scenes"));
     if !folder.join("room1.zip").is_file() {
