@@ -71,7 +71,7 @@ test("a room that notes its view while it is being left does not lead back", asy
     // Before `hashchange` arrives.
     [...document.querySelectorAll("[role=tab]")].find((tab) => /Photos/.test(tab.textContent)).click();
   });
-  await page.getByRole("heading", { name: "Batches" }).waitFor({ timeout: 5000 });
+  await page.getByRole("heading", { name: "Batches", exact: true }).waitFor({ timeout: 5000 });
   assert.equal(new URL(page.url()).hash, "#/batches");
   assert.deepEqual(complaints, []);
   await close();
