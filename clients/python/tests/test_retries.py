@@ -171,7 +171,7 @@ def test_nobody_there_is_told(scripted: Callable[..., Scripted]) -> None:
     url = server.url
     server.shutdown()
     server.server_close()
-    with pytest.raises(UnigroundError, match="can not be reached") as nobody:
+    with pytest.raises(UnigroundError, match="could not be reached") as nobody:
         Client(url, retries=0).call("GET", "/healthz")
     assert nobody.value.code == "unreachable"
 

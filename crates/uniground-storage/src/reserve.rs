@@ -125,7 +125,11 @@ pub(super) fn make_room_to_open(data_dir: &Utf8Path, error: &StoreError) -> bool
             );
             return true;
         }
-        Err(error) => tracing::error!(%error, "disk full, and no space could be freed"),
+        Err(error) => tracing::error!(
+            %error,
+            "disk full, and no space could be freed: free {} MB on the disk of {data_dir}",
+            BYTES >> 20
+        ),
     }
     false
 }

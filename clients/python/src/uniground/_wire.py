@@ -121,7 +121,7 @@ def suggest(detail: str) -> str:
 def transport_problem(error: httpx.TransportError, server: str) -> UnigroundError:
     if isinstance(error, httpx.TimeoutException) and not isinstance(error, httpx.ConnectTimeout):
         return UnigroundError("timed_out", f"{server} said nothing for too long")
-    return UnigroundError("unreachable", f"{server} can not be reached or broke off: {error or type(error).__name__}")
+    return UnigroundError("unreachable", f"{server} could not be reached or closed the connection: {error or type(error).__name__}")
 
 
 def pause_before(attempt: int, error: UnigroundError, cause: Optional[Exception], repeatable: bool) -> Optional[float]:

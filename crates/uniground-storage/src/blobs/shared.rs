@@ -282,7 +282,7 @@ impl Blobs {
         // The row must be written before orphan collection removes the folder as an orphan.
         if begun.elapsed() > objects.grace / 2 {
             return Err(ObjectStoreUnavailable::wrap(
-                "the upload took longer than half of --blobs-grace-s: raise this setting",
+                "copying to the object store took longer than half of --blobs-grace-s: raise this setting",
             ));
         }
         objects.block_on(async {
