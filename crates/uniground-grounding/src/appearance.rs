@@ -30,7 +30,7 @@ pub struct Appearance {
     logit_scale: f32,
     norms: Vec<Norms>,
     seen: Vec<bool>,
-    /// Cosines by word, then by instance index. Words that the text tower does not know are
+    /// Cosines by word, without its hubness, then by instance index. Words that the text tower does not know are
     /// missing.
     of_word: HashMap<String, Vec<f32>>,
     shortlist: Option<Vec<f32>>,
@@ -59,18 +59,20 @@ impl Appearance {
         words.dedup();
         let mut of_word = HashMap::new();
         for word in words {
-            if let Some(vector) = encoder.embed_name(&word)?.vector {
-                of_word.insert(word, embeddings.cosines(&vector));
+            let TextEmbedding { vector, hubness, .. } = encoder.embed_name(&word)?;
+            if let Some(vector) = vector {
+                let cosines = embeddings.cosines(&vector);
+                of_word.insert(word, cosines.into_iter().map(|cosine| cosine - hubness).collect());
             }
         }
-        let TextEmbedding { vector, cut } =
+        let TextEmbedding { vector, hubness, cut } =
             sentence(query, &parsed.target, encoder, scoring.query_text)?;
         let (logit_scale, norms) = (encoder.logit_scale(), embeddings.norms().to_vec());
         let calibrated = |cosines: Vec<f32>| match scoring.calibrated {
             true => cosines
                 .iter()
                 .zip(&norms)
-                .map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp())
+                .map(|(cosine, n)| (logit_scale * (cosine - hubness) - n.appearance).exp())
                 .collect(),
             false => cosines,
         };
@@ -141,7 +143,8 @@ fn sentence(
         (QueryText::Target, _, target) => target,
         (_, full, target) => full.or(target),
     };
-    Ok(TextEmbedding { vector, cut: full.cut && text != QueryText::Target })
+    let hubness = vector.as_deref().map_or(0.0, |vector| encoder.hubness(vector));
+    Ok(TextEmbedding { vector, hubness, cut: full.cut && text != QueryText::Target })
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! supports rule out confusions of the pictures.
 
 use super::attributes::{self, Lexicon, Noun};
-use super::neural::{DualEncoder, ModelError};
+use super::neural::{DualEncoder, ModelError, TextEmbedding};
 use rayon::prelude::*;
 use std::sync::Arc;
 use uniground_geometry::scene::{Embeddings, Instance, NameGuess, Norms};
@@ -30,21 +30,21 @@ fn measures_logit(fit: Option<f32>) -> f32 {
 }
 
 /// Returns the fit of a word to an instance, `0..=1`: 1 when nothing in the vocabulary fits better.
-/// `fit` is the fit of its measures, if the lexicon has them.
+/// `cosine` is that of the word without its [`TextEmbedding::hubness`]. `fit` is the fit of its measures, if the lexicon has them.
 #[must_use]
 pub fn fit(cosine: f32, logit_scale: f32, fit: Option<f32>, norms: Norms) -> f32 {
     ((logit_scale * cosine + measures_logit(fit) - norms.joint) / TEMPERATURE).exp().min(1.0)
 }
 
-/// A noun and its vector.
-type Word = (&'static Noun, Arc<[f32]>);
+/// A noun, its vector and its [`TextEmbedding::hubness`].
+type Word = (&'static Noun, Arc<[f32]>, f32);
 
 /// Returns the vectors of all nouns of the lexicon that the text tower knows.
 fn embed_vocabulary(encoder: &DualEncoder) -> Result<Vec<Word>, ModelError> {
-    let embedded = |noun: &'static Noun| Ok((noun, encoder.embed_name(&noun.name)?.vector));
-    let embedded: Vec<_> =
+    let embedded = |noun: &'static Noun| Ok((noun, encoder.embed_name(&noun.name)?));
+    let embedded: Vec<(_, TextEmbedding)> =
         Lexicon::get().nouns().par_iter().map(embedded).collect::<Result<_, ModelError>>()?;
-    Ok(embedded.into_iter().filter_map(|(noun, vector)| Some((noun, vector?))).collect())
+    Ok(embedded.into_iter().filter_map(|(noun, e)| Some((noun, e.vector?, e.hubness))).collect())
 }
 
 /// Names instances with pictures by appearance and measures. Instances without pictures keep the
@@ -61,17 +61,20 @@ pub fn name_all(
     let vocabulary = embed_vocabulary(encoder)?;
     let scale = encoder.logit_scale();
     let cosines: Vec<Vec<f32>> =
-        vocabulary.par_iter().map(|(_, word)| embeddings.cosines(word)).collect();
+        vocabulary.par_iter().map(|(_, word, _)| embeddings.cosines(word)).collect();
     let norms = instances
         .par_iter_mut()
         .enumerate()
         .map(|(i, instance)| {
-            let by_appearance: Vec<f32> =
-                cosines.iter().map(|of_word| scale * of_word[i]).collect();
+            let by_appearance: Vec<f32> = vocabulary
+                .iter()
+                .zip(&cosines)
+                .map(|((.., hubness), of_word)| scale * (of_word[i] - hubness))
+                .collect();
             let jointly: Vec<f32> = vocabulary
                 .iter()
                 .zip(&by_appearance)
-                .map(|((noun, _), logit)| {
+                .map(|((noun, ..), logit)| {
                     logit + measures_logit(Some(attributes::noun_fit(noun, instance)))
                 })
                 .collect();
@@ -189,7 +192,10 @@ mod tests {
 
     /// Returns the first nouns of the lexicon with zero vectors, which the tests do not use.
     fn words(count: usize) -> Vec<Word> {
-        Lexicon::get().nouns()[..count].iter().map(|noun| (noun, Arc::from([0.0; 2]))).collect()
+        Lexicon::get().nouns()[..count]
+            .iter()
+            .map(|noun| (noun, Arc::from([0.0; 2]), 0.0))
+            .collect()
     }
 
     #[test]
