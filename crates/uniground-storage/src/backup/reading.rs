@@ -175,7 +175,10 @@ mod tests {
         fs::remove_file(folder.join("views/1.jpg")).unwrap();
         assert_eq!(taken(folder).unwrap_err(), "Damaged(\"views/1.jpg missing\")");
         fs::write(folder.join(SUMS), "00  ../../passwords\n").unwrap();
-        assert_eq!(taken(folder).unwrap_err(), "Damaged(\".sha256sums names ../../passwords\")");
+        assert_eq!(
+            taken(folder).unwrap_err(),
+            "Damaged(\".sha256sums lists the invalid path ../../passwords\")"
+        );
         assert_eq!(taken(&folder.join("nowhere")).unwrap_err(), "Missing");
     }
 }
