@@ -35,11 +35,6 @@ pub struct DualEncoderManifest {
     /// CLIP and similar models.
     #[serde(default = "default_logit_scale")]
     pub logit_scale: f32,
-    /// Mean of the unit embeddings of many indoor objects. Words that are close to it are close to
-    /// every picture; half of their cosine with it is subtracted from their cosines with pictures
-    /// (docs/METHOD.md, section 1.10). Length `embedding_dim`; empty: nothing is subtracted.
-    #[serde(default)]
-    pub mean_picture: Vec<f32>,
     /// License of the weights, for people. Empty when not stated.
     #[serde(default)]
     pub licence: String,
@@ -442,11 +437,6 @@ impl Manifest {
                 ("image.file", is_file(&m.image.file), FILE_RULE),
                 ("text.file", is_file(&m.text.file), FILE_RULE),
                 ("text.tokenizer", is_file(&m.text.tokenizer), FILE_RULE),
-                (
-                    "mean_picture",
-                    m.mean_picture.is_empty() || is_mean_of_units(&m.mean_picture, m.embedding_dim),
-                    "embedding_dim numbers, at most 1 long together",
-                ),
                 ("logit_scale", m.logit_scale.is_finite() && m.logit_scale > 0.0, "above 0"),
                 ("text.template", m.text.template.contains("{}"), "a text that contains {}"),
                 (
@@ -527,11 +517,6 @@ impl Manifest {
             .find(|(_, fine, _)| !fine)
             .map_or(Ok(()), |&(field, _, expected)| Err((field, expected)))
     }
-}
-
-/// Returns whether a vector can be a mean of unit vectors of this dimension.
-fn is_mean_of_units(vector: &[f32], dim: usize) -> bool {
-    vector.len() == dim && vector.iter().map(|v| v * v).sum::<f32>() <= 1.0001
 }
 
 const NAME_RULE: &str = "1 to 100 letters, digits, dots, dashes and underscores";

@@ -15,10 +15,6 @@ use tokenizers::Tokenizer;
 pub struct TextEmbedding {
     /// Unit length. `None` when the text tower knows none of the words.
     pub vector: Option<Arc<[f32]>>,
-    /// What to subtract from cosines with pictures of objects before they are compared with those
-    /// of other texts: half of the cosine with the mean picture. Some texts are close to every
-    /// picture. 0 when the bundle has no mean picture.
-    pub hubness: f32,
     /// Whether the sentence was longer than the tower's context and was truncated.
     pub cut: bool,
 }
@@ -43,10 +39,6 @@ const MAX_QUERIES: usize = 20_000;
 /// Minimum cosine between embeddings of the same picture in different batches. Below it, pictures
 /// are embedded one at a time.
 const INDEPENDENT: f32 = 0.9999;
-
-/// Share of a text's cosine with the mean picture that is subtracted. Chosen on rooms 1 to 5 of
-/// docs/EVALUATION.md.
-const HUBNESS_WEIGHT: f32 = 0.5;
 
 impl DualEncoder {
     /// Checks the networks against the manifest and runs them once.
@@ -229,15 +221,7 @@ impl DualEncoder {
         }
         let made = self.text.run(&inputs, &[&tower.output])?;
         let row = self.expect_rows(&tower.file, &tower.output, made, 1)?;
-        let vector = normalize(&row);
-        let hubness = vector.as_deref().map_or(0.0, |vector| self.hubness(vector));
-        Ok(TextEmbedding { vector: vector.map(Into::into), hubness, cut })
-    }
-
-    /// Returns the part of a text's cosines that it has with every picture.
-    #[must_use]
-    pub fn hubness(&self, vector: &[f32]) -> f32 {
-        HUBNESS_WEIGHT * dot(vector, &self.manifest.mean_picture)
+        Ok(TextEmbedding { vector: normalize(&row).map(Into::into), cut })
     }
 
     fn tokenize(&self, text: &str) -> Result<Tokens, ModelError> {
