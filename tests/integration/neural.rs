@@ -141,17 +141,13 @@ async fn models_are_used_from_upload_to_answer() {
     // One row per instance, in NumPy's format.
     let rows = server.client.bytes(&format!("v1/scenes/{scene}/embeddings.npy")).await.unwrap();
     assert!(rows.starts_with(b"\x93NUMPY"));
-    let norms = fs::read(
-        server
-            .data()
-            .join("blobs/parses")
-            .join(server.list_folder("blobs/parses").into_iter().max().unwrap()) // the latest
-            .join("embedding_norms.npy"),
-    )
-    .unwrap();
+    let latest = server.list_folder("blobs/parses").into_iter().max().unwrap();
+    let parse = server.data().join("blobs/parses").join(latest);
+    let norms = fs::read(parse.join("embedding_norms.npy")).unwrap();
+    let shared = fs::read(parse.join("embedding_shared.npy")).unwrap();
     let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
     assert_eq!(
-        Embeddings::read(&rows, &norms).map(|e| (e.len(), e.dim())).unwrap(),
+        Embeddings::read(&rows, &norms, Some(&shared)).map(|e| (e.len(), e.dim())).unwrap(),
         (instances.len(), 64)
     );
 

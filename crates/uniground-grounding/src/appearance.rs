@@ -30,7 +30,7 @@ pub struct Appearance {
     logit_scale: f32,
     norms: Vec<Norms>,
     seen: Vec<bool>,
-    /// Cosines by word, then by instance index. Words that the text tower does not know are
+    /// Comparable cosines by word, then by instance index. Words that the text tower does not know are
     /// missing.
     of_word: HashMap<String, Vec<f32>>,
     shortlist: Option<Vec<f32>>,
@@ -60,24 +60,24 @@ impl Appearance {
         let mut of_word = HashMap::new();
         for word in words {
             if let Some(vector) = encoder.embed_name(&word)?.vector {
-                of_word.insert(word, embeddings.cosines(&vector));
+                of_word.insert(word, calibration::comparable_cosines(embeddings, &vector));
             }
         }
         let TextEmbedding { vector, cut } =
             sentence(query, &parsed.target, encoder, scoring.query_text)?;
         let (logit_scale, norms) = (encoder.logit_scale(), embeddings.norms().to_vec());
-        let calibrated = |cosines: Vec<f32>| match scoring.calibrated {
-            true => cosines
+        let scores = |vector: &[f32]| match scoring.calibrated {
+            true => calibration::comparable_cosines(embeddings, vector)
                 .iter()
                 .zip(&norms)
                 .map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp())
                 .collect(),
-            false => cosines,
+            false => embeddings.cosines(vector),
         };
         let seen: Vec<bool> = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
         // Without a single picture every cosine is zero. Names are more informative then.
         let vector = vector.filter(|_| seen.contains(&true));
-        let shortlist = vector.map(|vector| calibrated(embeddings.cosines(&vector)));
+        let shortlist = vector.map(|vector| scores(&vector));
         Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
     }
 

@@ -1,8 +1,9 @@
 //! Calibration: combines appearance and measures into how well words fit an instance.
 //!
 //! A cosine alone is not comparable: some instances are close to every word, some words to every
-//! instance. Likelihoods over a vocabulary, the lexicon's nouns, make cosines comparable. Sizes and
-//! supports rule out confusions of the pictures.
+//! instance. What a word shares with all pictures is subtracted, and likelihoods over a vocabulary,
+//! the lexicon's nouns, do the same for instances. Sizes and supports rule out confusions of the
+//! pictures.
 
 use super::attributes::{self, Lexicon, Noun};
 use super::neural::{DualEncoder, ModelError};
@@ -20,9 +21,19 @@ const MEASURES_WEIGHT: f32 = 2.0;
 const LEAST_FIT: f32 = 0.02;
 /// Fit of a word without known measures.
 const UNKNOWN_FIT: f32 = 0.3;
+/// Share of a word's cosine with all pictures that is subtracted.
+const SHARED_WEIGHT: f32 = 1.0;
 /// Divisor of logits. Without it, likelihoods would be as sharp as in the tower's training. With
 /// it, names that come close count as well.
 const TEMPERATURE: f32 = 4.0;
+
+/// Returns the cosine of every instance with a word, without the part that the word shares with all
+/// pictures of the scene.
+#[must_use]
+pub fn comparable_cosines(embeddings: &Embeddings, word: &[f32]) -> Vec<f32> {
+    let shared = SHARED_WEIGHT * embeddings.shared_cosine(word);
+    embeddings.cosines(word).into_iter().map(|cosine| cosine - shared).collect()
+}
 
 /// Returns how well measures fit, as a summand to a scaled cosine.
 fn measures_logit(fit: Option<f32>) -> f32 {
@@ -30,7 +41,8 @@ fn measures_logit(fit: Option<f32>) -> f32 {
 }
 
 /// Returns the fit of a word to an instance, `0..=1`: 1 when nothing in the vocabulary fits better.
-/// `fit` is the fit of its measures, if the lexicon has them.
+/// `cosine` is one of [`comparable_cosines`]; `fit` is the fit of its measures, if the lexicon has
+/// them.
 #[must_use]
 pub fn fit(cosine: f32, logit_scale: f32, fit: Option<f32>, norms: Norms) -> f32 {
     ((logit_scale * cosine + measures_logit(fit) - norms.joint) / TEMPERATURE).exp().min(1.0)
@@ -57,11 +69,11 @@ pub fn name_all(
     encoder: &DualEncoder,
     rows: &[f32],
 ) -> Result<Embeddings, ModelError> {
-    let embeddings = Embeddings::new(encoder.dim(), rows);
+    let embeddings = Embeddings::new(encoder.dim(), rows).with_shared_mean();
     let vocabulary = embed_vocabulary(encoder)?;
     let scale = encoder.logit_scale();
     let cosines: Vec<Vec<f32>> =
-        vocabulary.par_iter().map(|(_, word)| embeddings.cosines(word)).collect();
+        vocabulary.par_iter().map(|(_, word)| comparable_cosines(&embeddings, word)).collect();
     let norms = instances
         .par_iter_mut()
         .enumerate()
@@ -249,7 +261,8 @@ mod tests {
             let (mut appearance, mut joint) = (0.0_f64, 0.0_f64);
             for (noun, word) in nouns.iter().zip(&words) {
                 let cosine: f64 = row.iter().zip(&**word).map(|(a, b)| f64::from(a * b)).sum();
-                let likelihood = (f64::from(encoder.logit_scale()) * cosine).exp();
+                let shared = f64::from(embeddings.shared_cosine(word));
+                let likelihood = (f64::from(encoder.logit_scale()) * (cosine - shared)).exp();
                 let fit = f64::from(attributes::noun_fit(noun, &instances[i]));
                 appearance += likelihood;
                 joint += likelihood * fit.max(0.02).powi(2);
@@ -263,8 +276,21 @@ mod tests {
                 assert!((found - expected).abs() < 1e-2, "{i}: {found}, expected {expected}");
             }
         }
-        // Every cosine of an unseen instance is 0, so the sum is the number of nouns.
-        assert_near(embeddings.norms()[2].appearance, (nouns.len() as f32).ln(), "not seen");
+    }
+
+    #[test]
+    fn what_a_word_shares_with_all_pictures_is_subtracted() {
+        // Twenty instances that show the same, and two that show something else.
+        let rows: Vec<f32> =
+            [[1.0, 0.0]; 20].into_iter().chain([[0.6, 0.8]; 2]).flatten().collect();
+        let embeddings = Embeddings::new(2, &rows).with_shared_mean();
+        // The mean: (20 + 1.2, 1.6) / 42.
+        let found = comparable_cosines(&embeddings, &[1.0, 0.0]);
+        assert_near(found[0], 1.0 - 21.2 / 42.0, "close to all");
+        assert_near(found[21], 0.6 - 21.2 / 42.0, "close to all, seen by another");
+        let found = comparable_cosines(&embeddings, &[0.0, 1.0]);
+        assert_near(found[0], -1.6 / 42.0, "close to two");
+        assert_near(found[21], 0.8 - 1.6 / 42.0, "close to two, seen by one of them");
     }
 
     proptest! {

@@ -15,7 +15,13 @@ pub struct Embeddings {
     /// Unit vectors, or zeros for an instance that no frame shows.
     rows: Vec<f16>,
     norms: Vec<Norms>,
+    /// What all pictures of the scene share; see [`with_shared_mean`](Self::with_shared_mean).
+    shared: Vec<f32>,
 }
+
+/// Number of zero rows that are added to the seen ones for the mean. Of a few instances alone, the
+/// mean would be what they are, and not what all pictures share.
+const ZERO_ROWS: f64 = 20.0;
 
 /// Calibration of the fit of words to an instance: logarithms of sums over a vocabulary.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -35,7 +41,24 @@ impl Embeddings {
     pub fn new(dim: usize, rows: &[f32]) -> Self {
         let mut halves = vec![f16::ZERO; rows.len()];
         halves.convert_from_f32_slice(rows);
-        Self { dim, rows: halves, norms: vec![Norms::default(); rows.len() / dim] }
+        Self::from_halves(dim, halves)
+    }
+
+    fn from_halves(dim: usize, rows: Vec<f16>) -> Self {
+        let norms = vec![Norms::default(); rows.len() / dim];
+        Self { dim, rows, norms, shared: vec![0.0; dim] }
+    }
+
+    /// Returns the embeddings with the mean of the seen rows as what all pictures share, shrunk
+    /// towards zero for a few instances. [`shared_cosine`](Self::shared_cosine) is 0 before.
+    #[must_use]
+    pub fn with_shared_mean(self) -> Self {
+        let (mut sum, mut count) = (vec![0.0_f64; self.dim], ZERO_ROWS);
+        for row in self.rows.chunks_exact(self.dim).filter(|row| is_set(row)) {
+            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value.to_f64());
+            count += 1.0;
+        }
+        Self { shared: sum.into_iter().map(|sum| (sum / count) as f32).collect(), ..self }
     }
 
     /// Returns the embeddings with calibration norms, one for each instance.
@@ -58,7 +81,7 @@ impl Embeddings {
     #[must_use]
     pub fn select_rows(&self, rows: impl Iterator<Item = Option<usize>>) -> Self {
         let (mut rearranged, unseen) = (
-            Self { dim: self.dim, rows: Vec::new(), norms: Vec::new() },
+            Self { rows: Vec::new(), norms: Vec::new(), shared: self.shared.clone(), ..*self },
             vec![f16::ZERO; self.dim],
         );
         for row in rows {
@@ -113,13 +136,24 @@ impl Embeddings {
     /// Returns whether any frame shows the instance at this index.
     #[must_use]
     pub fn is_seen(&self, index: usize) -> bool {
-        self.rows[index * self.dim..(index + 1) * self.dim].iter().any(|v| *v != f16::ZERO)
+        is_set(&self.rows[index * self.dim..(index + 1) * self.dim])
     }
 
     /// Returns the vector of the instance at this index; zeros if no frame shows it.
     #[must_use]
     pub fn row(&self, index: usize) -> Vec<f32> {
         self.rows[index * self.dim..(index + 1) * self.dim].iter().map(|v| v.to_f32()).collect()
+    }
+
+    /// Returns the cosine of a unit vector with what all pictures of the scene share. Some texts
+    /// are close to every picture; without this part, cosines of different texts can be compared.
+    ///
+    /// # Panics
+    /// Panics when `query` has another dimension.
+    #[must_use]
+    pub fn shared_cosine(&self, query: &[f32]) -> f32 {
+        assert_eq!(query.len(), self.dim);
+        self.shared.iter().zip(query).map(|(a, b)| a * b).sum()
     }
 
     /// Returns the calibration norms, sorted by instance id; all 0 until
@@ -148,36 +182,49 @@ impl Embeddings {
         npy::write(out, "<f4", [self.len(), 2], values.flat_map(f32::to_le_bytes))
     }
 
-    /// Reads the arrays that [`write_rows`](Self::write_rows) and
-    /// [`write_norms`](Self::write_norms) wrote.
+    /// Writes what all pictures share as a numpy array of floats with one row.
+    ///
+    /// # Errors
+    /// Returns I/O errors of `out`.
+    pub fn write_shared(&self, out: impl Write) -> io::Result<()> {
+        npy::write(out, "<f4", [1, self.dim], self.shared.iter().flat_map(|v| v.to_le_bytes()))
+    }
+
+    /// Reads the arrays that [`write_rows`](Self::write_rows), [`write_norms`](Self::write_norms)
+    /// and [`write_shared`](Self::write_shared) wrote. Earlier versions did not write the last one;
+    /// their norms belong to whole cosines.
     ///
     /// # Errors
     /// Returns an error for files that are not such arrays, or do not belong together.
-    pub fn read(rows: &[u8], norms: &[u8]) -> io::Result<Self> {
+    pub fn read(rows: &[u8], norms: &[u8], shared: Option<&[u8]>) -> io::Result<Self> {
         let ([count, dim], rows) = npy::read(rows, "<f2")?;
         let ([normed, two], norms) = npy::read(norms, "<f4")?;
-        if two != 2 || normed != count || dim == 0 {
+        let shared = shared.map(|shared| npy::read(shared, "<f4")).transpose()?;
+        let matches = two == 2 && normed == count && dim != 0;
+        if !matches || shared.is_some_and(|(shape, _)| shape != [1, dim]) {
             return Err(io::Error::new(
                 io::ErrorKind::InvalidData,
                 "embeddings and their norms do not match",
             ));
         }
-        let values: Vec<f32> =
-            norms.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-        let norms = values
+        let floats = |bytes: &[u8]| -> Vec<f32> {
+            bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+        };
+        let shared = shared.map_or_else(|| vec![0.0; dim], |(_, values)| floats(values));
+        let norms = floats(norms)
             .as_chunks::<2>()
             .0
             .iter()
             .map(|&[appearance, joint]| Norms { appearance, joint })
             .collect();
-        Ok(Self { norms, ..Self::from_half_bytes(dim, rows) })
+        Ok(Self { norms, shared, ..Self::from_half_bytes(dim, rows) })
     }
 
     /// Creates embeddings from the bytes of half floats, little-endian.
     pub(super) fn from_half_bytes(dim: usize, rows: &[u8]) -> Self {
         let rows: Vec<f16> =
             rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
-        Self { dim, norms: vec![Norms::default(); rows.len() / dim], rows }
+        Self::from_halves(dim, rows)
     }
 
     /// Returns the cosine of every instance with a unit vector, by index. The bits are the same on
@@ -195,6 +242,11 @@ impl Embeddings {
         tasks.for_each(|(cosines, rows)| dot_products(rows, query, cosines));
         cosines
     }
+}
+
+/// Returns whether a row is not all zeros.
+fn is_set(row: &[f16]) -> bool {
+    row.iter().any(|v| *v != f16::ZERO)
 }
 
 /// Computes the dot products of rows with a query. Lanes are added in one fixed order and no
@@ -240,14 +292,35 @@ mod tests {
 
     #[test]
     fn written_embeddings_are_read_back_unchanged() {
-        let embeddings = sample_embeddings(7, 70);
-        let (mut rows, mut norms) = (Vec::new(), Vec::new());
+        let without_shared = sample_embeddings(7, 70);
+        let embeddings = without_shared.clone().with_shared_mean();
+        assert_ne!(embeddings, without_shared);
+        let (mut rows, mut norms, mut shared) = (Vec::new(), Vec::new(), Vec::new());
         embeddings.write_rows(&mut rows).unwrap();
         embeddings.write_norms(&mut norms).unwrap();
-        assert_eq!(Embeddings::read(&rows, &norms).unwrap(), embeddings);
-        assert!(Embeddings::read(&norms, &rows).is_err());
-        assert!(Embeddings::read(&rows[..rows.len() - 1], &norms).is_err());
-        assert!(Embeddings::read(&rows, &norms[..90]).is_err());
+        embeddings.write_shared(&mut shared).unwrap();
+        assert_eq!(Embeddings::read(&rows, &norms, Some(&shared)).unwrap(), embeddings);
+        assert_eq!(Embeddings::read(&rows, &norms, None).unwrap(), without_shared);
+        assert!(Embeddings::read(&norms, &rows, None).is_err());
+        assert!(Embeddings::read(&rows[..rows.len() - 1], &norms, None).is_err());
+        assert!(Embeddings::read(&rows, &norms[..90], None).is_err());
+        assert!(Embeddings::read(&rows, &norms, Some(&norms)).is_err());
+    }
+
+    #[test]
+    fn shared_cosine_is_that_with_the_mean_of_seen_rows_and_twenty_zeros() {
+        let of =
+            |rows: &[f32]| Embeddings::new(2, rows).with_shared_mean().shared_cosine(&[0.6, 0.8]);
+        // One seen row of 21. Rows that no frame shows do not count.
+        assert!((of(&[1.0, 0.0, 0.0, 0.0]) - 0.6 / 21.0).abs() < 1e-6);
+        // Ten of 40 along each axis.
+        let twenty = [[1.0, 0.0]; 10].into_iter().chain([[0.0, 1.0]; 10]).flatten();
+        assert!((of(&twenty.collect::<Vec<f32>>()) - (0.25 * 0.6 + 0.25 * 0.8)).abs() < 1e-6);
+        assert_eq!([of(&[]), of(&[0.0; 6])], [0.0; 2]);
+        // It stays with the rows where they get other places, and where one is added.
+        let embeddings = Embeddings::new(2, &[1.0, 0.0, 0.0, 1.0]).with_shared_mean();
+        let turned = embeddings.select_rows([Some(1), None, Some(0)].into_iter()).pad_to(5);
+        assert_eq!(turned.shared_cosine(&[0.6, 0.8]), embeddings.shared_cosine(&[0.6, 0.8]));
     }
 
     #[test]

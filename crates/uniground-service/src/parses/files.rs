@@ -47,6 +47,7 @@ impl ParseFile {
 }
 
 const NORMS: &str = "embedding_norms.npy";
+const SHARED: &str = "embedding_shared.npy";
 const FRAME_EMBEDDINGS: [&str; 2] = ["frame_embeddings.npy", "frame_embeddings_of.npy"];
 const VIEWS: &str = "views";
 const FRAMES: &str = "frames.json";
@@ -127,7 +128,9 @@ pub fn read_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<Embeddi
     let Some(rows) = read(blobs, parse, ParseFile::Embeddings.path_in(parse))? else {
         return Ok(None);
     };
-    Ok(Some(Embeddings::read(&rows, &fs::read(blobs.pin_file(parse, NORMS.into())?)?)?))
+    let norms = fs::read(blobs.pin_file(parse, NORMS.into())?)?;
+    let shared = read(blobs, parse, SHARED)?;
+    Ok(Some(Embeddings::read(&rows, &norms, shared.as_deref())?))
 }
 
 /// Reads the encoder's embeddings of whole frames. Also returns `None` for parses of versions that
@@ -240,6 +243,7 @@ fn write_rest(
     if let Some(embeddings) = &parsed.embeddings {
         embeddings.write_rows(File::create(ParseFile::Embeddings.path_in(parse))?)?;
         embeddings.write_norms(File::create(parse.join(NORMS))?)?;
+        embeddings.write_shared(File::create(parse.join(SHARED))?)?;
     }
     if let Some(seen) = &parsed.frame_embeddings {
         let [rows, frames] = FRAME_EMBEDDINGS.map(|file| parse.join(file));

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! blobs/contents/<sha256>/...     an unpacked archive
-//! blobs/parses/<id>/              cloud.ply  instances.ply  embeddings.npy  embedding_norms.npy
+//! blobs/parses/<id>/              cloud.ply  instances.ply  embeddings.npy
+//!                                 embedding_norms.npy  embedding_shared.npy
 //!                                 report/  views/<instance>-<view>-{crop,frame}.jpg
 //! blobs/checkpoints/<sha256>/...  finished stages of parses of that content
 //! blobs/answers/<id>/             prompt.json  reply.json  *.jpg: a model's prompt and reply
