@@ -240,6 +240,7 @@ fn right_answer(scene: &Arc<MemoryScene>, query: &str, truth: &Aabb) -> Option<I
 }
 
 #[test]
+#[cfg_attr(debug_assertions, ignore = "takes a minute without optimization; make test runs it")]
 fn poses_in_the_sample_room_see_the_target_without_collisions() {
     let folder = Utf8PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples"));
     for tally in drive(&folder, "living_room") {
