@@ -26,6 +26,9 @@ pub struct ApproachArgs {
     /// Approach this instance of an earlier answer instead of asking a question
     #[arg(long, value_name = "ID", conflicts_with = "query")]
     instance: Option<u32>,
+    /// Least confidence of the answer to the question; 0 approaches guesses, too [default: 0.5]
+    #[arg(long, value_name = "0..1", conflicts_with = "instance")]
+    min_confidence: Option<f32>,
     /// Radius of the robot's footprint, meters
     #[arg(long, value_name = "METERS", default_value_t = 0.25)]
     radius: f32,
@@ -78,6 +81,7 @@ pub async fn run(args: &ApproachArgs) -> anyhow::Result<()> {
         (None, query) => ApproachRequest::for_query(query.clone().unwrap_or_default(), robot),
     };
     let request = ApproachRequest {
+        min_confidence: args.min_confidence,
         from: args.from,
         frame: args.frame,
         max_poses: args.max_poses,

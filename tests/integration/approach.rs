@@ -16,6 +16,8 @@ const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, re
 
 fn approach_request(query: &str) -> ApproachRequest {
     ApproachRequest {
+        // Names in the sample room are guesses.
+        min_confidence: Some(0.0),
         from: Some(FloorPoint { x: 1.43, y: 0.16, ..FloorPoint::default() }),
         ..ApproachRequest::for_query(query, ROBOT)
     }

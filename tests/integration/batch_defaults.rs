@@ -56,7 +56,7 @@ async fn defaults_are_stored_once() {
     );
     let over = wait_for_batch(&server.client, &batch.id).await;
     assert_eq!(
-        (over.by_status["failed"], over.by_status["grounded"]),
+        (over.by_status["failed"], over.by_status["uncertain"]),
         (499, 1),
         "a query that is too long fails each item"
     );

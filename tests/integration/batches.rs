@@ -56,7 +56,7 @@ async fn every_item_gets_an_answer_or_an_error_in_order() {
     let scene = server.upload_and_parse(Scan::neutral().zip()).await.id;
     let nowhere = "018f0000-0000-7000-8000-000000000000";
     let items = json!([
-        {"query": "the red sofa"},
+        {"query": "the red sofa", "min_confidence": 0.0},
         {"query": "the fridge", "include": []},
         {"query": ""},
         {"query": "the red sofa", "top_k": 0},
@@ -125,7 +125,7 @@ async fn every_item_gets_an_answer_or_an_error_in_order() {
         "{table}"
     );
     // Defaults in the first line leave the scene of the URL in place.
-    let lines = "{\"defaults\": {\"top_k\": 3}}\n{\"query\": \"the red sofa\"}\n";
+    let lines = "{\"defaults\": {\"min_confidence\": 0}}\n{\"query\": \"the red sofa\"}\n";
     let id =
         client.create_batch_of_lines(lines, &[("scene_id", scene.clone())], None).await.unwrap().id;
     assert_eq!(fetch_results(client, &id, 0, true).await[0].status, "grounded");

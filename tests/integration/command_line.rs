@@ -95,7 +95,7 @@ fn a_local_scan_is_queried_without_a_server_and_parsed_once() {
     let answer = stdout_json(&first);
     assert_eq!(
         (&answer["status"], &answer["answer"]["relation_used"]),
-        (&"grounded".into(), &"on the coffee table".into())
+        (&"uncertain".into(), &"on the coffee table".into())
     );
     assert!(answer["box"]["center"].is_array() && answer.get("evidence").is_none(), "{answer}");
     assert!(stderr_text(&first).contains("parsed in "), "{}", stderr_text(&first));
@@ -117,7 +117,7 @@ fn local_folders_and_clouds_can_be_queried() {
     let first =
         dir.run(&["ground", "my room", "the red sofa", "--cache", "kept", "--observer=-2,0,90"]);
     assert!(
-        first.status.success() && stdout_text(&first).contains("grounded"),
+        first.status.success() && stdout_text(&first).contains("uncertain"),
         "{}{}",
         stdout_text(&first),
         stderr_text(&first)
@@ -213,7 +213,7 @@ async fn a_scene_can_be_uploaded_listed_and_queried_by_name() {
         );
         assert_eq!(
             (&answer["scene_id"], &answer["status"]),
-            (&id.clone().into(), &"grounded".into()),
+            (&id.clone().into(), &"uncertain".into()),
             "{scene}"
         );
     }
@@ -303,7 +303,7 @@ async fn uploads_return_at_once_unless_wait_is_given() {
             "--json",
         ])
         .await;
-    assert_eq!(stdout_json(&waited)["status"], "grounded");
+    assert_eq!(stdout_json(&waited)["status"], "uncertain");
     server.stop().await;
 }
 

@@ -76,6 +76,11 @@ pub struct ApproachRequest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000))]
     pub query: Option<String>,
+    /// Minimum confidence of the answer to `query`, `0..=1`, as in a question. Below it, no poses
+    /// are computed. 0 also approaches guesses. Default: 0.5.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1, default = 0.5))]
+    pub min_confidence: Option<f32>,
     /// The robot.
     pub robot: Robot,
     /// Start position of the robot. Poses that it cannot drive to are omitted, and each pose has a
@@ -132,6 +137,7 @@ impl ApproachRequest {
         Self {
             instance_id: None,
             query: None,
+            min_confidence: None,
             robot,
             from: None,
             frame,
@@ -154,6 +160,8 @@ impl ApproachRequest {
                 ));
             }
         }
+        self.min_confidence
+            .map_or(Ok(()), |least| numbers::check_in_range("/min_confidence", least, 0.0..=1.0))?;
         let Robot { radius_m, height_m, eye_height_m, reach_m } = self.robot;
         numbers::check_above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;
         check_height("/robot/height_m", height_m)?;
@@ -455,6 +463,8 @@ mod tests {
             ((|r| r.instance_id = None) as fn(&mut ApproachRequest), ""),
             (|r| r.query = Some("the mug".into()), ""),
             (|r| (r.instance_id, r.query) = (None, Some(" ".into())), "/query"),
+            (|r| r.min_confidence = Some(1.1), "/min_confidence"),
+            (|r| r.min_confidence = Some(f32::NAN), "/min_confidence"),
             (|r| r.robot.radius_m = 0.0, "/robot/radius_m"),
             (|r| r.robot.height_m = 3.1, "/robot/height_m"),
             (|r| r.robot.height_m = 0.05, "/robot/height_m"),

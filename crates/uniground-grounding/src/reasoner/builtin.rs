@@ -45,6 +45,9 @@ const OTHER_READING: f32 = 0.92;
 /// Power of the scores that share the belief: the higher, the larger the share of the best.
 const BELIEF_POWER: i32 = 4;
 
+/// Added to explanations where no encoder has seen the instances and nobody has named them.
+const NAMES_ARE_GUESSES: &str = " Names here are guessed from size, place and color. An image encoder or names given by people make answers more reliable.";
+
 /// Decides one question.
 #[must_use]
 pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
@@ -52,6 +55,19 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = "The question is not in English, the one language the built-in parser reads; a chat model may read it.".to_owned();
         return no_match(vec![0.0; assessor.scene.instances.len()], NoMatchReason::NotEnglish, why);
     }
+    let mut verdict = decide_english(assessor, parsed);
+    let best = (0..verdict.scores.len())
+        .reduce(|best, i| if verdict.scores[i] > verdict.scores[best] { i } else { best });
+    let by_measures =
+        |i| NamesFrom::of(assessor.scene, &parsed.target, i) == NamesFrom::Measures;
+    let asks_by_name = matches!(parsed.target.meaning(), Meaning::Nouns(_));
+    if asks_by_name && best.is_some_and(by_measures) {
+        verdict.explanation.push_str(NAMES_ARE_GUESSES);
+    }
+    verdict
+}
+
+fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let read: Vec<Read> =
         views(assessor, parsed).into_iter().map(|view| Read::of(view, assessor, parsed)).collect();
     let scores: Vec<f32> = (0..assessor.scene.instances.len())
@@ -123,7 +139,10 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
             1.0
         };
         *belief =
-            called * understood * named * share_right(*belief, NamesFrom::of(assessor.scene, i));
+            called
+                * understood
+                * named
+                * share_right(*belief, NamesFrom::of(assessor.scene, &parsed.target, i));
     }
     Verdict {
         status,

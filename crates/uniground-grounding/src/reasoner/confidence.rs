@@ -5,6 +5,7 @@
 
 use crate::SceneView;
 use std::sync::LazyLock;
+use uniground_language::{Meaning, Phrase};
 
 /// The source of an object's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,16 +14,21 @@ pub(super) enum NamesFrom {
     Measures,
     /// An image and text encoder.
     Encoder,
-    /// A person or a vision-language model that looked at the instance. These beliefs are not
-    /// changed.
+    /// A person or a vision-language model that looked at the instance, or its geometry where a
+    /// wall, floor or ceiling is asked for. These beliefs are not changed.
     Given,
 }
 
 impl NamesFrom {
-    /// Returns the source for the instance at an index.
-    pub fn of(scene: SceneView, index: usize) -> Self {
+    /// Returns the source of what a target's noun is compared with, for the instance at an index.
+    pub fn of(scene: SceneView, target: &Phrase, index: usize) -> Self {
+        let is_asked_structure = match target.meaning() {
+            Meaning::Structure(structure) => scene.instances[index].structure == Some(structure),
+            _ => false,
+        };
         match scene.names.get(index) {
             Some(_) => Self::Given,
+            None if is_asked_structure => Self::Given,
             None if scene.appearance.is_some() => Self::Encoder,
             None => Self::Measures,
         }

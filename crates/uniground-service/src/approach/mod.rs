@@ -164,7 +164,11 @@ impl ApproachService {
             let answer = match &request.query {
                 Some(query) => Some(
                     self.grounding_service
-                        .ground(scene_id, builtin_question(query), caller.clone())
+                        .ground(
+                            scene_id,
+                            builtin_question(query, request.min_confidence),
+                            caller.clone(),
+                        )
                         .await?,
                 ),
                 None => None,
@@ -191,8 +195,9 @@ impl ApproachService {
 
 /// Returns a question for the built-in reasoner: it costs nothing, and a robot does not wait for a
 /// model.
-fn builtin_question(query: &str) -> GroundRequest {
+fn builtin_question(query: &str, min_confidence: Option<f32>) -> GroundRequest {
     GroundRequest {
+        min_confidence,
         reasoner: ReasonerChoice::Builtin,
         allow_builtin: true,
         ..GroundRequest::new(query)
@@ -204,6 +209,7 @@ fn to_wish(request: &ApproachRequest, frame: Option<&CoordinateFrameView>) -> Wi
     let ApproachRequest {
         instance_id: _,
         query: _,
+        min_confidence: _,
         robot,
         from,
         frame: _,
