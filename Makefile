@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation
+.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation fit-confidence
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/ (a build that is ready sooner, in target/demo)
 	$(CARGO) build --profile demo --locked
@@ -94,6 +94,11 @@ bench: ## All of cargo's benches: pipelines, language, service, quality of stage
 bench-quality: ## Both stages against annotated rooms (ROOMS=folder), held against benches/quality.json
 	$(CARGO) bench --locked --quiet --bench quality -- $(ROOMS)
 	$(MAKE) quality
+
+fit-confidence: ## Refits the shares of right answers by belief to the annotated rooms of ROOMS=folder (needs models/clip-vitb16-lite)
+	$(CARGO) build --release --locked --quiet
+	./target/release/uniground eval $(ROOMS) --out target/fit-confidence --matrix "source=parsed;masks=rgbd;encoder=attributes,clip-vitb16-lite;top_k=10"
+	$(PYTHON) scripts/fit-confidence.py target/fit-confidence/report.json --write
 
 quality: ## Answers against annotated rooms (ROOMS=folder), held against benches/quality.json; the page is target/quality/index.html
 	$(CARGO) build --release --locked --quiet

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Fits crates/uniground-grounding/src/reasoner/confidence.tsv: the share of right answers by belief, for each source of names.
 
-    scripts/fit-confidence.py REPORT.json ... [--rooms NAME,NAME] [--check NAME,NAME] [--write]
+    scripts/fit-confidence.py REPORT.json ... [--source NAME] [--rooms NAME,NAME] [--check NAME,NAME] [--write]
 
 Reads reports of `uniground eval` with source=parsed and the encoders "attributes" (names from measures) or another one. Each room is judged by a
 table that was fitted to the other rooms; printed are the expected calibration error, the share right at several coverages, and how many answers
-are at or above several thresholds. `--rooms` fits to these rooms alone, `--check` judges others by that table. `--write` replaces the table.
+are at or above several thresholds. `--source` fits one source alone: rooms that measures were developed with say nothing about measures. `--rooms`
+fits to these rooms alone, `--check` judges others by that table. `--write` replaces the table.
 Isotonic regression (pool adjacent violators), read at fixed beliefs. Confidences in reports are led back to beliefs by the table in use. Needs only
 Python's standard library.
 """
@@ -103,6 +104,7 @@ def describe(title, judged):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reports", nargs="+")
+    parser.add_argument("--source", choices=SOURCES)
     parser.add_argument("--rooms", default="")
     parser.add_argument("--check", default="")
     parser.add_argument("--write", action="store_true")
@@ -115,11 +117,11 @@ def main():
     lines, summary = [], []
     for source in SOURCES:
         fitted = [(scene, belief, right) for name, scene, belief, right in rows if name == source and scene in rooms]
-        print(source)
-        if not fitted:
-            print("  no answers")
+        if args.source not in (None, source) or not fitted:
+            summary += [line[2:] for line in TABLE.read_text().splitlines() if line.startswith(f"# {source}:")]
             lines += [f"{source}\t{at}\t{share}" for at, share in curves[source]]
             continue
+        print(source)
         held_out = []
         for scene in sorted({scene for scene, _, _ in fitted}):
             table = fit([(belief, right) for other, belief, right in fitted if other != scene] or [(0.5, 0.0)])

@@ -26,7 +26,7 @@ pub struct ApproachArgs {
     /// Approach this instance of an earlier answer instead of asking a question
     #[arg(long, value_name = "ID", conflicts_with = "query")]
     instance: Option<u32>,
-    /// Least confidence of the answer to the question; 0 approaches guesses, too [default: 0.5]
+    /// Least confidence of the answer to the question; 0 approaches guesses, too [default: 0.7]
     #[arg(long, value_name = "0..1", conflicts_with = "instance")]
     min_confidence: Option<f32>,
     /// Radius of the robot's footprint, meters

@@ -26,11 +26,7 @@ async fn boxes_use_map_coordinates_once_the_scene_is_placed() {
     let client = &server.client;
     let scene = server.upload_and_parse(sample_scan()).await;
     assert_eq!((scene.scene_to_map, scene.map_frame_id), (None, None));
-    let in_map = GroundRequest {
-        frame: FrameChoice::Map,
-        min_confidence: Some(0.0),
-        ..ask(QUERY)
-    };
+    let in_map = GroundRequest { frame: FrameChoice::Map, min_confidence: Some(0.0), ..ask(QUERY) };
     let refused = expect_problem(client.ground(&scene.id, &in_map).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "no_map"));
 

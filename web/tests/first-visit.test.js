@@ -34,7 +34,7 @@ test("from the first visit to an answered question in fewer than five actions", 
   await act(page.getByLabel("Question").fill("the mug on the coffee table"));
   await act(page.keyboard.press("Enter"));
   const answer = page.getByRole("article", { name: "Answer" });
-  await answer.getByText("found", { exact: true }).waitFor();
+  await answer.getByText("uncertain", { exact: true }).waitFor();
   assert.match(await answer.textContent(), /mug/);
   assert.ok(actions < 5, `${actions} actions`);
 
@@ -78,7 +78,7 @@ test("an example on the first page opens the sample with that question", async (
   const { page, complaints, close } = await openPage(browser, other.page);
   await page.getByRole("button", { name: "the mug on the coffee table" }).click();
   const answer = page.getByRole("article", { name: "Answer" });
-  await answer.getByText("found", { exact: true }).waitFor({ timeout: 90_000 });
+  await answer.getByText("uncertain", { exact: true }).waitFor({ timeout: 90_000 });
   assert.match(await answer.textContent(), /mug/);
   assert.deepEqual(complaints, []);
   await close();

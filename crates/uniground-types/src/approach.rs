@@ -77,9 +77,9 @@ pub struct ApproachRequest {
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000))]
     pub query: Option<String>,
     /// Minimum confidence of the answer to `query`, `0..=1`, as in a question. Below it, no poses
-    /// are computed. 0 also approaches guesses. Default: 0.5.
+    /// are computed. 0 also approaches guesses. Default: 0.7.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1, default = 0.5))]
+    #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1, default = 0.7))]
     pub min_confidence: Option<f32>,
     /// The robot.
     pub robot: Robot,

@@ -56,7 +56,7 @@ def at(point: Any) -> list[float]:
 
 @pytest.fixture
 def node(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Grounding:
-    monkeypatch.setattr(stubs.Node, "OVERRIDES", {"scene_id": scene.id})
+    monkeypatch.setattr(stubs.Node, "OVERRIDES", {"scene_id": scene.id, "min_confidence": 0.0})
     # The scan's origin lies at (10, 5) of the map, turned by a quarter; the robot stands in the middle of the room.
     known = {
         ("map", "scan"): transform(10, 5, QUARTER),
@@ -213,7 +213,7 @@ def test_what_is_not_one_sure_thing_is_no_goal(node: Grounding) -> None:
     assert len(either.detections.detections) >= 2
     nothing = ask(node, "the spaceship")
     assert (nothing.status, nothing.detections.detections, nothing.has_goal) == ("no_match", [], False)
-    guess = ask(node, "the sofa")
+    guess = ask(given(node, min_confidence=1.0), "the sofa")
     assert (guess.status, len(guess.detections.detections), guess.has_goal) == ("uncertain", 1, False)
     assert "~/goal" not in node.published
     assert len(node.published["~/markers"]) == 4

@@ -1354,6 +1354,13 @@ export interface components {
             max_poses?: number;
             /**
              * Format: float
+             * @description Minimum confidence of the answer to `query`, `0..=1`, as in a question. Below it, no poses
+             *     are computed. 0 also approaches guesses. Default: 0.7.
+             * @default 0.7
+             */
+            min_confidence?: number | null;
+            /**
+             * Format: float
              * @description Minimum horizontal distance from the robot's center to the object's nearest point, meters.
              *     Default: 0.
              * @default 0
@@ -2096,8 +2103,8 @@ export interface components {
             /**
              * Format: float
              * @description Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`.
-             *     Default: 0.5. In rooms that were not used for development, 65 % of `grounded` answers were
-             *     right with SAM 2 and a small CLIP, and 28 % without a model. 0 disables `uncertain`.
+             *     Default: 0.7. Names that are guessed, from size, place and color or by an encoder, do not
+             *     reach it: a vision-language model or names given by people do. 0 disables `uncertain`.
              */
             min_confidence?: number | null;
             observer?: components["schemas"]["Observer"] | null;

@@ -21,7 +21,7 @@ export function QuestionOptions({ room }: { room: Room }) {
           min={0}
           max={1}
           step={0.05}
-          onChange={(least) => set({ min_confidence: least ?? 0.5 })}
+          onChange={(least) => set({ min_confidence: least ?? 0.7 })}
         />
         <Choice
           label={t.ask.convention}

@@ -39,7 +39,7 @@ export class Room {
   readonly queued = signal<string | null>(null);
   readonly question = signal("");
   readonly options = signal<Options>({
-    reasoner: "auto", top_k: 5, direction_convention: "paper", evidence: "full", parser: "auto", min_confidence: 0.5, max_cost_usd: null,
+    reasoner: "auto", top_k: 5, direction_convention: "paper", evidence: "full", parser: "auto", min_confidence: 0.7, max_cost_usd: null,
   });
   readonly observer = signal<Observer | null>(null);
   /** Whether the observer's direction is set as well. */
@@ -165,7 +165,7 @@ export class Room {
     if (direction_convention !== "paper") request.direction_convention = direction_convention;
     if (evidence !== "full") request.evidence = evidence;
     if (parser !== "auto") request.parser = parser;
-    if (min_confidence !== 0.5) request.min_confidence = min_confidence;
+    if (min_confidence !== 0.7) request.min_confidence = min_confidence;
     if (max_cost_usd !== null) request.max_cost_usd = max_cost_usd;
     if (this.observer.value) request.observer = this.observer.value;
     return request;

@@ -247,6 +247,10 @@ class ApproachOptions(_ApproachOptions, total=False):
     """Maximum horizontal distance from the robot's center to the object's nearest point, meters. Default: 2.5."""
     max_poses: int
     """Maximum number of poses. Fewer are returned if not enough lie apart from each other. Default: 3."""
+    min_confidence: Optional[float]
+    """Minimum confidence of the answer to `query`, `0..=1`, as in a question. Below it, no poses are computed. 0 also approaches guesses.
+    Default: 0.7.
+    """
     min_distance_m: float
     """Minimum horizontal distance from the robot's center to the object's nearest point, meters. Default: 0."""
     query: Optional[str]
@@ -350,8 +354,8 @@ class BatchItemOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5. In rooms that were not used
-    for development, 65 % of `grounded` answers were right with SAM 2 and a small CLIP, and 28 % without a model. 0 disables `uncertain`.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.7. Names that are guessed, from
+    size, place and color or by an encoder, do not reach it: a vision-language model or names given by people do. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
     """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""
@@ -786,8 +790,8 @@ class GroundOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.5. In rooms that were not used
-    for development, 65 % of `grounded` answers were right with SAM 2 and a small CLIP, and 28 % without a model. 0 disables `uncertain`.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.7. Names that are guessed, from
+    size, place and color or by an encoder, do not reach it: a vision-language model or names given by people do. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
     """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""

@@ -58,8 +58,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let mut verdict = decide_english(assessor, parsed);
     let best = (0..verdict.scores.len())
         .reduce(|best, i| if verdict.scores[i] > verdict.scores[best] { i } else { best });
-    let by_measures =
-        |i| NamesFrom::of(assessor.scene, &parsed.target, i) == NamesFrom::Measures;
+    let by_measures = |i| NamesFrom::of(assessor.scene, &parsed.target, i) == NamesFrom::Measures;
     let asks_by_name = matches!(parsed.target.meaning(), Meaning::Nouns(_));
     if asks_by_name && best.is_some_and(by_measures) {
         verdict.explanation.push_str(NAMES_ARE_GUESSES);
@@ -138,11 +137,10 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         } else {
             1.0
         };
-        *belief =
-            called
-                * understood
-                * named
-                * share_right(*belief, NamesFrom::of(assessor.scene, &parsed.target, i));
+        *belief = called
+            * understood
+            * named
+            * share_right(*belief, NamesFrom::of(assessor.scene, &parsed.target, i));
     }
     Verdict {
         status,
@@ -636,6 +634,34 @@ mod tests {
             assert_eq!(ask(query).no_match_reason, Some(reason), "{query}");
         }
         assert_eq!(ask("the rug").no_match_reason, None);
+    }
+
+    #[test]
+    fn explanations_say_when_names_are_guesses() {
+        let explained = |instances: &[Instance], query: &str| {
+            let extent =
+                Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+            let names = NameIndex::of(instances);
+            let scene = SceneView { instances, extent, names: &names, appearance: None };
+            let answer = ground(scene, &Question::of(query));
+            (answer.answer.explanation.ends_with(NAMES_ARE_GUESSES), answer.confidence)
+        };
+        let mut instances = room();
+        for query in ["the red sofa", "the mug", "the fridge", "both sofas"] {
+            assert!(explained(&instances, query).0, "{query}");
+        }
+        for query in ["the quux", "the red thing"] {
+            assert!(!explained(&instances, query).0, "{query}");
+        }
+        // A name that a person gave, and a wall that is flat.
+        let guessed = explained(&instances, "the red sofa").1;
+        instances[0].given_name = Some("sofa".into());
+        let (is_guess, given) = explained(&instances, "the red sofa");
+        assert!(!is_guess && given > guessed, "{given} and {guessed}");
+        instances[0].given_name = None;
+        instances[0].structure = Some(Structure::Wall);
+        assert!(!explained(&instances, "the wall").0);
+        assert!(explained(&instances, "the red sofa").0);
     }
 
     #[test]

@@ -70,7 +70,7 @@ class Grounding(Node):
             "eye_height_m": 0.0,
             "reach_m": 0.0,
             "standoff_m": 0.6,
-            "min_confidence": 0.5,
+            "min_confidence": 0.7,
             "timeout_s": 10.0,
             # What the robot itself knows of the floor, a map or a costmap; empty: goals are not checked.
             "map_topic": "map",
