@@ -113,7 +113,7 @@ def test_markers_show_it_and_take_the_last_ones_away(node: Grounding) -> None:
     gone, cube, label = array.markers
     assert gone.action == gone.DELETEALL
     assert (cube.type, cube.ns, round(cube.color.g, 2), cube.color.a) == (cube.CUBE, "boxes", 0.6, 0.4)
-    assert (label.type, label.text) == (label.TEXT_VIEW_FACING, "orange mug 0.55")
+    assert (label.type, label.text) == (label.TEXT_VIEW_FACING, "orange mug 0.34")
     assert label.pose.position.z > cube.pose.position.z
 
 
