@@ -13,6 +13,7 @@ use uniground_types::corrections::Change;
 use uniground_types::instances::{InstanceView, Levels};
 use uniground_types::job::JobState;
 use uniground_types::placement::{FrameChoice, SceneToMap};
+use uniground_types::question::GroundRequest;
 use uniground_types::scenes::{Scene, SceneChange};
 
 /// Camera positions between the eight of the first upload, so that instances are seen from all
@@ -129,7 +130,8 @@ async fn ids_are_stable_and_changes_are_reported() {
     assert!(gone.gone && gone.dismissed, "{gone:?}");
     let answer = client.ground(&scene.id, &ask("the green trash can")).await.unwrap();
     assert_ne!(answer.answer.predicted_id, Some(green.id));
-    let answer = client.ground(&scene.id, &ask("the old settee")).await.unwrap();
+    let known = GroundRequest { min_confidence: Some(0.5), ..ask("the old settee") };
+    let answer = client.ground(&scene.id, &known).await.unwrap();
     assert_eq!((answer.status, answer.answer.predicted_id), (Status::Grounded, Some(sofa.id)));
     for file in ["cloud.ply", "instances.ply", "points.bin", "thumbnail.jpg"] {
         assert!(

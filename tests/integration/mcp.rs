@@ -89,7 +89,7 @@ async fn an_agent_grounds_a_target_and_gets_an_approach_pose() {
     let found = &answer["structuredContent"];
     assert_eq!(
         (&found["status"], &answer["isError"]),
-        (&json!("grounded"), &json!(false)),
+        (&json!("uncertain"), &json!(false)),
         "{answer:#}"
     );
     // Clients without structured content get the same as text.

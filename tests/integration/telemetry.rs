@@ -506,7 +506,7 @@ async fn a_model_that_is_down_is_reported_and_the_server_stays_ready() {
     let tokens = |of| scrape.value("uniground_vlm_tokens_total", &[("type", of)]);
     assert_eq!((tokens("prompt"), tokens("completion")), (1400.0, 80.0));
     assert_eq!(
-        scrape.value("uniground_questions_total", &[("reasoner", "vlm"), ("status", "grounded")]),
+        scrape.value("uniground_questions_total", &[("reasoner", "vlm"), ("status", "uncertain")]),
         1.0
     );
     let spending = server.client.stats().await.unwrap().spending;

@@ -11,7 +11,7 @@ use std::process::Command;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_client::Client;
 use uniground_storage::{BlobHome, Location, Store};
-use uniground_types::answer::{Answer, Status};
+use uniground_types::answer::{Answer, SixFields, Status};
 use uniground_types::batch::{BatchResult, BatchState};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::job::JobState;
@@ -121,13 +121,19 @@ async fn a_folder_without_record_versions_is_served_completely() {
             answer.candidates.iter().flatten().map(|c| (c.rank, c.id)).collect::<Vec<_>>()
         };
         assert_eq!(ranks(&again), ranks(&told));
-        // Confidence depends on the version.
-        let (confidence, candidates) = (told.confidence, told.candidates.clone());
+        // Confidence, the status that follows from it, and the note on guessed names depend on the
+        // version.
+        let (status, confidence, candidates) =
+            (told.status, told.confidence, told.candidates.clone());
+        let explanation = told.answer.explanation.clone();
+        assert!(again.answer.explanation.starts_with(&explanation), "{again:?}");
         let again = Answer {
             id,
             timings_ms,
             evidence,
             models,
+            status,
+            answer: SixFields { explanation, ..again.answer },
             confidence,
             candidates,
             targets: Vec::new(),
