@@ -14,10 +14,9 @@ const SAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.
 async fn answers_match_their_snapshots() {
     let server = TestServer::start().await;
     let scene = server.upload_and_parse(fs::read(SAMPLE).unwrap()).await;
-    for (name, query) in [
-        ("answer_found", "the mug on the coffee table"),
-        ("answer_no_match", "the green fridge"),
-    ] {
+    for (name, query) in
+        [("answer_found", "the mug on the coffee table"), ("answer_no_match", "the green fridge")]
+    {
         let answer = server
             .client
             .ground(&scene.id, &GroundRequest { top_k: 3, ..GroundRequest::new(query) })
