@@ -263,6 +263,15 @@ async fn ambiguous_targets_get_no_pose_and_invalid_requests_are_refused() {
             && told.detail.contains("guess"),
         "{told:?}"
     );
+    // Without a model, a name is a guess from measures, and a robot does not drive to a guess.
+    let guessed = client
+        .approach(&scene.id, &ApproachRequest::for_query("the red sofa", ROBOT))
+        .await
+        .unwrap();
+    assert_eq!(
+        (guessed.status, guessed.answer_status, guessed.poses.len()),
+        (ApproachStatus::NotGrounded, Some(Status::Uncertain), 0)
+    );
     let nowhere = ApproachRequest {
         from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }),
         ..ApproachRequest::for_instance(InstanceId(1), ROBOT)
