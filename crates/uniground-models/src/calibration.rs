@@ -23,6 +23,9 @@ const LEAST_FIT: f32 = 0.02;
 const UNKNOWN_FIT: f32 = 0.3;
 /// Share of a word's cosine with all pictures that is subtracted.
 const SHARED_WEIGHT: f32 = 1.0;
+/// Weight of how common a noun is: a usual thing is `e` times less likely than a common one, a rare
+/// one `e²` times.
+const COMMONNESS_WEIGHT: f32 = 5.0;
 /// Divisor of logits. Without it, likelihoods would be as sharp as in the tower's training. With
 /// it, names that come close count as well.
 const TEMPERATURE: f32 = 4.0;
@@ -38,6 +41,11 @@ pub fn comparable_cosines(embeddings: &Embeddings, word: &[f32]) -> Vec<f32> {
 /// Returns how well measures fit, as a summand to a scaled cosine.
 fn measures_logit(fit: Option<f32>) -> f32 {
     MEASURES_WEIGHT * fit.unwrap_or(UNKNOWN_FIT).max(LEAST_FIT).ln()
+}
+
+/// Returns how common a noun's things are in rooms, as a summand to a scaled cosine.
+fn commonness_logit(noun: &Noun) -> f32 {
+    COMMONNESS_WEIGHT * (noun.prior - 1.0)
 }
 
 /// Returns the fit of a word to an instance, `0..=1`: 1 when nothing in the vocabulary fits better.
@@ -90,7 +98,13 @@ pub fn name_all(
             let norms =
                 Norms { appearance: log_sum_exp(&by_appearance), joint: log_sum_exp(&jointly) };
             if embeddings.is_seen(i) && instance.structure.is_none() {
-                instance.names = best_names(&vocabulary, &jointly, norms.joint);
+                // Only a name is likelier for a common thing: who asks for a rare one has seen it.
+                let expected: Vec<f32> = vocabulary
+                    .iter()
+                    .zip(&jointly)
+                    .map(|((noun, _), logit)| logit + commonness_logit(noun))
+                    .collect();
+                instance.names = best_names(&vocabulary, &expected, log_sum_exp(&expected));
             }
             norms
         })
@@ -163,6 +177,16 @@ mod tests {
             assert_near(measures_logit(Some(fit)), -7.824_046, &format!("{fit}"));
         }
         assert!(measures_logit(Some(0.021)) > -7.73, "2 ln 0.021 = -7.7265");
+    }
+
+    #[test]
+    fn rare_things_are_less_likely_by_the_square_of_e() {
+        let of = |name: &str| commonness_logit(Lexicon::get().find(name).unwrap());
+        assert_near(of("chair"), 0.0, "common");
+        let nouns = Lexicon::get().nouns();
+        let least = nouns.iter().map(commonness_logit).fold(0.0, f32::min);
+        assert_near(least, -2.0, "rare");
+        assert!(nouns.iter().any(|noun| (commonness_logit(noun) + 1.0).abs() < 1e-4), "usual");
     }
 
     #[test]
