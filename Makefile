@@ -95,10 +95,11 @@ bench-quality: ## Both stages against annotated rooms (ROOMS=folder), held again
 	$(CARGO) bench --locked --quiet --bench quality -- $(ROOMS)
 	$(MAKE) quality
 
-fit-confidence: ## Refits the shares of right answers by belief to the annotated rooms of ROOMS=folder (needs models/clip-vitb16-lite)
+fit-confidence: ## Refits the shares of right answers by belief to the annotated rooms of ROOMS=folder (needs models/sam2-hiera-tiny and models/clip-vitb16-lite)
 	$(CARGO) build --release --locked --quiet
 	./target/release/uniground eval $(ROOMS) --out target/fit-confidence --matrix "source=parsed;masks=rgbd;encoder=attributes,clip-vitb16-lite;top_k=10"
-	$(PYTHON) scripts/fit-confidence.py target/fit-confidence/report.json --write
+	./target/release/uniground eval $(ROOMS) --out target/fit-confidence-segmented --matrix "source=parsed;masks=sam2-hiera-tiny;encoder=clip-vitb16-lite;top_k=10"
+	$(PYTHON) scripts/fit-confidence.py target/fit-confidence/report.json target/fit-confidence-segmented/report.json --write
 
 quality: ## Answers against annotated rooms (ROOMS=folder), held against benches/quality.json; the page is target/quality/index.html
 	$(CARGO) build --release --locked --quiet

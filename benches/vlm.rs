@@ -181,7 +181,7 @@ impl Sample {
                 match evidence {
                     EvidenceMode::Full => text = text.max(tokens.text),
                     EvidenceMode::CachedNames => photographed += request.user.len() - 2,
-                    EvidenceMode::Sheet | EvidenceMode::TwoStep => {}
+                    EvidenceMode::Sheet | EvidenceMode::TwoStep | EvidenceMode::Photographs => {}
                 }
             }
         }

@@ -3,7 +3,8 @@
 
     scripts/fit-confidence.py REPORT.json ... [--source NAME] [--rooms NAME,NAME] [--check NAME,NAME] [--write]
 
-Reads reports of `uniground eval` with source=parsed and the encoders "attributes" (names from measures) or another one. Each room is judged by a
+Reads reports of `uniground eval` with source=parsed and the encoders "attributes" (names from measures) or another one, which is judged apart with the
+masks "rgbd" (encoder-builtin-masks) and with a segmenter (encoder). Each room is judged by a
 table that was fitted to the other rooms; printed are the expected calibration error, the share right at several coverages, and how many answers
 are at or above several thresholds. `--source` fits one source alone: rooms that measures were developed with say nothing about measures. `--rooms`
 fits to these rooms alone, `--check` judges others by that table. `--write` replaces the table.
@@ -16,7 +17,7 @@ import json
 from pathlib import Path
 
 TABLE = Path(__file__).parents[1] / "crates/uniground-grounding/src/reasoner/confidence.tsv"
-SOURCES = ("measures", "encoder")
+SOURCES = ("measures", "encoder", "encoder-builtin-masks")
 AT = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0]
 # Prior: this many answers with 0 % at belief 0 and with the mean at belief 1, because few answers have the highest beliefs.
 PRIOR = 5
@@ -45,6 +46,8 @@ def answers(report, curves):
         if configuration["source"] != "parsed" or configuration["names"] != "own":
             continue
         source = "measures" if configuration["encoder"] == "attributes" else "encoder"
+        if source == "encoder" and configuration["masks"] == "rgbd":
+            source = "encoder-builtin-masks"
         for outcome in cell["outcomes"]:
             reply = outcome["reply"]
             if reply and reply["status"] in ("grounded", "uncertain"):
@@ -136,7 +139,8 @@ def main():
     print("\n".join(lines))
     if args.write:
         head = (
-            "# Share of right answers (IoU 0.25) by the belief they were given with, for names from measures and from an encoder; read linearly between.\n"
+            "# Share of right answers (IoU 0.25) by the belief they were given with, for names from measures, from an encoder that saw instances of a\n"
+            "# segmenter, and from one that saw instances of the built-in masks; read linearly between.\n"
             "# Written by scripts/fit-confidence.py. Each room judged by a table of the others:\n"
         )
         TABLE.write_text(head + "".join(f"# {line}\n" for line in summary) + "\n".join(lines) + "\n")

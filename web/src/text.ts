@@ -258,7 +258,7 @@ export const t = {
     conventionHint: "If you set an observer, theirs count.",
     confidence: "“Found” from confidence",
     evidence: "Pictures for the model",
-    evidences: { full: "photographs of each candidate", cached_names: "names, few photographs", sheet: "contact sheets", two_step: "sheets, then photographs" },
+    evidences: { full: "photographs of each candidate", cached_names: "names, few photographs", sheet: "contact sheets", two_step: "sheets, then photographs", photographs: "photographs of the room first" },
     parser: "Read by",
     parsers: { auto: "grammar; the model if unsure", builtin: "grammar", vlm: "the model" },
     cost: "Cost limit, US dollars",

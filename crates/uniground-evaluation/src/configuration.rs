@@ -204,7 +204,7 @@ fn set_axis(configuration: &mut Configuration, axis: &str, value: &str) -> anyho
         }
         "evidence" => {
             configuration.evidence =
-                parse_word(axis, value, "full, cached_names, sheet, two_step")?;
+                parse_word(axis, value, "full, cached_names, sheet, two_step, photographs")?;
         }
         "convention" => configuration.convention = parse_word(axis, value, "paper, viewer")?,
         "masks" => configuration.masks = parse_bundle(axis, value, BUILTIN_MASKS)?,

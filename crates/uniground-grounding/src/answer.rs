@@ -167,13 +167,9 @@ pub(super) fn assemble(
 
 impl Grounding {
     /// Adds instances that were found after the candidates were chosen.
-    pub(super) fn add_found(&mut self, context: &PromptContext, instances: &[Instance]) {
+    pub(super) fn add_shown(&mut self, context: &PromptContext, instances: &[Instance]) {
         for (shown, rank) in context.candidates.iter().zip(1..) {
-            let Some(instance) =
-                instances.get(shown.id.0 as usize - 1).filter(|i| i.found_for.is_some())
-            else {
-                continue;
-            };
+            let Some(instance) = instances.get(shown.id.0 as usize - 1) else { continue };
             if self.candidates.iter().all(|c| c.id != shown.id) {
                 self.candidates.push(to_candidate(instance, rank, shown.score));
                 self.answer.candidate_names.insert(shown.id.0, describe_instance(instance));

@@ -34,6 +34,9 @@ pub struct Appearance {
     /// missing.
     of_word: HashMap<String, Vec<f32>>,
     shortlist: Option<Vec<f32>>,
+    /// Whether the pictures show instances that were made from the built-in masks. Such crops often
+    /// show a part of a thing, or more than it.
+    pub(super) of_builtin_masks: bool,
     /// Whether the sentence was truncated because it is longer than the text tower reads.
     pub cut: bool,
 }
@@ -78,7 +81,14 @@ impl Appearance {
         // Without a single picture every cosine is zero. Names are more informative then.
         let vector = vector.filter(|_| seen.contains(&true));
         let shortlist = vector.map(|vector| scores(&vector));
-        Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
+        let of_builtin_masks = false;
+        Ok(Self { logit_scale, norms, seen, of_word, shortlist, of_builtin_masks, cut })
+    }
+
+    /// Sets whether the instances were made from the built-in masks. False before.
+    #[must_use]
+    pub fn of_builtin_masks(self, of_builtin_masks: bool) -> Self {
+        Self { of_builtin_masks, ..self }
     }
 
     /// Returns the fit of a word to the instance at an index; `None` for an instance without

@@ -12,6 +12,7 @@ use uniground_geometry::scene::{
     Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, View,
 };
 use uniground_models::neural::{DualEncoder, Models, Segmenter};
+use uniground_parsing::masks::is_builtin;
 use uniground_parsing::pointed::{PhotographPoint, PointedObjectFinder};
 use uniground_parsing::scan::ParsedScan;
 use uniground_render::{RenderScene, Shot};
@@ -25,6 +26,8 @@ pub struct SceneAlbum {
     pub render_scene: Arc<RenderScene>,
     /// The encoder that embedded the scene, and its embeddings; `None` without an encoder.
     pub seen: Option<(Arc<DualEncoder>, Embeddings)>,
+    /// Whether the instances were made from the built-in masks, not by a segmenter.
+    pub has_builtin_masks: bool,
     /// Name and version of the encoder that embedded the instances, or of the built-in attributes
     /// in its place.
     pub encoder: String,
@@ -64,6 +67,7 @@ impl SceneAlbum {
             extent,
             render_scene,
             seen,
+            has_builtin_masks: true,
             encoder,
             frame_embeddings: None,
             frames,
@@ -77,6 +81,12 @@ impl SceneAlbum {
     #[must_use]
     pub fn with_segmenter(self, segmenter: Option<Arc<Segmenter>>) -> Self {
         Self { segmenter, ..self }
+    }
+
+    /// Sets whether the instances were made from the built-in masks. True before.
+    #[must_use]
+    pub fn with_builtin_masks(self, has_builtin_masks: bool) -> Self {
+        Self { has_builtin_masks, ..self }
     }
 
     /// Sets the encoder's embeddings of whole frames.
@@ -104,6 +114,7 @@ impl MemoryScene {
         let seen = models.encoder.clone().zip(scene.embeddings);
         let render_scene = RenderScene::with_building(scene.cloud, &scene.instances);
         let album = SceneAlbum::new(scene.extent, render_scene, seen, used.encoder, frames)
+            .with_builtin_masks(is_builtin(&used.masks))
             .with_frame_embeddings(scene.frame_embeddings);
         Arc::new(album.with_segmenter(models.segmenters.first().cloned()))
             .scene(scene.instances.into())
@@ -125,6 +136,10 @@ impl SceneSource for MemoryScene {
         self.album.extent
     }
 
+    fn has_builtin_masks(&self) -> bool {
+        self.album.has_builtin_masks
+    }
+
     fn encoder_name(&self) -> String {
         self.album.encoder.clone()
     }
@@ -139,6 +154,10 @@ impl SceneSource for MemoryScene {
 
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
         self.album.frames.iter().find(|of| of.index == frame)?.decode_color().ok()
+    }
+
+    fn frames(&self) -> Result<Vec<FrameRef>, QuestionError> {
+        Ok(self.album.frames.clone())
     }
 
     fn render_scene(&self) -> Result<Arc<RenderScene>, QuestionError> {

@@ -1,7 +1,9 @@
 //! Caches rendered pictures in memory, so that a question does not wait for the renderer.
 
+use std::sync::Arc;
 use uniground_geometry::lru_cache::LruCache;
 use uniground_models::chat::Picture;
+use uniground_render::FrameContents;
 
 /// Rendered pictures, shared by all questions about all scenes.
 pub struct PictureCache {
@@ -9,10 +11,14 @@ pub struct PictureCache {
     pub(super) globals: LruCache<Picture>,
     /// By scene and instance.
     pub(super) collages: LruCache<Picture>,
+    /// What the frames of a scene show.
+    pub(super) contents: LruCache<Arc<FrameContents>>,
 }
 
 /// Maximum size of each kind of pictures in memory, bytes.
 const PICTURE_BYTES: usize = 64 << 20;
+/// Maximum size of what frames show in memory, bytes.
+const CONTENT_BYTES: usize = 16 << 20;
 
 impl PictureCache {
     /// Returns the number of cache hits and of cache misses.
@@ -26,6 +32,10 @@ impl PictureCache {
 
 impl Default for PictureCache {
     fn default() -> Self {
-        Self { globals: LruCache::new(PICTURE_BYTES), collages: LruCache::new(PICTURE_BYTES) }
+        Self {
+            globals: LruCache::new(PICTURE_BYTES),
+            collages: LruCache::new(PICTURE_BYTES),
+            contents: LruCache::new(CONTENT_BYTES),
+        }
     }
 }

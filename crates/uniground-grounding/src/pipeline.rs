@@ -20,8 +20,8 @@ use super::vlm::{
     PromptVersion, Undecided, naming,
 };
 use super::{
-    Candidate, Grounding, Question, SceneView, choose_reading, decided, ground_with_context,
-    rank_candidates,
+    Candidate, Grounding, Question, SceneView, Status, choose_reading, decided,
+    ground_with_context, rank_candidates,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,8 +29,13 @@ use std::time::{Duration, Instant};
 use uniground_geometry::scene::{Embeddings, InstanceId};
 use uniground_language::{BuiltinParser, FellBack, ParsedQuery, QueryParser, Reading, parse};
 use uniground_models::attributes;
-use uniground_models::chat::{Budget, CallRecord, ChatModel, Session};
+use uniground_models::chat::{AskError, Budget, CallRecord, ChatModel, Session};
 use uniground_models::neural::DualEncoder;
+
+/// Confidence of the geometry from which the photographs mode does not ask where the object is.
+const SURE_WITHOUT_LOOKING: f32 = 0.8;
+/// Number of the geometry's best candidates that are shown beside what the model found.
+const BY_GEOMETRY: usize = 2;
 
 /// What happens when a chat model cannot be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -101,6 +106,22 @@ pub struct Answered {
     pub calls: Vec<CallRecord>,
 }
 
+impl Answered {
+    /// Keeps the geometry's answer, because the model could not be asked.
+    fn keep_geometry(
+        &mut self,
+        why: AskError,
+        without_model: WithoutModel,
+    ) -> Result<(), QuestionError> {
+        if without_model == WithoutModel::Fail {
+            return Err(QuestionError::Review(why));
+        }
+        self.degraded = true;
+        self.corrections.push(format!("the built-in reasoner was used: {why}"));
+        Ok(())
+    }
+}
+
 /// Answers a question.
 ///
 /// # Errors
@@ -154,9 +175,10 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
         corrections,
         calls: Vec::new(),
     };
-    if let Some((review, context)) =
-        review.zip(context).filter(|(_, context)| !context.candidates.is_empty())
-    {
+    let may_decide = |(review, context): &(Review, vlm::PromptContext)| {
+        !context.candidates.is_empty() || review.options.evidence == EvidenceMode::Photographs
+    };
+    if let Some((review, context)) = review.zip(context).filter(may_decide) {
         apply_review(source, &mut answered, review, context, &mut calls, start).await?;
     }
     answered.grounding.require_confidence(least);
@@ -182,12 +204,32 @@ async fn apply_review<S: SceneSource>(
     let context = if options.prompt == PromptVersion::Paper {
         context.without_shown_anchors()
     } else {
-        context
+        context.without_building_anchors(source.instances())
     };
-    let context = match options.evidence {
-        EvidenceMode::TwoStep => narrow_candidates(source, context, &mut session).await?,
-        _ => context,
+    let is_sure = answered.grounding.status == Status::Grounded
+        && answered.grounding.confidence >= SURE_WITHOUT_LOOKING;
+    let mut notes = Vec::new();
+    let (source, context) = match options.evidence {
+        EvidenceMode::TwoStep => {
+            (source.clone(), narrow_candidates(source, context, &mut session).await?)
+        }
+        EvidenceMode::Photographs if !is_sure => {
+            match find_in_photographs(source, context, options, &mut session, &mut notes).await? {
+                Ok(found) => found,
+                Err(error) => {
+                    calls.extend(session.into_records());
+                    return answered.keep_geometry(error, without_model).map_err(Into::into);
+                }
+            }
+        }
+        _ => (source.clone(), context),
     };
+    let source = &source;
+    if context.candidates.is_empty() {
+        // Neither the geometry nor the model has found anything to decide about.
+        calls.extend(session.into_records());
+        return Ok(());
+    }
     let (context, evidence, unnamed) = source
         .compute(move |source| {
             let photographs = vlm::select_photographs(source, &context, options)?;
@@ -223,7 +265,7 @@ async fn apply_review<S: SceneSource>(
     let Shown { source, context, .. } = shown;
     match decision {
         Ok(decision) => {
-            answered.grounding.add_found(&context, source.instances());
+            answered.grounding.add_shown(&context, source.instances());
             decision.apply(&mut answered.grounding, &context, source.instances());
             // The geometry had to choose, because the model did not.
             answered.degraded |=
@@ -231,15 +273,10 @@ async fn apply_review<S: SceneSource>(
             if decision.outcome != Outcome::Unknown {
                 answered.reasoner = vlm::reasoner_name(model.name(), options.prompt);
             }
+            answered.corrections.extend(notes);
             answered.corrections.extend(decision.corrections);
         }
-        Err(undecided) if without_model == WithoutModel::Fail => {
-            return Err(QuestionError::Review(undecided.error).into());
-        }
-        Err(undecided) => {
-            answered.degraded = true;
-            answered.corrections.push(format!("the built-in reasoner was used: {undecided}"));
-        }
+        Err(undecided) => answered.keep_geometry(undecided.error, without_model)?,
     }
     let ms = |took: Duration| took.as_secs_f64() * 1e3;
     let (total, timings) = (start.elapsed(), &mut answered.grounding.timings_ms);
@@ -330,6 +367,72 @@ impl<S: SceneSource> Shown<S> {
     }
 }
 
+/// The first of two calls of the photographs mode: the model finds the object among numbered things
+/// in photographs, or points at it. Returns the scene with an instance of what it pointed at, and
+/// the context with what it found before the geometry's best candidates; or why the model could not
+/// be asked, where the geometry has no candidates either.
+async fn find_in_photographs<S: SceneSource>(
+    source: &Arc<S>,
+    context: vlm::PromptContext,
+    options: Options,
+    session: &mut Session<'_>,
+    notes: &mut Vec<String>,
+) -> Result<Result<(Arc<S>, vlm::PromptContext), AskError>, S::Error> {
+    let (context, marked) = source
+        .compute(move |source| {
+            let marked = vlm::marked_photographs(source, &context)?;
+            Ok((context, marked))
+        })
+        .await?;
+    if marked.photographs.is_empty() {
+        return Ok(Ok((source.clone(), context)));
+    }
+    session.allow_one_more();
+    let found = match vlm::find(&context, &marked, options.json, session).await {
+        Ok(found) => found,
+        // The model may still be able to look at the geometry's candidates.
+        Err(_) if !context.candidates.is_empty() => return Ok(Ok((source.clone(), context))),
+        Err(error) => return Ok(Err(error)),
+    };
+    let (mut source, mut context) = (source.clone(), context);
+    let mut ids = found.ids;
+    if let Some(seen) = found.seen {
+        let evidence = vlm::VisualEvidence {
+            photographs: marked.photographs,
+            ..vlm::VisualEvidence::default()
+        };
+        let place = format!("the model saw \"{}\" in {}", seen.name, seen.picture);
+        let (of, settings) = (context.clone().narrowed_to(&[]), PictureSettings::of(options));
+        let pointed =
+            source.compute(move |source| look_up(source, &of, &seen, &evidence, &settings)).await?;
+        let id = match pointed {
+            None => None,
+            Some(Found::Known(id)) => Some((id, format!("{place}: it is instance {id}"))),
+            Some(Found::New(new)) => {
+                let (with_new, id) = source.keep_found(*new).await?;
+                source = with_new;
+                if let Some(new) = source.instances().get(id.0 as usize - 1) {
+                    context.add_box_of(new);
+                }
+                Some((id, format!("{place}: instance {id} was made of it")))
+            }
+        };
+        if let Some((id, note)) = id {
+            notes.push(note);
+            // What was pointed at has no number of its own, so it is none of the numbered things.
+            ids.retain(|other| *other != id);
+            ids.insert(ids.len().min(1), id);
+        }
+    }
+    let by_geometry = context.candidates.iter().map(|c| c.id).filter(|id| !ids.contains(id));
+    let by_geometry: Vec<InstanceId> = by_geometry.collect();
+    let most = context.candidates.len().max(vlm::REMAINING);
+    let kept = if ids.is_empty() { most } else { BY_GEOMETRY.min(most) };
+    ids.extend(by_geometry.into_iter().take(kept));
+    let context = context.with_found_in_photographs(&ids, &found.anchors);
+    Ok(Ok((source, context)))
+}
+
 /// The first of two steps: returns the candidates that remain after the model has seen one
 /// photograph of each. A failed call is not reported here, because the next call will fail as well.
 /// Where the model finds no candidate, the best ones remain.
@@ -385,6 +488,7 @@ fn appearance<S: SceneSource>(
     let seen = source.embeddings().and_then(|seen| {
         let looks = |(encoder, embeddings): (&DualEncoder, &Embeddings)| {
             Appearance::of(query, parsed, encoder, embeddings, scoring)
+                .map(|appearance| appearance.of_builtin_masks(source.has_builtin_masks()))
         };
         seen.map(looks).transpose().map_err(|error| QuestionError::Encoder(error).into())
     });

@@ -8,12 +8,14 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
-use uniground_geometry::scene::{Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId};
+use uniground_geometry::scene::{
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId,
+};
 use uniground_models::chat::AskError;
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_parsing::ParseError;
 use uniground_parsing::pointed::PhotographPoint;
-use uniground_render::{RenderScene, Shot, close_ups};
+use uniground_render::{FrameContents, RenderScene, Shot, close_ups};
 
 /// The source of a question's scene: a stored parse of the service, the album of an evaluation, a
 /// scene in memory.
@@ -29,6 +31,9 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
 
     /// Returns the box of all points, meters, world frame.
     fn extent(&self) -> Aabb;
+
+    /// Returns whether the instances were made from the built-in masks, not by a segmenter.
+    fn has_builtin_masks(&self) -> bool;
 
     /// Returns name and version of the encoder that embedded the instances, or of the built-in
     /// attributes in its place.
@@ -46,6 +51,12 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
 
     /// Returns a frame's original picture; `None` where it cannot be read.
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage>;
+
+    /// Returns the scan's frames; none where there are no photographs.
+    ///
+    /// # Errors
+    /// The frames cannot be read.
+    fn frames(&self) -> Result<Vec<FrameRef>, Self::Error>;
 
     /// Returns the cloud, ready to be rendered.
     ///
@@ -96,6 +107,26 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
         self: &Arc<Self>,
         work: impl FnOnce(&Self) -> Result<T, Self::Error> + Send + 'static,
     ) -> impl Future<Output = Result<T, Self::Error>> + Send;
+
+    /// Returns which instances the frames show, cached.
+    ///
+    /// # Errors
+    /// The cloud or the frames cannot be read.
+    fn frame_contents(&self) -> Result<Arc<FrameContents>, Self::Error> {
+        let (cache, scene) = self.pictures();
+        // Instances are only ever added or dismissed.
+        let (instances, dismissed) =
+            (self.instances().len(), self.instances().iter().filter(|i| i.dismissed).count());
+        let key = format!("{scene} {instances} {dismissed}");
+        if let Some(known) = cache.contents.get(&key) {
+            return Ok(known);
+        }
+        let (frames, render_scene) = (self.frames()?, self.render_scene()?);
+        let contents = Arc::new(FrameContents::of(&render_scene, self.instances(), &frames));
+        let bytes = contents.frames.iter().map(|(_, seen)| size_of_val(&seen[..])).sum();
+        cache.contents.put(key, contents.clone(), bytes);
+        Ok(contents)
+    }
 
     /// Returns at most `most` photographs of an instance, or views of the cloud where there are
     /// none.

@@ -21,6 +21,8 @@ pub struct GlobalView {
     pub view_px: u32,
     /// Azimuths of the cameras, degrees about +Z from +X. Paper: 0, 120, 240.
     pub azimuths_deg: Vec<f32>,
+    /// Number of views in a row. Paper: 3, which gives a strip. Models scale wide pictures down.
+    pub columns: u32,
     /// Angle off the vertical, degrees. Paper: 15.
     pub tilt_deg: f32,
     /// Paper: alpha, distance over the longest side of the scene.
@@ -49,6 +51,7 @@ impl Default for GlobalView {
         Self {
             view_px: 680,
             azimuths_deg: vec![0.0, 120.0, 240.0],
+            columns: 3,
             tilt_deg: 15.0,
             distance: 1.5,
             min_radius_m: 0.5,
@@ -81,6 +84,13 @@ const TITLE_PX: f32 = 16.0;
 const TITLE_AT: (f32, f32) = (6.0, 4.0);
 
 impl GlobalView {
+    /// Returns four views in two rows, each of `view_px`.
+    #[must_use]
+    pub fn square(view_px: u32) -> Self {
+        let azimuths_deg = vec![0.0, 90.0, 180.0, 270.0];
+        Self { view_px, azimuths_deg, columns: 2, ..Self::default() }
+    }
+
     /// Returns the camera of one view. The corners of candidates and of anchors are in the picture.
     #[must_use]
     pub fn camera(&self, extent: &Aabb, subjects: &Subjects, azimuth_deg: f32) -> Camera {
@@ -103,7 +113,7 @@ impl GlobalView {
         Camera::new(calibrate(&wide, &corners, self.margin, max_zoom), &pose)
     }
 
-    /// Draws all views side by side.
+    /// Draws all views, row by row.
     #[must_use]
     pub fn draw(&self, render_scene: &RenderScene, extent: &Aabb, subjects: &Subjects) -> RgbImage {
         const GAP_PX: u32 = 4;
@@ -120,19 +130,13 @@ impl GlobalView {
                 view
             })
             .collect();
-        let count = views.len() as u32;
-        let mut stitched = RgbImage::from_pixel(
-            count * self.view_px + count.saturating_sub(1) * GAP_PX,
-            self.view_px,
-            Rgb([60; 3]),
-        );
-        for (i, view) in views.iter().enumerate() {
-            imageops::replace(
-                &mut stitched,
-                view,
-                i64::from(i as u32 * (self.view_px + GAP_PX)),
-                0,
-            );
+        let columns = self.columns.clamp(1, (views.len() as u32).max(1));
+        let rows = (views.len() as u32).div_ceil(columns);
+        let length = |count: u32| count * self.view_px + count.saturating_sub(1) * GAP_PX;
+        let mut stitched = RgbImage::from_pixel(length(columns), length(rows), Rgb([60; 3]));
+        for (i, view) in (0..).zip(&views) {
+            let at = |count: u32| i64::from(count * (self.view_px + GAP_PX));
+            imageops::replace(&mut stitched, view, at(i % columns), at(i / columns));
         }
         stitched
     }

@@ -10,11 +10,13 @@ mod collage;
 mod directions;
 mod insets;
 mod jpeg;
+mod marks;
 mod outline;
 mod overlay;
 mod render_scene;
 mod shot;
 mod text;
+mod visible_instances;
 
 pub use camera::Orbit;
 pub use candidates::{GlobalView, Subjects};
@@ -23,6 +25,7 @@ pub use collage::{Collage, Tile, draw_mosaic, mosaic_tiles};
 pub use directions::DirectionWord;
 use image::{Pixel as _, Rgb, RgbImage};
 pub use jpeg::encode_jpeg;
+pub use marks::{Mark, draw_marks};
 pub use outline::{Surroundings, draw_outline, outline_reach};
 pub use overlay::{BoxStyle, LabeledBox};
 use render_scene::Splats;
@@ -31,6 +34,7 @@ pub use shot::{Shot, crop_area, cut_out_area, to_area_shares};
 use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Camera;
+pub use visible_instances::{FrameContents, VisibleInstance};
 
 const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
 /// Default view of a whole room: from the south, well above. Left is -X, right is +X, the

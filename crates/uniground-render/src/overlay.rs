@@ -303,7 +303,7 @@ fn label_anchor((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Op
 
 /// Returns the candidate positions for a label: above its box, then in rings around it, all within
 /// the picture.
-fn candidate_areas(
+pub(super) fn candidate_areas(
     (width, height): (u32, u32),
     home: Point2<f32>,
     (w, h): (f32, f32),

@@ -68,6 +68,11 @@ impl RenderScene {
         Self { spacing_m: typical_spacing_m(&cloud.positions), ceiling_m, building, cloud }
     }
 
+    /// Returns the typical distance between neighboring points, meters.
+    pub(super) fn spacing_m(&self) -> f32 {
+        self.spacing_m
+    }
+
     /// Draws the room from outside, with `subjects` visible.
     #[must_use]
     pub(super) fn draw_from_outside(
@@ -173,7 +178,7 @@ impl Splats {
     }
 }
 
-fn draw_splats(
+pub(super) fn draw_splats(
     cloud: &PointCloud,
     spacing_m: f32,
     camera: &Camera,

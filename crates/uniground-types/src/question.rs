@@ -151,6 +151,10 @@ pub enum EvidenceMode {
     Sheet,
     /// Contact sheets first, then photographs of the best three candidates in a second call.
     TwoStep,
+    /// Up to eight photographs of the room with numbered instances first, in which the model finds
+    /// the object and its anchors, then photographs of these in a second call. Also finds objects
+    /// that no instance has. Skips the first call if names given by people decide.
+    Photographs,
 }
 
 impl EvidenceMode {
@@ -159,7 +163,7 @@ impl EvidenceMode {
     #[must_use]
     pub fn candidate_limit(self, top_k: u32) -> u32 {
         match self {
-            Self::Full | Self::CachedNames => top_k,
+            Self::Full | Self::CachedNames | Self::Photographs => top_k,
             Self::Sheet | Self::TwoStep => top_k.max(ON_SHEETS),
         }
     }
@@ -259,8 +263,8 @@ pub struct GroundRequest {
     #[serde(default)]
     pub allow_builtin: bool,
     /// Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`.
-    /// Default: 0.7. Names that are guessed, from size, place and color or by an encoder, do not
-    /// reach it: a vision-language model or names given by people do. 0 disables `uncertain`.
+    /// Default: 0.7. Names that are guessed from size, place and color, or by an encoder without a
+    /// segmenter, do not reach it. 0 disables `uncertain`.
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
     pub min_confidence: Option<f32>,
     /// Optional parts to return. Default: all.

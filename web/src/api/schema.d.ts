@@ -1791,7 +1791,7 @@ export interface components {
          * @description Pictures of the candidates that a vision-language model is shown.
          * @enum {string}
          */
-        EvidenceMode: "full" | "cached_names" | "sheet" | "two_step";
+        EvidenceMode: "full" | "cached_names" | "sheet" | "two_step" | "photographs";
         /** @description The instances of a scene, with corrections applied. */
         ExportedScene: {
             /** @description The coordinate frame of all coordinates. */

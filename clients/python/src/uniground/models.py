@@ -24,7 +24,7 @@ CandidateSource = Literal["fused", "encoder", "reasoner"]
 """Source of the candidates that a vision-language model is shown and can choose from."""
 DirectionConvention = Literal["paper", "viewer"]
 """Convention for left, right, front and back. World frame, Z up."""
-EvidenceMode = Literal["full", "cached_names", "sheet", "two_step"]
+EvidenceMode = Literal["full", "cached_names", "sheet", "two_step", "photographs"]
 """Pictures of the candidates that a vision-language model is shown."""
 FailedCondition = Literal["start_not_free", "no_floor", "no_room", "not_reachable", "out_of_reach", "not_visible"]
 """The first condition that excluded all positions, in the order of checking."""

@@ -33,6 +33,7 @@ use uniground_models::attributes;
 use uniground_models::chat::{Budget, ChatModel, total_usage};
 use uniground_models::neural::{Models as NeuralModels, Role};
 use uniground_parsing::checkpoints::Checkpoints;
+use uniground_parsing::masks::is_builtin;
 use uniground_parsing::scan::{ParsedScan, parse_scan};
 use uniground_render::RenderScene;
 use uniground_types::answer::Models;
@@ -247,6 +248,7 @@ impl System for InProcess {
             encoder,
             frames,
         )
+        .with_builtin_masks(is_builtin(&masks))
         .with_segmenter(models.segmenters.first().cloned())
         .with_frame_embeddings(frame_embeddings);
         Ok(Box::new(LocalScene {

@@ -13,7 +13,7 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{
     FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, PointCloud, Support,
 };
-use uniground_geometry::{Isometry3, Point3};
+use uniground_geometry::{Isometry3, Point3, Vector3};
 use uniground_language::{AutoParser, VlmParser};
 use uniground_models::chat::{ChatError, ChatFailure, ChatReply, ChatRequest, Part, Prices};
 use uniground_render::RenderScene;
@@ -304,6 +304,88 @@ fn photographs_are_offered_when_no_candidate_fits_and_not_listed_is_allowed() {
         ),
         0
     );
+}
+
+/// Returns the room with points on its things, and a photograph of it from above.
+fn seen_from_above(folder: &Utf8Path) -> Arc<MemoryScene> {
+    let color = folder.join("0.png");
+    RgbImage::from_pixel(640, 480, image::Rgb([90, 90, 90])).save(&color).unwrap();
+    let intrinsics =
+        Intrinsics { width: 640, height: 480, fx: 400.0, fy: 400.0, cx: 320.0, cy: 240.0 };
+    let frame = FrameRef {
+        index: FrameIndex(4),
+        depth: color.clone(),
+        color,
+        color_intrinsics: intrinsics,
+        depth_intrinsics: intrinsics,
+        depth_scale_m: 0.001,
+        camera_to_world: Isometry3::new(
+            Vector3::new(2.0, 1.0, 5.0),
+            Vector3::x() * std::f32::consts::PI,
+        ),
+        optics: uniground_geometry::scene::Optics::default(),
+    };
+    let mut cloud = PointCloud::default();
+    for top in things().iter().map(|thing| thing.aabb) {
+        for (i, j) in (0..=30).flat_map(|i| (0..=30).map(move |j| (i, j))) {
+            let at = |i: i32, size: f32| (i as f32 / 30.0 - 0.5) * size;
+            let above = Vector3::new(at(i, top.size.x), at(j, top.size.y), top.size.z / 2.0);
+            cloud.positions.push(top.center + above);
+            cloud.colors.push([200; 3]);
+        }
+    }
+    let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
+    let album =
+        SceneAlbum::new(extent, RenderScene::new(cloud), None, "attributes".into(), vec![frame]);
+    Arc::new(album).scene(things().into())
+}
+
+#[test]
+fn model_finds_candidates_and_anchors_in_marked_photographs() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = seen_from_above(Utf8Path::from_path(folder.path()).unwrap());
+    let asked = |query: &str, replies: &[Option<&'static str>]| {
+        let model = Scripted::new(replies);
+        let options = Options { evidence: EvidenceMode::Photographs, ..Options::default() };
+        let review = Review {
+            model: model.clone(),
+            budgets: Vec::new(),
+            options,
+            without_model: WithoutModel::BuiltIn,
+        };
+        let ask = Ask { review: Some(review), ..Ask::of(Question::of(query)) };
+        let answered = block_on(answer(&scene, ask)).unwrap();
+        let shown = model.shown.lock().unwrap().clone();
+        (answered, shown)
+    };
+    let nothing = "Could be: none\nAnchors: none\nSeen at: none";
+    let found = "Could be: 3\nAnchors: 1\nSeen at: none";
+    let (answered, shown) = asked(QUERY, &[Some(found), Some(CHOOSES_THREE)]);
+    assert_eq!(answered.grounding.answer.predicted_id, Some(InstanceId(3)));
+    assert_eq!(shown[0], "marked-1");
+    assert!(shown.contains(&"candidate-3".to_owned()), "{shown:?}");
+    assert!(shown.contains(&"candidate-2".to_owned()), "the geometry's best: {shown:?}");
+    assert_eq!(answered.calls.len(), 2);
+    assert!(answered.corrections.is_empty() && answered.grounding.confidence >= 0.7);
+
+    // The geometry knows no such thing, and the model sees one, or none.
+    let unknown = "the theremin";
+    let (answered, shown) = asked(unknown, &[Some(found), Some(CHOOSES_THREE)]);
+    assert_eq!(answered.grounding.answer.predicted_id, Some(InstanceId(3)), "{shown:?}");
+    let (answered, _) = asked(unknown, &[Some(nothing), Some("Predicted ID: none")]);
+    assert_eq!((answered.grounding.status, answered.calls.len()), (Status::NoMatch, 2));
+    // Where the model finds nothing, the geometry's candidates are shown as ever.
+    let (answered, shown) = asked(QUERY, &[Some(nothing), Some(CHOOSES_THREE)]);
+    assert_eq!(answered.grounding.answer.predicted_id, Some(InstanceId(3)));
+    assert!(shown.contains(&"candidate-2".to_owned()), "{shown:?}");
+    // An unavailable model.
+    let (answered, _) = asked(QUERY, &[None]);
+    assert_eq!(
+        (answered.grounding.answer.predicted_id, answered.degraded),
+        (Some(InstanceId(2)), true)
+    );
+    let (answered, _) = asked(unknown, &[None]);
+    assert_eq!((answered.grounding.status, answered.degraded), (Status::NoMatch, true));
 }
 
 #[test]

@@ -12,8 +12,10 @@ use uniground_language::{Meaning, Phrase};
 pub(super) enum NamesFrom {
     /// Sizes, places and colors.
     Measures,
-    /// An image and text encoder.
+    /// An image and text encoder that saw instances of a segmenter.
     Encoder,
+    /// An image and text encoder that saw instances of the built-in masks, whose crops are worse.
+    EncoderOfBuiltinMasks,
     /// A person or a vision-language model that looked at the instance, or its geometry where a
     /// wall, floor or ceiling is asked for. These beliefs are not changed.
     Given,
@@ -29,21 +31,27 @@ impl NamesFrom {
         match scene.names.get(index) {
             Some(_) => Self::Given,
             None if is_asked_structure => Self::Given,
-            None if scene.appearance.is_some() => Self::Encoder,
-            None => Self::Measures,
+            None => match scene.appearance {
+                Some(appearance) if appearance.of_builtin_masks => Self::EncoderOfBuiltinMasks,
+                Some(_) => Self::Encoder,
+                None => Self::Measures,
+            },
         }
     }
 
     fn curve(self) -> &'static [(f32, f32)] {
-        static CURVES: LazyLock<[Vec<(f32, f32)>; 2]> =
-            LazyLock::new(|| ["measures", "encoder"].map(read));
+        static CURVES: LazyLock<[Vec<(f32, f32)>; 3]> = LazyLock::new(|| SOURCES.map(read));
         match self {
             Self::Measures => &CURVES[0],
             Self::Encoder => &CURVES[1],
+            Self::EncoderOfBuiltinMasks => &CURVES[2],
             Self::Given => &[],
         }
     }
 }
+
+/// The sources in the table.
+const SOURCES: [&str; 3] = ["measures", "encoder", "encoder-builtin-masks"];
 
 /// Reads belief and share of right answers of one source.
 fn read(source: &str) -> Vec<(f32, f32)> {
@@ -72,7 +80,12 @@ mod tests {
 
     #[test]
     fn confidence_never_decreases_with_belief() {
-        for names in [NamesFrom::Measures, NamesFrom::Encoder, NamesFrom::Given] {
+        for names in [
+            NamesFrom::Measures,
+            NamesFrom::Encoder,
+            NamesFrom::EncoderOfBuiltinMasks,
+            NamesFrom::Given,
+        ] {
             let shares: Vec<f32> =
                 (0..=100_u8).map(|i| share_right(f32::from(i) / 100.0, names)).collect();
             assert!(shares.windows(2).all(|pair| pair[0] <= pair[1]), "{names:?}: {shares:?}");
@@ -89,9 +102,16 @@ mod tests {
     }
 
     #[test]
+    fn sources_have_tables_of_their_own() {
+        let sources = [NamesFrom::Measures, NamesFrom::EncoderOfBuiltinMasks, NamesFrom::Encoder];
+        let sure = sources.map(|names| share_right(1.0, names));
+        assert!(sure.windows(2).all(|pair| pair[0] < pair[1]), "{sure:?}");
+    }
+
+    #[test]
     fn every_line_of_the_table_is_read() {
         let lines =
             include_str!("confidence.tsv").lines().filter(|line| !line.starts_with('#')).count();
-        assert_eq!(lines, read("measures").len() + read("encoder").len());
+        assert_eq!(lines, SOURCES.iter().map(|source| read(source).len()).sum::<usize>());
     }
 }

@@ -11,6 +11,8 @@
 
 mod consistency;
 mod decision;
+mod finding;
+mod marked_photographs;
 pub mod naming;
 mod photographs;
 mod prompt;
@@ -19,6 +21,8 @@ pub mod reply;
 mod visual_evidence;
 
 pub use decision::{Decision, Outcome};
+pub use finding::{Finding, find};
+pub use marked_photographs::{MarkedPhotographs, marked_photographs};
 pub use photographs::select_photographs;
 pub use prompt::{REMAINING, narrowing, reasoner_name};
 pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};

@@ -2,11 +2,10 @@
 //! picture without being an instance.
 
 use super::prompt_context::PromptContext;
-use super::visual_evidence::{Photograph, encoded};
+use super::visual_evidence::{Photograph, encoded, shrink};
 use super::{Ablation, Options, PromptVersion};
 use crate::pipeline::QuestionError;
 use crate::scene_source::SceneSource;
-use image::{RgbImage, imageops};
 
 /// Number of photographs offered; each costs as much as a candidate's collage.
 const OFFERED: usize = 2;
@@ -45,18 +44,7 @@ pub fn select_photographs<S: SceneSource>(
     let offered = taken.zip(1..).map(|((frame, photograph), number)| Photograph {
         frame,
         taken_px: photograph.dimensions(),
-        picture: encoded(format!("photograph-{number}"), &shrink(photograph)),
+        picture: encoded(format!("photograph-{number}"), &shrink(photograph, MOST_PX)),
     });
     Ok(offered.collect())
-}
-
-/// Returns a picture of at most [`MOST_PX`] along its longer side.
-fn shrink(picture: RgbImage) -> RgbImage {
-    let (width, height) = picture.dimensions();
-    let longer = width.max(height);
-    if longer <= MOST_PX {
-        return picture;
-    }
-    let scaled = |length: u32| (length * MOST_PX).div_ceil(longer).max(1);
-    imageops::resize(&picture, scaled(width), scaled(height), imageops::FilterType::Triangle)
 }

@@ -17,12 +17,12 @@ use uniground_models::chat::{ChatRequest, Part};
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
         PromptVersion::Paper => 2,
-        PromptVersion::Revised => 6,
+        PromptVersion::Revised => 7,
     };
     format!("{model} (prompt {number})")
 }
 
-const SYSTEM: &str =
+pub(super) const SYSTEM: &str =
     "You are a helpful assistant designed to identify objects based on images and descriptions.";
 const SIMPLE_SYSTEM: &str =
     "You are a helpful assistant. Identify the object ID that matches the description.";
@@ -86,7 +86,7 @@ fn request(
         return ChatRequest { system: SIMPLE_SYSTEM.into(), user, schema: None };
     }
     let blocks = [
-        Some(images(context, shown)),
+        Some(images(context, shown, prompt)),
         Some(directions(context, prompt)),
         anchors(context, prompt),
         Some(format!(
@@ -111,20 +111,21 @@ fn request(
 }
 
 /// Returns a question as one line between quotes, so that it cannot imitate lines of the prompt.
-fn quoted(query: &str) -> String {
+pub(super) fn quoted(query: &str) -> String {
     Value::from(query.split_whitespace().collect::<Vec<_>>().join(" ")).to_string()
 }
 
 /// Lists what each picture shows.
-fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
+fn images(context: &PromptContext, shown: &VisualEvidence, prompt: PromptVersion) -> String {
     let mut text = String::new();
     let mut next = 1;
     if shown.global.is_some() {
         let _ = writeln!(
             text,
-            "Image 1 is a global render of the scene: views of the same room from above, side by side, from different sides. Candidates are \
+            "Image 1 is a global render of the scene: views of the same room from above, {} from different sides. Candidates are \
              boxes with their IDs{}; dashed edges lie behind other things. Direction words at the rims and the axes show where \
              each direction lies in each view.",
+            if prompt == PromptVersion::Paper { "side by side," } else { "in two rows," },
             if context.anchors.is_empty() { "" } else { ", predicted anchors are red" }
         );
         next += 1;
@@ -280,8 +281,8 @@ fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
             PromptVersion::Revised => {
                 "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant. Where several \
                  are pieces of the object, choose the one that holds most of it.\n\
-                 5. If no candidate is meant, look for the object in the images: where you see it, answer not listed and say where, in a \
-                 photograph rather than in the render. Else answer none."
+                 5. If no candidate is meant, look for the object in the images: where you see it, answer not listed and say where, in any \
+                 image, rather in a photograph than in the render. Else answer none."
             }
         }
     )
@@ -311,9 +312,9 @@ fn format(json: bool, prompt: PromptVersion) -> String {
 /// Instruction for a model that sees the object, but not among the candidates.
 const SEEN_AS_LINE: &str = "\n\
      Only if it is not listed, a seventh line:\n\
-     Seen at: <image number, x, y, short name; x and y are 0 at the left and upper rim of that image and 1000 at the right and lower one>";
+     Seen at: <image number, x, y, short name; x and y are 0 at the left and upper rim of that whole image and 1000 at the right and lower one>";
 const SEEN_AS_JSON: &str = " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\" and \"Seen at\" is \"image number, x, y, \
-     short name\" (x and y are 0 at the left and upper rim of that image and 1000 at the right and lower one); else \"Seen at\" is null.";
+     short name\" (x and y are 0 at the left and upper rim of that whole image and 1000 at the right and lower one); else \"Seen at\" is null.";
 
 fn schema(prompt: PromptVersion) -> Value {
     let id = || json!({"type": ["integer", "null"]});
@@ -360,6 +361,7 @@ pub fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequ
         images(
             context,
             &VisualEvidence { sheets: evidence.sheets.clone(), ..VisualEvidence::default() },
+            PromptVersion::Revised,
         ),
         anchors(context, PromptVersion::Revised).unwrap_or_default(),
         format!(

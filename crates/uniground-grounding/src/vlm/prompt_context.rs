@@ -174,6 +174,18 @@ impl PromptContext {
         (-front).cross(&Vector3::z()).dot(&right) > 0.0
     }
 
+    /// Returns the context without anchors that are pieces of the building. A room has several walls,
+    /// and a relation to one of them decides little.
+    #[must_use]
+    pub fn without_building_anchors(mut self, instances: &[Instance]) -> Self {
+        let is_building = |id: InstanceId| {
+            instances.get(id.0 as usize - 1).is_some_and(|i| i.structure.is_some())
+        };
+        self.anchors.retain(|anchor| !is_building(anchor.id));
+        self.shown_anchors.retain(|id| !is_building(*id));
+        self
+    }
+
     /// Returns the context as in the paper: anchors are listed, but not shown, and cannot be
     /// chosen.
     #[must_use]
@@ -184,8 +196,7 @@ impl PromptContext {
     /// Adds one more candidate, which a model saw: the last of the scene's instances.
     #[must_use]
     pub fn with_found(mut self, found: &Instance) -> Self {
-        self.boxes.truncate(found.id.0 as usize - 1);
-        self.boxes.push(found.aabb);
+        self.add_box_of(found);
         self.candidates.push(PromptCandidate {
             id: found.id,
             score: 0.0,
@@ -193,6 +204,43 @@ impl PromptContext {
             aabb: found.aabb,
         });
         self
+    }
+
+    /// Returns the context with these candidates and, if any are given, these anchors, as a model
+    /// found them. Candidates and anchors that the geometry knew keep what it said.
+    #[must_use]
+    pub(crate) fn with_found_in_photographs(
+        &self,
+        candidates: &[InstanceId],
+        anchors: &[(InstanceId, String)],
+    ) -> Self {
+        let aabb = |id: InstanceId| self.boxes.get((id.0 as usize).checked_sub(1)?).copied();
+        let candidate = |&id: &InstanceId| {
+            let known = self.candidates.iter().find(|c| c.id == id).cloned();
+            known.or_else(|| Some(PromptCandidate { id, score: 0.0, belief: 0.0, aabb: aabb(id)? }))
+        };
+        let candidates: Vec<PromptCandidate> = candidates.iter().filter_map(candidate).collect();
+        let anchor = |(id, name): &(InstanceId, String)| {
+            let known = self.anchors.iter().find(|a| a.id == *id).cloned();
+            known.or_else(|| {
+                let (words, alternatives) = (name.clone(), Vec::new());
+                Some(PromptAnchor { words, id: *id, aabb: aabb(*id)?, alternatives })
+            })
+        };
+        let anchors: Vec<PromptAnchor> = match anchors {
+            [] => self.anchors.clone(),
+            found => found.iter().filter_map(anchor).collect(),
+        };
+        let is_candidate = |id: InstanceId| candidates.iter().any(|c| c.id == id);
+        let others = anchors.iter().map(|a| a.id).filter(|id| !is_candidate(*id));
+        let shown_anchors = others.take(MAX_SHOWN_ANCHORS).collect();
+        Self { candidates, anchors, shown_anchors, ..self.clone() }
+    }
+
+    /// Adds a box, of an instance that was found: the last of the scene's instances.
+    pub(crate) fn add_box_of(&mut self, found: &Instance) {
+        self.boxes.truncate(found.id.0 as usize - 1);
+        self.boxes.push(found.aabb);
     }
 
     /// Keeps these candidates only, in their order.

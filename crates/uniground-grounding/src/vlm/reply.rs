@@ -445,6 +445,51 @@ pub(super) fn anchor(value: &str) -> Option<u32> {
     }
 }
 
+/// Returns the values of labeled lines, or of a JSON object's members, by these labels in lower
+/// case; `None` for absent ones. The last one counts.
+#[must_use]
+pub fn labeled(text: &str, labels: &[&str]) -> Vec<Option<String>> {
+    let text = normalize_script(text);
+    let text = without_thoughts(&text);
+    let letters = |text: &str| {
+        let kept = text.chars().filter(|c| c.is_ascii_alphabetic());
+        kept.map(|c| c.to_ascii_lowercase()).collect::<String>()
+    };
+    let mut found = vec![None; labels.len()];
+    let mut keep = |key: &str, value: String| {
+        let key = letters(key);
+        if let Some(at) = labels.iter().position(|label| letters(label) == key) {
+            found[at] = Some(value);
+        }
+    };
+    let object = text.find('{').and_then(|at| {
+        serde_json::Deserializer::from_str(&text[at..]).into_iter::<serde_json::Value>().next()
+    });
+    if let Some(Ok(serde_json::Value::Object(object))) = object {
+        for (key, value) in object {
+            keep(&key, value.as_str().map_or_else(|| value.to_string(), str::to_owned));
+        }
+        return found;
+    }
+    for (key, value) in text.lines().filter_map(|line| line.split_once(':')) {
+        keep(key, value.to_owned());
+    }
+    found
+}
+
+/// Returns the ids in a text, in order and each once, of those that may be in it.
+#[must_use]
+pub fn numbers(text: &str, may_be: impl Fn(u32) -> bool) -> Vec<u32> {
+    let mut ids = Vec::new();
+    for number in text.split(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok())
+    {
+        if may_be(number) && !ids.contains(&number) {
+            ids.push(number);
+        }
+    }
+    ids
+}
+
 /// Returns the ids of a shortlist, in order and each once, of those that may be on it.
 #[must_use]
 pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
@@ -455,14 +500,7 @@ pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
         .rev()
         .find(|line| line.to_ascii_lowercase().contains("shortlist"))
         .unwrap_or(text);
-    let mut ids = Vec::new();
-    for number in line.split(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok())
-    {
-        if is_candidate(number) && !ids.contains(&number) {
-            ids.push(number);
-        }
-    }
-    ids
+    numbers(line, is_candidate)
 }
 
 /// Returns the one id written as "ID 7" in a reply without a requested format; `None` when there

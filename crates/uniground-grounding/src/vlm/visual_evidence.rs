@@ -1,9 +1,9 @@
 //! Collects the pictures for a model: the global render and a collage of every candidate.
 
-use super::{Ablation, EvidenceMode, Options, PromptContext, naming};
+use super::{Ablation, EvidenceMode, Options, PromptContext, PromptVersion, naming};
 use crate::Seen;
 use crate::scene_source::SceneSource;
-use image::RgbImage;
+use image::{RgbImage, imageops};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use uniground_geometry::boxes::Aabb;
@@ -17,7 +17,7 @@ use uniground_render::{
 /// Pictures for one question. Any may be missing: a scene without points has no render.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct VisualEvidence {
-    /// The global render: all views side by side. `None` without points or candidates, or where an
+    /// The global render: all views in one picture. `None` without points or candidates, or where an
     /// ablation leaves it out.
     pub global: Option<Picture>,
     /// Collages by id, of candidates and of anchors that are shown beside them.
@@ -64,30 +64,40 @@ impl PictureSettings {
     #[must_use]
     pub fn of(options: Options) -> Self {
         let settings = match options.evidence {
-            EvidenceMode::Full | EvidenceMode::TwoStep => Self::full(),
-            EvidenceMode::CachedNames => Self::frugal(),
-            EvidenceMode::Sheet => Self { collage: None, ..Self::full() },
+            EvidenceMode::Full | EvidenceMode::TwoStep | EvidenceMode::Photographs => Sizes::full(),
+            EvidenceMode::CachedNames => Sizes::frugal(),
+            EvidenceMode::Sheet => Sizes { collage: None, ..Sizes::full() },
         };
-        if options.ablation == Ablation::RawRender {
-            Self { global: Global::Raw, ..settings }
-        } else {
-            settings
-        }
+        let global = match (options.ablation, options.prompt) {
+            (Ablation::RawRender, _) => Global::Raw,
+            (_, PromptVersion::Paper) => {
+                Global::Views(GlobalView { view_px: settings.strip_px, ..GlobalView::default() })
+            }
+            (_, PromptVersion::Revised) => Global::Views(GlobalView::square(settings.square_px)),
+        };
+        Self { global, collage: settings.collage }
     }
+}
 
-    /// Settings of the paper: three views of 680 x 680 pixels, collages of three pairs.
+/// Sizes of an evidence mode.
+struct Sizes {
+    /// Side of each of the paper's three views.
+    strip_px: u32,
+    /// Side of each of four views in two rows.
+    square_px: u32,
+    collage: Option<Collage>,
+}
+
+impl Sizes {
+    /// Paper: three views of 680 x 680 pixels, collages of three pairs.
     fn full() -> Self {
-        Self { global: Global::Views(GlobalView::default()), collage: Some(Collage::default()) }
+        Self { strip_px: 680, square_px: 560, collage: Some(Collage::default()) }
     }
 
-    /// Settings for use with names: three views that take three of a provider's tiles, and one
-    /// photograph of a candidate that takes one.
+    /// For use with names: small views, and one photograph of a candidate.
     fn frugal() -> Self {
         let collage = Some(Collage { max_shots: 1, ..Collage::default() });
-        Self {
-            global: Global::Views(GlobalView { view_px: 508, ..GlobalView::default() }),
-            collage,
-        }
+        Self { strip_px: 508, square_px: 380, collage }
     }
 }
 
@@ -235,6 +245,17 @@ fn draw_collages(
     of.par_iter()
         .map(|&id| (id.0, encoded(format!("candidate-{id}"), &collage.draw(id.0, &shots(id)))))
         .collect()
+}
+
+/// Returns a picture of at most `most_px` along its longer side.
+pub(super) fn shrink(picture: RgbImage, most_px: u32) -> RgbImage {
+    let (width, height) = picture.dimensions();
+    let longer = width.max(height);
+    if longer <= most_px {
+        return picture;
+    }
+    let scaled = |length: u32| (length * most_px).div_ceil(longer).max(1);
+    imageops::resize(&picture, scaled(width), scaled(height), imageops::FilterType::Triangle)
 }
 
 pub(super) fn encoded(name: String, picture: &RgbImage) -> Picture {

@@ -65,6 +65,16 @@ impl IdRuns {
     }
 }
 
+/// Name and version of the built-in masks.
+pub(crate) const BUILTIN_NAME: &str = "rgbd-2";
+
+/// Returns whether the name recorded with a parse is that of the built-in masks alone, in any
+/// version.
+#[must_use]
+pub fn is_builtin(name: &str) -> bool {
+    name.strip_prefix("rgbd-").is_some_and(|version| version.parse::<u32>().is_ok())
+}
+
 /// A source of masks: built in (`rgbd`), a segmentation model, or annotations.
 pub trait MaskSource: Send + Sync {
     /// Returns the name and version, recorded with the parse.
@@ -103,6 +113,13 @@ impl MaskSource for CombinedMasks<'_> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn only_the_built_in_masks_alone_are_built_in() {
+        let of = ["rgbd-2", "rgbd-1", "sam2-hiera-tiny+rgbd-2", "rgbd-sam", "none", ""];
+        assert_eq!(of.map(is_builtin), [true, true, false, false, false, false]);
+        assert!(is_builtin(BUILTIN_NAME));
+    }
 
     proptest! {
         #[test]

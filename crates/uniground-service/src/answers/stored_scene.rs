@@ -11,7 +11,7 @@ use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::lru_cache::LruCache;
 use uniground_geometry::scene::{
-    Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId, View,
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, View,
 };
 use uniground_grounding::approach::Occupancy;
 use uniground_grounding::pipeline::SceneSource;
@@ -21,6 +21,7 @@ use uniground_models::neural::{DualEncoder, Role};
 use uniground_models::{attributes, with_causes};
 use uniground_parsing::ParseError;
 use uniground_parsing::evidence::Picture;
+use uniground_parsing::masks::is_builtin;
 use uniground_parsing::pointed::{PhotographPoint, PointedObjectFinder};
 use uniground_render::{RenderScene, Shot};
 use uniground_storage::{Blobs, PinnedPath, Scratch};
@@ -79,6 +80,10 @@ impl SceneSource for StoredScene {
         self.parse.extent
     }
 
+    fn has_builtin_masks(&self) -> bool {
+        is_builtin(&self.parse.masks)
+    }
+
     fn encoder_name(&self) -> String {
         self.parse.encoder.clone()
     }
@@ -99,6 +104,11 @@ impl SceneSource for StoredScene {
 
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
         read_photograph(&self.scenes.blobs, &self.folder(), &self.parse.content, frame)
+    }
+
+    fn frames(&self) -> Result<Vec<FrameRef>, Error> {
+        let frames = read_frames(&self.scenes.blobs, &self.folder(), &self.parse.content)?;
+        Ok(frames.unwrap_or_default())
     }
 
     fn render_scene(&self) -> Result<Arc<RenderScene>, Error> {

@@ -25,7 +25,7 @@ pub struct RgbdMasks {
 
 impl MaskSource for RgbdMasks {
     fn name(&self) -> &'static str {
-        "rgbd-2"
+        super::BUILTIN_NAME
     }
 
     fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<Vec<IdImage>, ParseError> {

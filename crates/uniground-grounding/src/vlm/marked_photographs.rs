@@ -1,0 +1,252 @@
+//! Photographs with numbered things: the fewest frames that together show every instance worth
+//! asking about, with a tag on each.
+
+use super::prompt_context::PromptContext;
+use super::visual_evidence::{Photograph, encoded, shrink};
+use crate::pipeline::QuestionError;
+use crate::scene_source::SceneSource;
+use std::collections::{BTreeSet, HashMap};
+use uniground_geometry::scene::{FrameIndex, Instance, InstanceId};
+use uniground_language::Meaning;
+use uniground_render::{FrameContents, Mark, VisibleInstance, draw_marks};
+
+/// Maximum number of photographs.
+const MOST: usize = 8;
+/// Maximum number of them that are chosen because they look like the target.
+const BY_TEXT: usize = 2;
+/// Maximum size of the longer side of a photograph, pixels.
+const MOST_PX: u32 = 896;
+/// An instance that fills less of a picture is not recognizable there.
+const LEAST_SHARE: f32 = 0.0008;
+/// Quality of a view that cuts the instance off, relative to a whole one.
+const CUT: f32 = 0.7;
+/// Quality of a view that stage 1 did not choose for the instance, relative to one that it chose.
+const NOT_A_VIEW: f32 = 0.75;
+/// A further photograph must add this much quality, in instances.
+const LEAST_GAIN: f32 = 0.5;
+/// Weight of the geometry's candidates and anchors: they should be seen well.
+const LIKELY: f32 = 3.0;
+/// An instance is marked where its view is at least this good, relative to its best one among the
+/// chosen photographs.
+const MARKED: f32 = 0.4;
+
+/// Photographs whose things are numbered.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MarkedPhotographs {
+    /// In the order they are shown.
+    pub photographs: Vec<Photograph>,
+    /// Instances that are marked in at least one of them.
+    pub marked: BTreeSet<InstanceId>,
+}
+
+/// Returns photographs that show the scene's instances, with their ids as tags. Walls, floors and
+/// ceilings are marked only if the target is one. Returns none for a scan without photographs.
+///
+/// # Errors
+/// The cloud or the frames cannot be read, or the encoder fails.
+pub fn marked_photographs<S: SceneSource>(
+    source: &S,
+    context: &PromptContext,
+) -> Result<MarkedPhotographs, S::Error> {
+    let contents = source.frame_contents()?;
+    let views = Views::of(&contents, source.instances(), &context.target.meaning());
+    let first = nearest_to_target(source, context)?;
+    let likely: BTreeSet<InstanceId> =
+        context.shown().chain(context.anchors.iter().map(|anchor| anchor.id)).collect();
+    let chosen = views.choose(&first, |id| if likely.contains(&id) { LIKELY } else { 1.0 });
+    let mut marked = BTreeSet::new();
+    let mut photographs = Vec::new();
+    for &frame in &chosen {
+        let Some(photograph) = source.photograph(frame) else { continue };
+        let taken_px = photograph.dimensions();
+        let mut picture = shrink(photograph, MOST_PX);
+        let shown = views.marked_in(frame, &chosen);
+        let mark = |seen: &VisibleInstance| Mark {
+            label: seen.id.to_string(),
+            at: seen.middle,
+            margin: seen.margin,
+        };
+        draw_marks(&mut picture, &shown.iter().map(mark).collect::<Vec<_>>());
+        marked.extend(shown.iter().map(|seen| seen.id));
+        let name = format!("marked-{}", photographs.len() + 1);
+        photographs.push(Photograph { frame, taken_px, picture: encoded(name, &picture) });
+    }
+    Ok(MarkedPhotographs { photographs, marked })
+}
+
+/// Returns the frames that look most like the target; none without an encoder.
+fn nearest_to_target<S: SceneSource>(
+    source: &S,
+    context: &PromptContext,
+) -> Result<Vec<FrameIndex>, S::Error> {
+    let (Some(frames), Ok(Some((encoder, _)))) = (source.frame_embeddings(), source.embeddings())
+    else {
+        return Ok(Vec::new());
+    };
+    let words = encoder.embed_name(&context.target.text()).map_err(QuestionError::Encoder)?;
+    Ok(words.vector.map_or_else(Vec::new, |vector| frames.nearest(&vector, BY_TEXT)))
+}
+
+/// How well every frame shows the instances that may be marked.
+struct Views<'a> {
+    frames: Vec<(FrameIndex, Vec<(&'a VisibleInstance, f32)>)>,
+}
+
+impl<'a> Views<'a> {
+    fn of(contents: &'a FrameContents, instances: &[Instance], target: &Meaning) -> Self {
+        let asked = match target {
+            Meaning::Structure(structure) => Some(*structure),
+            _ => None,
+        };
+        let may_be_marked = |seen: &&VisibleInstance| {
+            let instance = instances.get((seen.id.0 as usize).wrapping_sub(1));
+            seen.share >= LEAST_SHARE
+                && instance.is_some_and(|i| {
+                    !i.dismissed && (i.structure.is_none() || i.structure == asked)
+                })
+        };
+        let worth = |seen: &VisibleInstance| seen.share * if seen.is_cut { CUT } else { 1.0 };
+        let mut best: HashMap<InstanceId, f32> = HashMap::new();
+        for seen in contents.frames.iter().flat_map(|(_, seen)| seen) {
+            let best = best.entry(seen.id).or_default();
+            *best = best.max(worth(seen));
+        }
+        // The views of stage 1 are sharp; others may be blurred.
+        let is_view = |frame: FrameIndex, id: InstanceId| {
+            let views = &instances[id.0 as usize - 1].views;
+            views.is_empty() || views.iter().any(|view| view.frame == frame)
+        };
+        let quality = |frame: FrameIndex, seen: &'a VisibleInstance| {
+            let sharp = if is_view(frame, seen.id) { 1.0 } else { NOT_A_VIEW };
+            (seen, sharp * (worth(seen) / best[&seen.id]).sqrt())
+        };
+        let frames = contents.frames.iter().map(|(frame, seen)| {
+            let marked = seen.iter().filter(may_be_marked);
+            (*frame, marked.map(|seen| quality(*frame, seen)).collect())
+        });
+        Self { frames: frames.collect() }
+    }
+
+    /// Chooses frames that together show the instances well: first these, then always the frame
+    /// that adds most.
+    fn choose(&self, first: &[FrameIndex], weight: impl Fn(InstanceId) -> f32) -> Vec<FrameIndex> {
+        let mut covered: HashMap<InstanceId, f32> = HashMap::new();
+        let mut chosen: Vec<usize> = Vec::new();
+        let take = |at: usize, covered: &mut HashMap<InstanceId, f32>| {
+            for (seen, quality) in &self.frames[at].1 {
+                let best = covered.entry(seen.id).or_default();
+                *best = best.max(*quality);
+            }
+        };
+        for frame in first {
+            if let Some(at) = self.frames.iter().position(|(index, _)| index == frame) {
+                take(at, &mut covered);
+                chosen.push(at);
+            }
+        }
+        while chosen.len() < MOST {
+            let gain = |at: usize| -> f32 {
+                let added = |(seen, quality): &(&VisibleInstance, f32)| {
+                    let before = covered.get(&seen.id).copied().unwrap_or_default();
+                    weight(seen.id) * (quality - before).max(0.0)
+                };
+                self.frames[at].1.iter().map(added).sum()
+            };
+            let best = (0..self.frames.len())
+                .filter(|at| !chosen.contains(at))
+                .map(|at| (at, gain(at)))
+                .reduce(|best, next| if next.1 > best.1 { next } else { best });
+            let Some((at, _)) = best.filter(|(_, gain)| *gain >= LEAST_GAIN) else { break };
+            take(at, &mut covered);
+            chosen.push(at);
+        }
+        chosen.into_iter().map(|at| self.frames[at].0).collect()
+    }
+
+    /// Returns the instances to mark in one of the chosen frames.
+    fn marked_in(&self, frame: FrameIndex, chosen: &[FrameIndex]) -> Vec<VisibleInstance> {
+        let shown = || self.frames.iter().filter(|(index, _)| chosen.contains(index));
+        let best = |id: InstanceId| {
+            let of = shown().flat_map(|(_, seen)| seen).filter(|(seen, _)| seen.id == id);
+            of.map(|(_, quality)| *quality).fold(0.0, f32::max)
+        };
+        let here = shown().filter(|(index, _)| *index == frame).flat_map(|(_, seen)| seen);
+        here.filter(|(seen, quality)| *quality >= MARKED * best(seen.id))
+            .map(|(seen, _)| **seen)
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_geometry::scene::{Structure, Support};
+    use uniground_testing::thing;
+
+    fn seen(id: u32, share: f32) -> VisibleInstance {
+        let (middle, margin) = ([0.5; 2], 0.1);
+        VisibleInstance { id: InstanceId(id), share, middle, margin, is_cut: false }
+    }
+
+    fn contents(frames: &[&[(u32, f32)]]) -> FrameContents {
+        let list = |seen_in: &&[(u32, f32)]| {
+            seen_in.iter().map(|&(id, share)| seen(id, share)).collect::<Vec<_>>()
+        };
+        let frames = frames.iter().zip(0..).map(|(frame, i)| (FrameIndex(i * 10), list(frame)));
+        FrameContents { frames: frames.collect() }
+    }
+
+    fn things(count: u32) -> Vec<Instance> {
+        let at =
+            |id: u32| thing(id, [id as f32 * 3.0, 0.0], [0.5; 3], 0.0, Support::Floor, [90; 3]);
+        (1..=count).map(at).collect()
+    }
+
+    fn chosen(views: &Views, first: &[u32], likely: u32) -> Vec<u32> {
+        let first: Vec<FrameIndex> = first.iter().copied().map(FrameIndex).collect();
+        let weight = |id: InstanceId| if id.0 == likely { LIKELY } else { 1.0 };
+        views.choose(&first, weight).into_iter().map(|frame| frame.0).collect()
+    }
+
+    #[test]
+    fn fewest_frames_that_show_everything_are_chosen() {
+        let seen: [&[(u32, f32)]; 4] =
+            [&[(1, 0.1)], &[(1, 0.1), (2, 0.1)], &[(3, 0.1)], &[(3, 0.02)]];
+        let contents = contents(&seen);
+        let views = Views::of(&contents, &things(3), &Meaning::Anything);
+        assert_eq!(chosen(&views, &[], 0), [10, 20]);
+        assert_eq!(chosen(&views, &[], 3), [20, 10], "the likely one first");
+        assert_eq!(chosen(&views, &[30], 0), [30, 10, 20], "0.02 is 0.45 as good as 0.1");
+    }
+
+    #[test]
+    fn instances_are_marked_where_they_are_seen_well() {
+        let seen: [&[(u32, f32)]; 3] =
+            [&[(1, 0.1), (2, 0.001)], &[(1, 0.01), (2, 0.1)], &[(1, 0.05), (2, 0.0001)]];
+        let contents = contents(&seen);
+        let views = Views::of(&contents, &things(2), &Meaning::Anything);
+        let marked = |frame| {
+            let all = [0, 10, 20].map(FrameIndex);
+            let ids = views.marked_in(FrameIndex(frame), &all).into_iter().map(|seen| seen.id.0);
+            ids.collect::<Vec<_>>()
+        };
+        assert_eq!((marked(0), marked(10), marked(20)), (vec![1], vec![2], vec![1]));
+    }
+
+    #[test]
+    fn building_is_marked_only_if_asked_for_and_dismissed_things_never() {
+        let seen: [&[(u32, f32)]; 1] = [&[(1, 0.3), (2, 0.1), (3, 0.1)]];
+        let contents = contents(&seen);
+        let mut instances = things(3);
+        instances[0].structure = Some(Structure::Wall);
+        instances[2].dismissed = true;
+        let marked = |meaning| {
+            let views = Views::of(&contents, &instances, &meaning);
+            let here = views.marked_in(FrameIndex(0), &[FrameIndex(0)]);
+            here.into_iter().map(|seen| seen.id.0).collect::<Vec<_>>()
+        };
+        assert_eq!(marked(Meaning::Anything), [2]);
+        assert_eq!(marked(Meaning::Structure(Structure::Wall)), [1, 2]);
+        assert_eq!(marked(Meaning::Structure(Structure::Floor)), [2]);
+    }
+}
