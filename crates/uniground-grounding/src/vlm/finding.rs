@@ -40,7 +40,11 @@ pub async fn find(
     Ok(read(&text, marked))
 }
 
-fn request(context: &PromptContext, marked: &MarkedPhotographs, json: bool) -> ChatRequest {
+pub(super) fn request(
+    context: &PromptContext,
+    marked: &MarkedPhotographs,
+    json: bool,
+) -> ChatRequest {
     let count = marked.photographs.len();
     let pictures = marked.photographs.iter().map(|photograph| photograph.picture.clone());
     let mut user: Vec<Part> = pictures.map(Part::Picture).collect();
@@ -134,7 +138,10 @@ mod tests {
         }
     }
 
-    fn found(text: &str) -> (Vec<u32>, Vec<u32>, Option<(String, [f32; 2])>) {
+    /// A picture and a place in it.
+    type Place = (String, [f32; 2]);
+
+    fn found(text: &str) -> (Vec<u32>, Vec<u32>, Option<Place>) {
         let Finding { ids, anchors, seen } = read(text, &marked());
         let ids = ids.into_iter().map(|id| id.0).collect();
         let anchors = anchors.into_iter().map(|(id, _)| id.0).collect();
@@ -155,11 +162,11 @@ mod tests {
     #[test]
     fn anchors_keep_their_names() {
         let anchors = |text: &str| read(text, &marked()).anchors;
-        let door = (InstanceId(3), "white door".to_owned());
-        let bare = (InstanceId(7), ANCHOR.to_owned());
-        assert_eq!(anchors("Anchors: 3 -> white door, 99 -> ghost"), [door.clone()]);
-        assert_eq!(anchors(r#"{"Anchors": ["3 -> white door"], "Could be": []}"#), [door]);
-        assert_eq!(anchors("Anchors: 7"), [bare]);
+        let named = |id, name: &str| [(InstanceId(id), name.to_owned())];
+        let door = named(3, "white door");
+        assert_eq!(anchors("Anchors: 3 -> white door, 99 -> ghost"), door);
+        assert_eq!(anchors(r#"{"Anchors": ["3 -> white door"], "Could be": []}"#), door);
+        assert_eq!(anchors("Anchors: 7"), named(7, ANCHOR));
     }
 
     #[test]

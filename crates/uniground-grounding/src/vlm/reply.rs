@@ -452,7 +452,7 @@ pub fn labeled(text: &str, labels: &[&str]) -> Vec<Option<String>> {
     let text = normalize_script(text);
     let text = without_thoughts(&text);
     let letters = |text: &str| {
-        let kept = text.chars().filter(|c| c.is_ascii_alphabetic());
+        let kept = text.chars().filter(char::is_ascii_alphabetic);
         kept.map(|c| c.to_ascii_lowercase()).collect::<String>()
     };
     let mut found = vec![None; labels.len()];
@@ -466,8 +466,12 @@ pub fn labeled(text: &str, labels: &[&str]) -> Vec<Option<String>> {
         serde_json::Deserializer::from_str(&text[at..]).into_iter::<serde_json::Value>().next()
     });
     if let Some(Ok(serde_json::Value::Object(object))) = object {
+        let plain = |value: &serde_json::Value| {
+            value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+        };
         for (key, value) in object {
-            keep(&key, value.as_str().map_or_else(|| value.to_string(), str::to_owned));
+            let items = value.as_array().map(|items| items.iter().map(plain).collect::<Vec<_>>());
+            keep(&key, items.map_or_else(|| plain(&value), |items| items.join(", ")));
         }
         return found;
     }

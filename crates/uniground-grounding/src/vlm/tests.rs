@@ -333,10 +333,8 @@ fn contact_sheets_narrow_the_candidates_down() {
     assert_eq!(listed("Shortlist: none"), [] as [u32; 0]);
 }
 
-#[test]
-fn photographs_follow_all_other_pictures() {
-    let (_, context) = asked(QUERY, None);
-    let photograph = |number: u32| Photograph {
+fn photograph(number: u32) -> Photograph {
+    Photograph {
         frame: FrameIndex(10 * number),
         taken_px: (1280, 960),
         picture: Picture {
@@ -345,7 +343,21 @@ fn photographs_follow_all_other_pictures() {
             width: 768,
             height: 576,
         },
-    };
+    }
+}
+
+#[test]
+fn finding_prompts_match_their_snapshots() {
+    let (_, context) = asked(QUERY, None);
+    let photographs = vec![photograph(1), photograph(2)];
+    let marked = MarkedPhotographs { photographs, ..MarkedPhotographs::default() };
+    matches_snapshot("finding", &written(&finding::request(&context, &marked, false)));
+    matches_snapshot("finding_json", &written(&finding::request(&context, &marked, true)));
+}
+
+#[test]
+fn photographs_follow_all_other_pictures() {
+    let (_, context) = asked(QUERY, None);
     let request = |photographs: Vec<Photograph>, ablation| {
         let evidence = VisualEvidence { photographs, ..evidence(&context) };
         let options = Options { ablation, ..Options::default() };
