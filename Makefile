@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation fit-confidence
+.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation fit-confidence eyes
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/ (a build that is ready sooner, in target/demo)
 	$(CARGO) build --profile demo --locked
@@ -100,6 +100,10 @@ fit-confidence: ## Refits the shares of right answers by belief to the annotated
 	./target/release/uniground eval $(ROOMS) --out target/fit-confidence --matrix "source=parsed;masks=rgbd;encoder=attributes,clip-vitb16-lite;top_k=10"
 	./target/release/uniground eval $(ROOMS) --out target/fit-confidence-segmented --matrix "source=parsed;masks=sam2-hiera-tiny;encoder=clip-vitb16-lite;top_k=10"
 	$(PYTHON) scripts/fit-confidence.py target/fit-confidence/report.json target/fit-confidence-segmented/report.json --write
+
+eyes: ## Answers with a vision-language model that whoever looks at the pictures plays (ROOMS="a.zip b.zip" BOX=folder; scripts/eyes.py next BOX)
+	$(CARGO) build --release --locked --quiet
+	$(PYTHON) scripts/eyes.py run --box $(BOX) --out target/eyes.json $(FLAGS) $(ROOMS)
 
 quality: ## Answers against annotated rooms (ROOMS=folder), held against benches/quality.json; the page is target/quality/index.html
 	$(CARGO) build --release --locked --quiet

@@ -15,6 +15,7 @@ mod candidates;
 mod choose_level;
 mod choose_reading;
 pub mod direction;
+mod find_in_photographs;
 mod fit;
 pub mod graph;
 mod kinds;

@@ -12,6 +12,7 @@
 //! computing.
 
 use super::appearance::{Appearance, ShortlistScoring};
+use super::find_in_photographs::{Searched, find_in_photographs};
 use super::reasoner::builtin;
 use super::recover_unlisted::{Found, look_up};
 pub use super::scene_source::{QuestionError, SceneSource};
@@ -34,8 +35,6 @@ use uniground_models::neural::DualEncoder;
 
 /// Confidence of the geometry from which the photographs mode does not ask where the object is.
 const SURE_WITHOUT_LOOKING: f32 = 0.8;
-/// Number of the geometry's best candidates that are shown beside what the model found.
-const BY_GEOMETRY: usize = 2;
 
 /// What happens when a chat model cannot be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -208,13 +207,11 @@ async fn apply_review<S: SceneSource>(
     };
     let is_sure = answered.grounding.status == Status::Grounded
         && answered.grounding.confidence >= SURE_WITHOUT_LOOKING;
-    let mut notes = Vec::new();
-    let (source, context) = match options.evidence {
-        EvidenceMode::TwoStep => {
-            (source.clone(), narrow_candidates(source, context, &mut session).await?)
-        }
+    let untouched = |context| Searched::without_looking(source.clone(), context);
+    let searched = match options.evidence {
+        EvidenceMode::TwoStep => untouched(narrow_candidates(source, context, &mut session).await?),
         EvidenceMode::Photographs if !is_sure => {
-            match find_in_photographs(source, context, options, &mut session, &mut notes).await? {
+            match find_in_photographs(source, context, options, &mut session).await? {
                 Ok(found) => found,
                 Err(error) => {
                     calls.extend(session.into_records());
@@ -222,14 +219,16 @@ async fn apply_review<S: SceneSource>(
                 }
             }
         }
-        _ => (source.clone(), context),
+        _ => untouched(context),
     };
+    let Searched { source, context, notes, drawing } = searched;
     let source = &source;
     if context.candidates.is_empty() {
         // Neither the geometry nor the model has found anything to decide about.
         calls.extend(session.into_records());
         return Ok(());
     }
+    let begun = Instant::now();
     let (context, evidence, unnamed) = source
         .compute(move |source| {
             let photographs = vlm::select_photographs(source, &context, options)?;
@@ -243,7 +242,7 @@ async fn apply_review<S: SceneSource>(
             Ok((context, evidence, unnamed))
         })
         .await?;
-    let evidence_took = start.elapsed().saturating_sub(before);
+    let evidence_took = drawing + begun.elapsed();
     let conversation = Conversation {
         context: &context,
         evidence: &evidence,
@@ -365,72 +364,6 @@ impl<S: SceneSource> Shown<S> {
             Err(undecided) => before.with_note(format!("asking again failed: {undecided}")),
         })
     }
-}
-
-/// The first of two calls of the photographs mode: the model finds the object among numbered things
-/// in photographs, or points at it. Returns the scene with an instance of what it pointed at, and
-/// the context with what it found before the geometry's best candidates; or why the model could not
-/// be asked, where the geometry has no candidates either.
-async fn find_in_photographs<S: SceneSource>(
-    source: &Arc<S>,
-    context: vlm::PromptContext,
-    options: Options,
-    session: &mut Session<'_>,
-    notes: &mut Vec<String>,
-) -> Result<Result<(Arc<S>, vlm::PromptContext), AskError>, S::Error> {
-    let (context, marked) = source
-        .compute(move |source| {
-            let marked = vlm::marked_photographs(source, &context)?;
-            Ok((context, marked))
-        })
-        .await?;
-    if marked.photographs.is_empty() {
-        return Ok(Ok((source.clone(), context)));
-    }
-    session.allow_one_more();
-    let found = match vlm::find(&context, &marked, options.json, session).await {
-        Ok(found) => found,
-        // The model may still be able to look at the geometry's candidates.
-        Err(_) if !context.candidates.is_empty() => return Ok(Ok((source.clone(), context))),
-        Err(error) => return Ok(Err(error)),
-    };
-    let (mut source, mut context) = (source.clone(), context);
-    let mut ids = found.ids;
-    if let Some(seen) = found.seen {
-        let evidence = vlm::VisualEvidence {
-            photographs: marked.photographs,
-            ..vlm::VisualEvidence::default()
-        };
-        let place = format!("the model saw \"{}\" in {}", seen.name, seen.picture);
-        let (of, settings) = (context.clone().narrowed_to(&[]), PictureSettings::of(options));
-        let pointed =
-            source.compute(move |source| look_up(source, &of, &seen, &evidence, &settings)).await?;
-        let id = match pointed {
-            None => None,
-            Some(Found::Known(id)) => Some((id, format!("{place}: it is instance {id}"))),
-            Some(Found::New(new)) => {
-                let (with_new, id) = source.keep_found(*new).await?;
-                source = with_new;
-                if let Some(new) = source.instances().get(id.0 as usize - 1) {
-                    context.add_box_of(new);
-                }
-                Some((id, format!("{place}: instance {id} was made of it")))
-            }
-        };
-        if let Some((id, note)) = id {
-            notes.push(note);
-            // What was pointed at has no number of its own, so it is none of the numbered things.
-            ids.retain(|other| *other != id);
-            ids.insert(ids.len().min(1), id);
-        }
-    }
-    let by_geometry = context.candidates.iter().map(|c| c.id).filter(|id| !ids.contains(id));
-    let by_geometry: Vec<InstanceId> = by_geometry.collect();
-    let most = context.candidates.len().max(vlm::REMAINING);
-    let kept = if ids.is_empty() { most } else { BY_GEOMETRY.min(most) };
-    ids.extend(by_geometry.into_iter().take(kept));
-    let context = context.with_found_in_photographs(&ids, &found.anchors);
-    Ok(Ok((source, context)))
 }
 
 /// The first of two steps: returns the candidates that remain after the model has seen one

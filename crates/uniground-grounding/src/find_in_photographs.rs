@@ -1,0 +1,115 @@
+//! Photographs first: the model finds the object among numbered things in photographs, or points at
+//! it, before it decides (docs/METHOD.md, section 4, "Photographs first").
+
+use super::Seen;
+use super::recover_unlisted::{Found, look_up};
+use super::scene_source::SceneSource;
+use super::vlm::{
+    self, MarkedPhotographs, Options, PictureSettings, PromptContext, VisualEvidence,
+};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use uniground_geometry::scene::InstanceId;
+use uniground_models::chat::{AskError, Session};
+
+/// Number of the geometry's best candidates that are shown beside what the model found.
+const BY_GEOMETRY: usize = 2;
+
+/// The scene and the context after the model has looked for the object.
+pub(super) struct Searched<S> {
+    /// The scene, with an instance of what the model pointed at.
+    pub source: Arc<S>,
+    /// What the model found, then the geometry's best candidates.
+    pub context: PromptContext,
+    /// What became of a place that the model pointed at.
+    pub notes: Vec<String>,
+    /// Time for the photographs.
+    pub drawing: Duration,
+}
+
+/// Asks the model where the object is, in photographs whose things are numbered. Returns why it
+/// could not be asked, where the geometry has no candidates either. A scan without photographs is
+/// not searched.
+///
+/// # Errors
+/// Those of the source.
+pub(super) async fn find_in_photographs<S: SceneSource>(
+    source: &Arc<S>,
+    context: PromptContext,
+    options: Options,
+    session: &mut Session<'_>,
+) -> Result<Result<Searched<S>, AskError>, S::Error> {
+    let begun = Instant::now();
+    let (context, marked) = source
+        .compute(move |source| {
+            let marked = vlm::marked_photographs(source, &context)?;
+            Ok((context, marked))
+        })
+        .await?;
+    let mut searched =
+        Searched { source: source.clone(), context, notes: Vec::new(), drawing: begun.elapsed() };
+    if marked.photographs.is_empty() {
+        return Ok(Ok(searched));
+    }
+    session.allow_one_more();
+    let found = match vlm::find(&searched.context, &marked, options.json, session).await {
+        Ok(found) => found,
+        // The model may still be able to look at the geometry's candidates.
+        Err(_) if !searched.context.candidates.is_empty() => return Ok(Ok(searched)),
+        Err(error) => return Ok(Err(error)),
+    };
+    let mut ids = found.ids;
+    if let Some(seen) = found.seen
+        && let Some(id) = searched.resolve(seen, marked, options).await?
+    {
+        // What was pointed at has no number of its own, so it is none of the numbered things.
+        ids.retain(|other| *other != id);
+        ids.insert(ids.len().min(1), id);
+    }
+    let of_geometry = searched.context.candidates.iter().map(|c| c.id);
+    let others: Vec<InstanceId> = of_geometry.filter(|id| !ids.contains(id)).collect();
+    let most = if ids.is_empty() { others.len() } else { BY_GEOMETRY };
+    ids.extend(others.into_iter().take(most));
+    searched.context = searched.context.with_found_in_photographs(&ids, &found.anchors);
+    Ok(Ok(searched))
+}
+
+impl<S: SceneSource> Searched<S> {
+    /// Returns what the model was going to be shown without looking first.
+    pub fn without_looking(source: Arc<S>, context: PromptContext) -> Self {
+        Self { source, context, notes: Vec::new(), drawing: Duration::ZERO }
+    }
+
+    /// Turns a place in a photograph into an instance; `None` where nothing can be segmented.
+    async fn resolve(
+        &mut self,
+        seen: Seen,
+        marked: MarkedPhotographs,
+        options: Options,
+    ) -> Result<Option<InstanceId>, S::Error> {
+        let place = format!("the model saw \"{}\" in {}", seen.name, seen.picture);
+        let photographs = marked.photographs;
+        let evidence = VisualEvidence { photographs, ..VisualEvidence::default() };
+        let settings = PictureSettings::of(options);
+        // No candidate was excluded by the model.
+        let context = self.context.narrowed_to(&[]);
+        let found = self
+            .source
+            .compute(move |source| look_up(source, &context, &seen, &evidence, &settings))
+            .await?;
+        let (id, note) = match found {
+            None => return Ok(None),
+            Some(Found::Known(id)) => (id, format!("{place}: it is instance {id}")),
+            Some(Found::New(found)) => {
+                let (source, id) = self.source.keep_found(*found).await?;
+                self.source = source;
+                if let Some(found) = self.source.instances().get(id.0 as usize - 1) {
+                    self.context.add_box_of(found);
+                }
+                (id, format!("{place}: instance {id} was made of it"))
+            }
+        };
+        self.notes.push(note);
+        Ok(Some(id))
+    }
+}
