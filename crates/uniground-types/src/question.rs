@@ -153,7 +153,7 @@ pub enum EvidenceMode {
     TwoStep,
     /// Up to eight photographs of the room with numbered instances first, in which the model finds
     /// the object and its anchors, then photographs of these in a second call. Also finds objects
-    /// that no instance has. Skips the first call if names given by people decide.
+    /// that are no instances. The first call is skipped if the built-in reasoner is sure.
     Photographs,
 }
 
