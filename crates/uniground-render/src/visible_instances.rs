@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use uniground_geometry::Point3;
 use uniground_geometry::scene::{
-    Camera, FrameIndex, FrameRef, Instance, InstanceId, Level, PointCloud,
+    Camera, CellMask, FrameIndex, FrameRef, Instance, InstanceId, Level, PointCloud,
 };
 
 /// An instance in a frame's picture.
@@ -138,6 +138,17 @@ fn visible_in(ids: &[u32], width: usize) -> Vec<VisibleInstance> {
     found.into_iter().map(visible).collect()
 }
 
+/// Returns the place in a mask that is farthest from its borders, as shares of its box's width and
+/// height, and its distance from them as a share of the box's width; `None` for an empty mask.
+#[must_use]
+pub fn middle_of_mask(mask: &CellMask) -> Option<([f32; 2], f32)> {
+    let (columns, rows) = mask.size();
+    let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));
+    let ids: Vec<u32> = cells.map(|(column, row)| mask.is_set(column, row).into()).collect();
+    let found = visible_in(&ids, columns as usize).into_iter().next()?;
+    Some((found.middle, found.margin))
+}
+
 /// Returns for every pixel the steps to the nearest pixel of another id, or out of the picture.
 fn distance_to_other(ids: &[u32], width: usize) -> Vec<u32> {
     let height = ids.len() / width;
@@ -243,6 +254,16 @@ mod tests {
         assert_eq!((seen[0].id, ids[at[1] * width + at[0]]), (InstanceId(1), 1));
         assert_eq!(seen[0].margin, 2.0 / 11.0);
         assert_eq!(seen[1].margin, 2.0 / 11.0);
+    }
+
+    #[test]
+    fn middle_of_a_mask_is_inside_of_it() {
+        // An upright bar at the right of a box of 10 x 4 cells.
+        let mask = CellMask::from_fn(10, 4, |column, _| column >= 7);
+        let ([x, y], margin) = middle_of_mask(&mask).unwrap();
+        assert_eq!(((x * 10.0) as u32, margin), (8, 0.2));
+        assert!((0.25..0.75).contains(&y), "{y}");
+        assert_eq!(middle_of_mask(&CellMask::empty(4, 4)), None);
     }
 
     #[test]

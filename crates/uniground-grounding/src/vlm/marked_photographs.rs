@@ -6,9 +6,9 @@ use super::visual_evidence::{Photograph, encoded, shrink};
 use crate::pipeline::QuestionError;
 use crate::scene_source::SceneSource;
 use std::collections::{BTreeSet, HashMap};
-use uniground_geometry::scene::{FrameIndex, Instance, InstanceId};
+use uniground_geometry::scene::{CellMask, FrameIndex, Instance, InstanceId};
 use uniground_language::Meaning;
-use uniground_render::{FrameContents, Mark, VisibleInstance, draw_marks};
+use uniground_render::{FrameContents, Mark, VisibleInstance, draw_marks, middle_of_mask};
 
 /// Maximum number of photographs.
 const MOST: usize = 8;
@@ -61,10 +61,11 @@ pub fn marked_photographs<S: SceneSource>(
         let taken_px = photograph.dimensions();
         let mut picture = shrink(photograph, MOST_PX);
         let shown = views.marked_in(frame, &chosen);
-        let mark = |seen: &VisibleInstance| Mark {
-            label: seen.id.to_string(),
-            at: seen.middle,
-            margin: seen.margin,
+        let mark = |seen: &VisibleInstance| {
+            let instance = &source.instances()[seen.id.0 as usize - 1];
+            let (at, margin) =
+                place_in_view(instance, frame, taken_px).unwrap_or((seen.middle, seen.margin));
+            Mark { label: seen.id.to_string(), at, margin }
         };
         draw_marks(&mut picture, &shown.iter().map(mark).collect::<Vec<_>>());
         marked.extend(shown.iter().map(|seen| seen.id));
@@ -72,6 +73,22 @@ pub fn marked_photographs<S: SceneSource>(
         photographs.push(Photograph { frame, taken_px, picture: encoded(name, &picture) });
     }
     Ok(MarkedPhotographs { photographs, marked })
+}
+
+/// Returns where an instance's own mask is, if the frame is one of its views: shares of the
+/// picture's width and height, and the distance from the mask's borders as a share of its width.
+/// Masks are exact; what lies within the instance's box may be behind it.
+fn place_in_view(
+    instance: &Instance,
+    frame: FrameIndex,
+    (width, height): (u32, u32),
+) -> Option<([f32; 2], f32)> {
+    let view = instance.views.iter().find(|view| view.frame == frame)?;
+    let ([x, y], margin) = middle_of_mask(&CellMask::from_view_mask(view.mask.as_ref()?)?)?;
+    let [left, top, right, bottom] = view.box_px.map(|px| px as f32);
+    let (width, height) = (width as f32, height as f32);
+    let at = [(left + x * (right - left)) / width, (top + y * (bottom - top)) / height];
+    Some((at, margin * (right - left) / width))
 }
 
 /// Returns the frames that look most like the target; none without an encoder.
@@ -180,7 +197,7 @@ impl<'a> Views<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use uniground_geometry::scene::{Structure, Support};
+    use uniground_geometry::scene::{Structure, Support, View};
     use uniground_testing::thing;
 
     fn seen(id: u32, share: f32) -> VisibleInstance {
@@ -217,6 +234,23 @@ mod tests {
         assert_eq!(chosen(&views, &[], 0), [10, 20]);
         assert_eq!(chosen(&views, &[], 3), [20, 10], "the likely one first");
         assert_eq!(chosen(&views, &[30], 0), [30, 10, 20], "0.02 is 0.45 as good as 0.1");
+    }
+
+    #[test]
+    fn tag_lies_on_the_mask_of_a_view() {
+        // The right half of a box from (100, 50) to (300, 150) in a picture of 400 x 200.
+        let mask = CellMask::from_fn(8, 4, |column, _| column >= 4).to_view_mask();
+        let view = View {
+            frame: FrameIndex(3),
+            visible_points: 9,
+            box_px: [100, 50, 300, 150],
+            mask: Some(mask),
+        };
+        let seen = Instance { views: vec![view], ..things(1).remove(0) };
+        let ([x, y], margin) = place_in_view(&seen, FrameIndex(3), (400, 200)).unwrap();
+        assert!(x > 0.5 && x < 0.75 && y > 0.25 && y < 0.75, "{x} {y}");
+        assert!(margin > 0.0 && margin < 0.25, "{margin}");
+        assert_eq!(place_in_view(&seen, FrameIndex(4), (400, 200)), None);
     }
 
     #[test]
