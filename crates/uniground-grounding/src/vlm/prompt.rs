@@ -196,14 +196,15 @@ fn directions(context: &PromptContext, prompt: PromptVersion) -> String {
 }
 
 fn anchors(context: &PromptContext, prompt: PromptVersion) -> Option<String> {
-    let others =
-        |a: &PromptAnchor| match a.alternatives.is_empty() || prompt == PromptVersion::Paper {
+    // Only what the model can look at.
+    let others = |a: &PromptAnchor| {
+        let shown = a.alternatives.iter().filter(|id| context.is_candidate(id.0));
+        let ids: Vec<String> = shown.map(|id| format!("ID {id}")).collect();
+        match ids.is_empty() || prompt == PromptVersion::Paper {
             true => String::new(),
-            false => format!(
-                "; it may also be {}",
-                a.alternatives.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(" or ")
-            ),
-        };
+            false => format!("; it may also be {}", ids.join(" or ")),
+        }
+    };
     let told = context
         .anchors
         .iter()
