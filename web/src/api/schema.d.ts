@@ -125,7 +125,7 @@ export interface paths {
         };
         /**
          * Returns a picture of an answer's evidence: `global.jpg`, and for answers of a model
-         *     `candidate-7.jpg` or `names-1.jpg`, exactly as the model received it.
+         *     `candidate-7.jpg`, `marked-1.jpg` or `names-1.jpg`, exactly as the model received it.
          * @description `global.jpg` always exists. If no model received one, it is drawn from above with the answer's
          *     box (green), its anchor (red) and the other candidates (blue).
          */
@@ -2103,8 +2103,8 @@ export interface components {
             /**
              * Format: float
              * @description Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`.
-             *     Default: 0.7. Names that are guessed, from size, place and color or by an encoder, do not
-             *     reach it: a vision-language model or names given by people do. 0 disables `uncertain`.
+             *     Default: 0.7. Names that are guessed from size, place and color, or by an encoder without a
+             *     segmenter, do not reach it. 0 disables `uncertain`.
              */
             min_confidence?: number | null;
             observer?: components["schemas"]["Observer"] | null;

@@ -354,8 +354,8 @@ class BatchItemOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.7. Names that are guessed, from
-    size, place and color or by an encoder, do not reach it: a vision-language model or names given by people do. 0 disables `uncertain`.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.7. Names that are guessed from
+    size, place and color, or by an encoder without a segmenter, do not reach it. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
     """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""
@@ -790,8 +790,8 @@ class GroundOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Spending limit for this question, US dollars. The built-in reasoner costs nothing. 0: no model is called."""
     min_confidence: Optional[float]
-    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.7. Names that are guessed, from
-    size, place and color or by an encoder, do not reach it: a vision-language model or names given by people do. 0 disables `uncertain`.
+    """Minimum confidence of a `grounded` answer, `0..=1`. Below it, the answer is `uncertain`. Default: 0.7. Names that are guessed from
+    size, place and color, or by an encoder without a segmenter, do not reach it. 0 disables `uncertain`.
     """
     observer: Optional[Observer]
     """Observer for left, right, front and back, and for "me" in "the chair closest to me". In the coordinates of `frame`."""
