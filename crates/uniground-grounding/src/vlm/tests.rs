@@ -347,6 +347,16 @@ fn photograph(number: u32) -> Photograph {
 }
 
 #[test]
+fn only_shown_alternatives_of_an_anchor_are_listed() {
+    let prompt = |query: &str| {
+        let (_, context) = asked(query, None);
+        written(&first_request(&context, Options::default(), BTreeMap::new()))
+    };
+    assert!(prompt("the sofa next to the other sofa").contains("; it may also be ID"));
+    assert!(!prompt("the mug next to the sofa").contains("it may also be"));
+}
+
+#[test]
 fn finding_prompts_match_their_snapshots() {
     let (_, context) = asked(QUERY, None);
     let photographs = vec![photograph(1), photograph(2)];
