@@ -166,7 +166,7 @@ pub(super) fn assemble(
 }
 
 impl Grounding {
-    /// Adds instances that were found after the candidates were chosen.
+    /// Adds instances that the model was shown and that are not among the geometry's candidates.
     pub(super) fn add_shown(&mut self, context: &PromptContext, instances: &[Instance]) {
         for (shown, rank) in context.candidates.iter().zip(1..) {
             let Some(instance) = instances.get(shown.id.0 as usize - 1) else { continue };

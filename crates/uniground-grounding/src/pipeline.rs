@@ -100,8 +100,8 @@ pub struct Answered {
     pub degraded: bool,
     /// Problems on the way, in order.
     pub corrections: Vec<String>,
-    /// Every call of a model, in order: at most [`MAX_CALLS`], and one more where the model saw an
-    /// object that was not listed.
+    /// Every call of a model, in order: at most [`MAX_CALLS`], one more where the model saw an
+    /// object that was not listed, and one more where it looked at photographs first.
     pub calls: Vec<CallRecord>,
 }
 
@@ -118,6 +118,16 @@ impl Answered {
         self.degraded = true;
         self.corrections.push(format!("the built-in reasoner was used: {why}"));
         Ok(())
+    }
+
+    /// Records how long the review took, and the question so far. `evidence` is the part of
+    /// `review` that went into pictures.
+    fn record_times(&mut self, review: Duration, evidence: Duration, total: Duration) {
+        let ms = |took: Duration| took.as_secs_f64() * 1e3;
+        let timings = &mut self.grounding.timings_ms;
+        timings.evidence = ms(evidence);
+        timings.reason += ms(review.saturating_sub(evidence));
+        timings.total = ms(total);
     }
 }
 
@@ -215,6 +225,8 @@ async fn apply_review<S: SceneSource>(
                 Ok(found) => found,
                 Err(error) => {
                     calls.extend(session.into_records());
+                    let total = start.elapsed();
+                    answered.record_times(total.saturating_sub(before), Duration::ZERO, total);
                     return answered.keep_geometry(error, without_model).map_err(Into::into);
                 }
             }
@@ -226,6 +238,8 @@ async fn apply_review<S: SceneSource>(
     if context.candidates.is_empty() {
         // Neither the geometry nor the model has found anything to decide about.
         calls.extend(session.into_records());
+        let total = start.elapsed();
+        answered.record_times(total.saturating_sub(before), drawing, total);
         return Ok(());
     }
     let begun = Instant::now();
@@ -277,11 +291,8 @@ async fn apply_review<S: SceneSource>(
         }
         Err(undecided) => answered.keep_geometry(undecided.error, without_model)?,
     }
-    let ms = |took: Duration| took.as_secs_f64() * 1e3;
-    let (total, timings) = (start.elapsed(), &mut answered.grounding.timings_ms);
-    timings.evidence = ms(evidence_took);
-    timings.reason += ms(total.saturating_sub(before).saturating_sub(evidence_took));
-    timings.total = ms(total);
+    let total = start.elapsed();
+    answered.record_times(total.saturating_sub(before), evidence_took, total);
     Ok(())
 }
 

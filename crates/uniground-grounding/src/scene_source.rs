@@ -114,10 +114,10 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// The cloud or the frames cannot be read.
     fn frame_contents(&self) -> Result<Arc<FrameContents>, Self::Error> {
         let (cache, scene) = self.pictures();
-        // Instances are only ever added or dismissed.
-        let (instances, dismissed) =
-            (self.instances().len(), self.instances().iter().filter(|i| i.dismissed).count());
-        let key = format!("{scene} {instances} {dismissed}");
+        // Corrections add instances and dismiss others, and can be undone.
+        let dismissed: Vec<u32> =
+            self.instances().iter().filter(|i| i.dismissed).map(|i| i.id.0).collect();
+        let key = format!("{scene} {} {dismissed:?}", self.instances().len());
         if let Some(known) = cache.contents.get(&key) {
             return Ok(known);
         }

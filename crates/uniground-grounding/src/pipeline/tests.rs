@@ -306,8 +306,8 @@ fn photographs_are_offered_when_no_candidate_fits_and_not_listed_is_allowed() {
     );
 }
 
-/// Returns the room with points on its things, and a photograph of it from above.
-fn seen_from_above(folder: &Utf8Path) -> Arc<MemoryScene> {
+/// Returns an album of the room with points on its things, and a photograph of it from above.
+fn album_from_above(folder: &Utf8Path) -> Arc<SceneAlbum> {
     let color = folder.join("0.png");
     RgbImage::from_pixel(640, 480, image::Rgb([90, 90, 90])).save(&color).unwrap();
     let intrinsics =
@@ -337,13 +337,28 @@ fn seen_from_above(folder: &Utf8Path) -> Arc<MemoryScene> {
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
     let album =
         SceneAlbum::new(extent, RenderScene::new(cloud), None, "attributes".into(), vec![frame]);
-    Arc::new(album).scene(things().into())
+    Arc::new(album)
+}
+
+#[test]
+fn cached_frame_contents_follow_dismissals() {
+    let folder = tempfile::tempdir().unwrap();
+    let album = album_from_above(Utf8Path::from_path(folder.path()).unwrap());
+    let seen_without = |dismissed: u32| {
+        let mut instances = things();
+        instances[dismissed as usize - 1].dismissed = true;
+        let contents = album.scene(instances.into()).frame_contents().unwrap();
+        let [(_, seen)] = &contents.frames[..] else { panic!("{contents:?}") };
+        seen.iter().map(|seen| seen.id.0).collect::<Vec<_>>()
+    };
+    assert_eq!((seen_without(2), seen_without(3)), (vec![1, 3], vec![1, 2]));
 }
 
 #[test]
 fn model_finds_candidates_and_anchors_in_marked_photographs() {
     let folder = tempfile::tempdir().unwrap();
-    let scene = seen_from_above(Utf8Path::from_path(folder.path()).unwrap());
+    let album = album_from_above(Utf8Path::from_path(folder.path()).unwrap());
+    let scene = album.scene(things().into());
     let asked = |query: &str, replies: &[Option<&'static str>]| {
         let model = Scripted::new(replies);
         let options = Options { evidence: EvidenceMode::Photographs, ..Options::default() };

@@ -22,7 +22,8 @@ const LEAST_SHARE: f32 = 0.0008;
 const CUT: f32 = 0.7;
 /// Quality of a view that stage 1 did not choose for the instance, relative to one that it chose.
 const NOT_A_VIEW: f32 = 0.75;
-/// A further photograph must add this much quality, in instances.
+/// Minimum gain of a further photograph: 1 is the best view of an instance that no other chosen
+/// photograph shows.
 const LEAST_GAIN: f32 = 0.5;
 /// Weight of the geometry's candidates and anchors: they should be seen well.
 const LIKELY: f32 = 3.0;
