@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use uniground::app;
 use uniground::config::{
     AccessConfig, BlobsConfig, BundlesConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat,
-    ModelsConfig, Role, RuntimeConfig, ServeConfig, VlmConfig, WebhookConfig,
+    ModelsConfig, ParseChoice, Role, RuntimeConfig, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground_client::Client;
 use uniground_core::grounding::memory_scene::{MemoryScene, SceneAlbum};
@@ -341,6 +341,7 @@ impl Server {
             access: AccessConfig::default(),
             models,
             fetch_models: false,
+            parse: ParseChoice::FullOnly,
             vlm: VlmConfig {
                 vlm_url: Some(url),
                 vlm_model: Some("instant".into()),

@@ -16,7 +16,7 @@ use uniground_endpoints::chat::{ChatClient, ReplayCache};
 use uniground_endpoints::inference::Probe;
 use uniground_jobs::{JobKind, Jobs};
 use uniground_service::{
-    BatchJob, Dependencies, Keyring, NamingJob, ParseJob, Services, Vlm, VlmSettings,
+    BatchJob, Dependencies, FullParseJob, Keyring, NamingJob, ParseJob, Services, Vlm, VlmSettings,
 };
 use uniground_storage::{BlobsAt, DbNotification, Location, NotificationListener, Store};
 use uniground_telemetry::metrics::Metrics;
@@ -112,7 +112,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
     let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, &store, metrics.clone()));
-    let parsing = background::low_priority_pool().context("threads for parses")?;
+    let pool = || background::low_priority_pool().context("threads for parses");
     let inference =
         config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
     let inference =
@@ -124,7 +124,9 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         limits: config.limits.service_limits(),
         vlm,
         models,
-        parse_pool: parsing,
+        parse_pool: pool()?,
+        full_parse_pool: pool()?,
+        parse_mode: config.parse.into(),
         reader: config.limits.scan_reader(),
         import_root: config.access.import_root.clone(),
         inference,
@@ -139,23 +141,24 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     services.webhooks.set_deliveries_enabled(webhook.as_ref()).await?;
     // Other running processes may be of a newer version, with job kinds unknown here.
     if store.locks.was_alone_at_start() {
-        jobs.fail_unknown_kinds(&JobType::ALL.map(JobType::kind)).await?;
+        jobs.fail_unknown_kinds(&JobType::ALL.map(JobType::kinds).concat()).await?;
     }
+    let parse_job =
+        || ParseJob { runner: services.parse_runner.clone(), naming: services.naming.clone() };
+    let at_once = part.concurrency;
     let start = |work: &JobType| match work {
-        JobType::Parse => start_lane(
-            &jobs,
-            ParseJob { runner: services.parse_runner.clone(), naming: services.naming.clone() },
-            part.concurrency,
-            &shutdown,
-        ),
+        JobType::Parse => vec![
+            start_lane(&jobs, parse_job(), at_once, &shutdown),
+            start_lane(&jobs, FullParseJob(parse_job()), at_once, &shutdown),
+        ],
         JobType::Naming => {
-            start_lane(&jobs, NamingJob(services.naming.clone()), part.concurrency, &shutdown)
+            vec![start_lane(&jobs, NamingJob(services.naming.clone()), at_once, &shutdown)]
         }
         JobType::Batch => {
-            start_lane(&jobs, BatchJob(services.batch_runner.clone()), part.concurrency, &shutdown)
+            vec![start_lane(&jobs, BatchJob(services.batch_runner.clone()), at_once, &shutdown)]
         }
     };
-    let lanes = part.works.iter().map(start).collect();
+    let lanes = part.works.iter().flat_map(start).collect();
     tokio::spawn(run_maintenance(services.clone(), shutdown.clone()));
     tokio::spawn(update_room_index(services.clone(), shutdown.clone()));
     tokio::spawn(restore_reserve_when_possible(store.clone(), shutdown.clone()));

@@ -29,7 +29,7 @@ use uniground_core::models::chat::Prices;
 use uniground_endpoints::chat::{ChatClient, Endpoint, ReplayCache, RetryPolicy};
 use uniground_isolation::{ChildProcess, ScanReader};
 use uniground_service::webhook::Webhook;
-use uniground_service::{Limits, LinkSecret, WhenNamed};
+use uniground_service::{Limits, LinkSecret, ParseMode, WhenNamed};
 
 const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
 const DEFAULT_MAX_UNFINISHED_UPLOADS: u32 = 100;
@@ -68,6 +68,9 @@ pub struct ServeConfig {
     /// checksum. The server starts even if this fails
     #[arg(long, env = "UNIGROUND_FETCH_MODELS")]
     pub fetch_models: bool,
+    /// Parses of a new scene, if there are neural networks
+    #[arg(long, env = "UNIGROUND_PARSE", value_enum, default_value_t, value_name = "MODE")]
+    pub parse: ParseChoice,
     #[command(flatten)]
     pub vlm: VlmConfig,
     #[command(flatten)]
@@ -219,6 +222,28 @@ pub struct VlmConfig {
     /// Request answers as JSON with a schema, if the endpoint supports it
     #[arg(long, env = "UNIGROUND_VLM_JSON")]
     pub vlm_json: bool,
+}
+
+/// Parses of a new scene, if there are neural networks.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum ParseChoice {
+    /// First a draft with the built-in methods, in seconds, then the full parse
+    #[default]
+    DraftFirst,
+    /// Only the full parse
+    FullOnly,
+    /// Only the draft. A full parse is made on request (`POST /v1/scenes/{id}/parse`)
+    DraftOnly,
+}
+
+impl From<ParseChoice> for ParseMode {
+    fn from(choice: ParseChoice) -> Self {
+        match choice {
+            ParseChoice::DraftFirst => Self::DraftFirst,
+            ParseChoice::FullOnly => Self::FullOnly,
+            ParseChoice::DraftOnly => Self::DraftOnly,
+        }
+    }
 }
 
 /// When the model names all objects of a scene automatically.

@@ -8,11 +8,17 @@ use uniground_types::keys::Scope;
 use uniground_types::numbers;
 use uniground_types::problem::FieldError;
 use uniground_types::question::{EvidenceMode, FrameChoice, ReasonerChoice};
+use uniground_types::scenes::ParseQuality;
 use uniground_types::settings::{ParsePreset, check_metres_per_unit};
 
 /// Parses an execution provider.
 pub fn provider() -> impl TypedValueParser<Value = Provider> {
     word_parser(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
+}
+
+/// Parses which parse a question waits for.
+pub fn wait() -> impl TypedValueParser<Value = ParseQuality> {
+    word_parser(&[("draft", "The first parse, which may be a draft"), ("full", "The full parse")])
 }
 
 pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
@@ -47,6 +53,7 @@ pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
              the same name",
         ),
         ("sheet", "One photograph each of 24 candidates, on contact sheets"),
+        ("photographs", "Marked photographs in which it points at the object, then its decision"),
         ("two-step", "Contact sheets first, then photographs of the best three"),
     ])
 }

@@ -12,9 +12,9 @@ use uniground_client::{Client, ClientError};
 use uniground_core::grounding::Status;
 use uniground_types::answer::Answer;
 use uniground_types::question::{
-    EvidenceMode, FrameChoice, GroundRequest, Observer, ReasonerChoice,
+    EvidenceMode, FrameChoice, GroundRequest, Observer, ReasonerChoice, WaitFor,
 };
-use uniground_types::scenes::{Scene, SceneStatus};
+use uniground_types::scenes::{ParseQuality, Scene, SceneStatus};
 
 #[allow(clippy::doc_markdown)] // Help is plain text.
 #[derive(Debug, clap::Args)]
@@ -36,9 +36,10 @@ pub struct GroundArgs {
     scene: Option<String>,
     #[command(flatten)]
     server: ServerArgs,
-    /// Wait for the scene if it is still being parsed
-    #[arg(long, requires = "scene")]
-    wait: bool,
+    /// Wait for the scene if it is still being parsed; with =full, also for the full parse after a
+    /// draft
+    #[arg(long, requires = "scene", num_args = 0..=1, require_equals = true, default_missing_value = "draft", value_name = "PARSE", value_parser = words::wait())]
+    wait: Option<ParseQuality>,
     /// Maximum number of candidates
     #[arg(long, default_value_t = 5)]
     top_k: u32,
@@ -115,6 +116,7 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         max_cost_usd: args.max_cost_usd,
         observer: args.observer.map(ObserverArg::to_observer),
         frame: args.frame,
+        wait: args.wait.filter(|wait| *wait == ParseQuality::Full).map(|_| WaitFor::Full),
         ..GroundRequest::new(&args.query)
     };
     let answer = match (&args.scan, &args.scene) {
@@ -152,7 +154,7 @@ async fn ask(args: &GroundArgs, scene: &str, request: &GroundRequest) -> anyhow:
     let asked = match client.ground(&id, request).await {
         Err(ClientError::Problem(problem)) if problem.code == "scene_not_ready" => {
             match (args.wait, &problem.job_id) {
-                (true, Some(job)) => {
+                (Some(_), Some(job)) => {
                     wait(&client, job).await?;
                     client.ground(&id, request).await
                 }

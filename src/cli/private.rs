@@ -4,7 +4,7 @@ use super::server::client;
 use crate::app::{self, RunningService};
 use crate::config::{
     AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig,
-    Role, ServeConfig, VlmConfig, WebhookConfig,
+    ParseChoice, Role, ServeConfig, VlmConfig, WebhookConfig,
 };
 use camino::Utf8PathBuf;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -29,6 +29,7 @@ impl PrivateServer {
             access: AccessConfig::default(),
             models,
             fetch_models: false,
+            parse: ParseChoice::FullOnly,
             vlm: VlmConfig::default(),
             webhook: WebhookConfig::default(),
             limits: LimitsConfig::default(),

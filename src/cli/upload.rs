@@ -12,7 +12,7 @@ use std::time::Instant;
 use uniground_client::Client;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::placement::FrameChoice;
-use uniground_types::scenes::Created;
+use uniground_types::scenes::{Created, ParseQuality, Scene};
 
 #[derive(Debug, clap::Args)]
 pub struct UploadArgs {
@@ -41,6 +41,9 @@ pub struct UploadArgs {
     /// Do not wait for the parse
     #[arg(long)]
     no_wait: bool,
+    /// Which parse to wait for. A server with neural networks makes a draft first
+    #[arg(long, default_value = "draft", conflicts_with = "no_wait", value_name = "PARSE", value_parser = words::wait())]
+    wait: ParseQuality,
     #[command(flatten)]
     server: ServerArgs,
     /// Print the scene as JSON
@@ -82,6 +85,27 @@ async fn add_frames(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::
     }
 }
 
+/// Waits for the full parse of a scene, or says that it follows. Returns the scene after that.
+async fn after_draft(
+    client: &Client,
+    scene: Scene,
+    wait: ParseQuality,
+    begun: Instant,
+) -> anyhow::Result<Scene> {
+    let Some(job_id) = &scene.job_id else { return Ok(scene) };
+    if client.job(job_id).await?.state.is_final() {
+        return Ok(scene);
+    }
+    if wait == ParseQuality::Draft {
+        eprintln!("this is a draft; the full parse follows, and objects keep their ids");
+        return Ok(scene);
+    }
+    eprintln!("the draft can be asked; making the full parse");
+    let told = job_progress::describe_outcome(&job_progress::follow_job(client, job_id).await?)?;
+    eprintln!("fully parsed in {:.1} s: {told}", begun.elapsed().as_secs_f32());
+    Ok(client.scene(&scene.id).await?)
+}
+
 /// Uploads a scan. Prints the id to standard output and everything else to stderr, for use as
 /// `scene=$(uniground upload room.zip)`.
 async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
@@ -102,7 +126,10 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
             job_progress::describe_outcome(&job_progress::follow_job(client, &job.id).await?)?;
         eprintln!("parsed in {:.1} s: {told}", begun.elapsed().as_secs_f32());
     }
-    let scene = client.scene(&scene.id).await?;
+    let mut scene = client.scene(&scene.id).await?;
+    if is_awaited && scene.quality == Some(ParseQuality::Draft) {
+        scene = after_draft(&client, scene, args.wait, begun).await?;
+    }
     for warning in scene.import.iter().flat_map(|import| &import.warnings) {
         eprintln!("warning: {warning}");
     }

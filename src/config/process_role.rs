@@ -2,7 +2,7 @@
 
 use super::ServeConfig;
 use uniground_jobs::JobKind;
-use uniground_service::{BatchJob, NamingJob, ParseJob};
+use uniground_service::{BatchJob, FullParseJob, NamingJob, ParseJob};
 
 /// The role of `uniground serve`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -17,7 +17,7 @@ pub enum Role {
 /// A kind of background job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum JobType {
-    /// Parses of scans
+    /// Parses of scans, drafts and full ones
     Parse,
     /// Naming of all objects of a scene by a model
     Naming,
@@ -29,13 +29,13 @@ impl JobType {
     /// All kinds of jobs.
     pub const ALL: [Self; 3] = [Self::Parse, Self::Naming, Self::Batch];
 
-    /// Returns the name of the kind in the database.
+    /// Returns the names of the kind's queues in the database.
     #[must_use]
-    pub const fn kind(self) -> &'static str {
+    pub const fn kinds(self) -> &'static [&'static str] {
         match self {
-            Self::Parse => ParseJob::NAME,
-            Self::Naming => NamingJob::NAME,
-            Self::Batch => BatchJob::NAME,
+            Self::Parse => &[ParseJob::NAME, FullParseJob::NAME],
+            Self::Naming => &[NamingJob::NAME],
+            Self::Batch => &[BatchJob::NAME],
         }
     }
 }

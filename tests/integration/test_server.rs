@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
 use uniground::config::{
     AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig,
-    Role, ServeConfig, VlmConfig, WebhookConfig,
+    ParseChoice, Role, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground_client::{Client, ClientError};
 use uniground_storage::Location;
@@ -94,6 +94,7 @@ pub fn serve_config(data_dir: &Utf8Path) -> ServeConfig {
         access: AccessConfig::default(),
         models: ModelsConfig::builtin(),
         fetch_models: false,
+        parse: ParseChoice::FullOnly,
         vlm: VlmConfig::default(),
         webhook: WebhookConfig::default(),
         limits: test_limits(),

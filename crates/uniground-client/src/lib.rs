@@ -539,6 +539,29 @@ impl Client {
         self.job(id).await
     }
 
+    /// Waits until the latest parse job of a scene is done, and the full parse after a draft. Calls
+    /// `on_event` with every progress event of those jobs. Returns the last job; `None` if the scene
+    /// was stored without a parse.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn follow_parses(
+        &self,
+        scene_id: &str,
+        mut on_event: impl FnMut(&Job),
+    ) -> Result<Option<Job>, ClientError> {
+        let mut last: Option<Job> = None;
+        loop {
+            let job_id = self.scene(scene_id).await?.job_id;
+            match job_id {
+                Some(id) if last.as_ref().is_none_or(|job| job.id != id) => {
+                    last = Some(self.follow_job(&id, &mut on_event).await?);
+                }
+                _ => return Ok(last),
+            }
+        }
+    }
+
     /// Returns the bytes of a resource, e.g. a picture. `path` is a path from an API response.
     ///
     /// # Errors

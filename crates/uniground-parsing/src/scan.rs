@@ -70,7 +70,8 @@ pub struct ParsedScan {
     pub models: ParseModels,
 }
 
-const BUILTIN: ModelChoice =
+/// The built-in methods only. A parse takes seconds then.
+pub const BUILTIN: ModelChoice =
     ModelChoice { masks: PartChoice::Builtin, encoder: PartChoice::Builtin, allow_builtin: false };
 
 /// Imports an unpacked scan and runs stage 1. Blocks, and uses the threads of the current rayon

@@ -52,7 +52,7 @@ pub use keys::{
 pub use maintenance::MaintenanceService;
 pub use names::NamingJob;
 pub use names::NamingService;
-pub use parses::{FileDownload, ParseFile, ParseJob};
+pub use parses::{FileDownload, FullParseJob, ParseFile, ParseJob, ParseMode};
 pub use parses::{MediaService, ParseRunner, ParseService, ParsedScenes};
 pub use permits::QuestionPermits;
 pub use retention::{RetentionReport, RunMode};

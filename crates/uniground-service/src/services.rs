@@ -11,7 +11,7 @@ use crate::{
     CorrectionService, DoctorService, ExportService, GroundingService, GrowthService,
     HealthService, ImportService, InstanceService, Keyring, Limits, MAX_COMPARISONS,
     MAX_CONCURRENT_SCENE_SCANS, MAX_UPLOADS, MaintenanceService, MediaService, NamingService,
-    ParseRunner, ParseService, ParsedScenes, QuestionPermits, RoomSearch, SceneLookup,
+    ParseMode, ParseRunner, ParseService, ParsedScenes, QuestionPermits, RoomSearch, SceneLookup,
     SceneService, ServiceLocks, StatsService, Transcripts, UploadService, Vlm, WebhookService,
 };
 use camino::Utf8PathBuf;
@@ -39,6 +39,9 @@ pub struct Dependencies {
     /// Parses compute in a pool of their own, whose threads have a low priority. Questions use
     /// rayon's global pool.
     pub parse_pool: ThreadPool,
+    /// Full parses after drafts have a second one, so that drafts of other scenes get their share.
+    pub full_parse_pool: ThreadPool,
+    pub parse_mode: ParseMode,
     /// Decodes uploads.
     pub reader: ScanReader,
     /// Scans below this folder may be imported. `None` disables imports.
@@ -65,6 +68,9 @@ impl Dependencies {
             models: Models::default(),
             parse_pool: background::low_priority_pool()
                 .map_err(|error| Error::Io(io::Error::other(error)))?,
+            full_parse_pool: background::low_priority_pool()
+                .map_err(|error| Error::Io(io::Error::other(error)))?,
+            parse_mode: ParseMode::default(),
             reader: ScanReader::in_process(),
             import_root: None,
             inference: None,
@@ -121,6 +127,8 @@ impl Services {
             vlm,
             models,
             parse_pool,
+            full_parse_pool,
+            parse_mode,
             reader,
             import_root,
             inference,
@@ -128,7 +136,8 @@ impl Services {
         } = dependencies;
         let metrics = jobs.metrics().clone();
         let keyring = keyring.with_metrics(metrics.clone());
-        let (vlm, parse_pool) = (vlm.map(Arc::new), Arc::new(parse_pool));
+        let (vlm, parse_pool, full_parse_pool) =
+            (vlm.map(Arc::new), Arc::new(parse_pool), Arc::new(full_parse_pool));
         let inference = inference.map(Arc::new);
         let permits = Arc::new(Semaphore::new(limits.max_concurrent_questions));
         let scan_permits = Arc::new(Semaphore::new(MAX_CONCURRENT_SCENE_SCANS));
@@ -165,6 +174,7 @@ impl Services {
             scene_repository: store.scenes.clone(),
             jobs: jobs.clone(),
             parse_repository: store.parses.clone(),
+            models: models.clone(),
         });
         let answer_service = Arc::new(AnswerService {
             answer_repository: store.answers.clone(),
@@ -242,6 +252,7 @@ impl Services {
         });
         let parse_service = Arc::new(ParseService {
             models: models.clone(),
+            parse_mode,
             scene_repository: store.scenes.clone(),
             scene_lookup: scene_lookup.clone(),
             service_locks: service_locks.clone(),
@@ -344,6 +355,8 @@ impl Services {
             scene_lookup: scene_lookup.clone(),
             models: models.clone(),
             parse_pool: parse_pool.clone(),
+            full_parse_pool: full_parse_pool.clone(),
+            jobs: jobs.clone(),
             capacity: capacity.clone(),
             metrics: metrics.clone(),
             reader: reader.clone(),

@@ -6,7 +6,7 @@
 
 use super::single_flight_cache::SingleFlightCache;
 use super::vlm::today;
-use super::{BatchJob, MAX_UPLOADS, NamingJob, ParseJob};
+use super::{BatchJob, FullParseJob, MAX_UPLOADS, NamingJob, ParseJob};
 use crate::error::Error;
 use crate::parses::ParseCache;
 use crate::{HealthService, Limits, Vlm};
@@ -137,7 +137,7 @@ impl StatsService {
             stored.free_bytes.set(figures.free_bytes as i64);
             // Reported even if no process has workers for a kind. The age of its queue matters most
             // then.
-            for kind in [ParseJob::NAME, NamingJob::NAME, BatchJob::NAME] {
+            for kind in [ParseJob::NAME, FullParseJob::NAME, NamingJob::NAME, BatchJob::NAME] {
                 let JobStats { queued, running, oldest_queued_s, .. } =
                     job_stats(kind, true, &figures);
                 self.metrics.jobs.set_queue_lengths(

@@ -45,11 +45,19 @@ impl InsertedJob for GrowthOutcome {
 
 /// What a parse takes over from the previous one.
 pub struct ContinuedParse<'a> {
-    pub scene_id: &'a str,
     pub from_parse: &'a str,
-    pub changes: &'a Changes,
     /// Corrections whose instances still exist.
     pub corrections: &'a [Correction],
+    pub reason: ContinuationReason<'a>,
+}
+
+/// Why a parse continues another one.
+pub enum ContinuationReason<'a> {
+    /// The scene has grown.
+    Growth { scene_id: &'a str, changes: &'a Changes },
+    /// The other parse is a draft of the same content. Every scene that uses it changes to the new
+    /// parse in the same transaction.
+    Draft,
 }
 
 impl SceneRepository {
@@ -220,17 +228,32 @@ impl ParseRepository {
         parse_id: &str,
         continued: &ContinuedParse<'_>,
     ) -> Result<(), StoreError> {
-        let ContinuedParse { scene_id, from_parse, changes, corrections } = continued;
-        let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT $1, $2, $3, $4, $5
-                   WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $1)";
-        sqlx::query(sql)
-            .bind(scene_id)
-            .bind(parse_id)
-            .bind(from_parse)
-            .bind(serde_json::to_string(changes)?)
-            .bind(now())
-            .execute(&mut **tx)
-            .await?;
+        let ContinuedParse { from_parse, corrections, reason } = continued;
+        match reason {
+            ContinuationReason::Growth { scene_id, changes } => {
+                let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT $1, $2, $3, $4, $5
+                           WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $1)";
+                sqlx::query(sql)
+                    .bind(scene_id)
+                    .bind(parse_id)
+                    .bind(from_parse)
+                    .bind(serde_json::to_string(changes)?)
+                    .bind(now())
+                    .execute(&mut **tx)
+                    .await?;
+            }
+            ContinuationReason::Draft => {
+                // A scene that has grown meanwhile waits for the parse of its new content.
+                let sql = "UPDATE scenes SET parse_id = $1, parse_version = parse_version + 1, updated_at = $2
+                           WHERE parse_id = $3 AND content_hash = (SELECT content_hash FROM parses WHERE id = $1)";
+                sqlx::query(sql)
+                    .bind(parse_id)
+                    .bind(now())
+                    .bind(from_parse)
+                    .execute(&mut **tx)
+                    .await?;
+            }
+        }
         for correction in *corrections {
             sqlx::query("INSERT INTO corrections (id, parse_id, change, made, author, created_at) VALUES ($1, $2, $3, $4, $5, $6)")
                 .bind(self.database.new_id())

@@ -63,7 +63,7 @@ pub use data_migration::{
     StoreLocation, migrate_data,
 };
 pub use database::{Location, PostgresUrl};
-pub use growth::{ContinuedParse, GrowthOutcome, SceneGrowth};
+pub use growth::{ContinuationReason, ContinuedParse, GrowthOutcome, SceneGrowth};
 pub use health::{HealthProbe, StoreHealth};
 pub use integrity::{BrokenReference, IntegrityRepository};
 pub use jobs::{

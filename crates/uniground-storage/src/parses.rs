@@ -73,7 +73,7 @@ pub struct NewParse<'a> {
     pub report: &'a ParseReport,
     pub extent: &'a Aabb,
     pub instances: &'a [Instance],
-    /// For a scene that has grown: what it takes over from the previous parse.
+    /// What it takes over from another parse, if it continues one.
     pub continued: Option<ContinuedParse<'a>>,
     /// The lease of the job that made it.
     pub lease: &'a JobLease,

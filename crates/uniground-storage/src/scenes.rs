@@ -288,20 +288,30 @@ impl SceneRepository {
         job_id: &str,
     ) -> Result<(), StoreError> {
         let mut tx = self.database.writer.begin().await?;
-        let before: Option<Option<String>> =
-            sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = $1")
-                .bind(id)
-                .fetch_optional(&mut *tx)
-                .await?;
-        // Ids are ordered by time.
-        let sql = "UPDATE scenes SET parse_version = parse_version + CASE WHEN parse_id IS DISTINCT FROM $1 THEN 1 ELSE 0 END, parse_id = $1, updated_at = $2
-                   WHERE id = $3 AND (job_id IS NULL OR job_id <= $4)";
-        let query = sqlx::query(sql).bind(parse_id).bind(now()).bind(id).bind(job_id);
-        let is_set = query.execute(&mut *tx).await?.rows_affected() > 0;
-        if let Some(before) = before.flatten().filter(|_| is_set) {
-            number_changes(&mut tx, id, parse_id, &before).await?;
-        }
+        set_parse(&mut tx, id, parse_id, job_id).await?;
         tx.commit().await
+    }
+
+    /// Like [`set_scene_parse`](Self::set_scene_parse), and queues the job that comes after
+    /// `job_id` in the same transaction. Returns `None` and queues nothing if a later job was
+    /// requested meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn set_scene_parse_and_queue(
+        &self,
+        id: &str,
+        parse_id: &str,
+        job_id: &str,
+        next: NewJob<'_>,
+    ) -> Result<Option<JobRow>, StoreError> {
+        let mut tx = self.database.writer.begin().await?;
+        let job = match set_parse(&mut tx, id, parse_id, job_id).await? {
+            true => Some(insert_queued_job(&mut tx, id, &self.database.new_id(), next).await?),
+            false => None,
+        };
+        tx.commit().await?;
+        Ok(job)
     }
 
     /// Deletes the rows of a scene with the rest of its answers, and those of its content and
@@ -331,6 +341,30 @@ impl SceneRepository {
         tx.commit().await?;
         Ok(Some(folders))
     }
+}
+
+/// Makes a parse the scene's current one, unless a later job than `job_id` was requested meanwhile.
+/// Returns whether it did.
+async fn set_parse(
+    tx: &mut Transaction,
+    scene_id: &str,
+    parse_id: &str,
+    job_id: &str,
+) -> Result<bool, StoreError> {
+    let before: Option<Option<String>> =
+        sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = $1")
+            .bind(scene_id)
+            .fetch_optional(&mut **tx)
+            .await?;
+    // Ids are ordered by time.
+    let sql = "UPDATE scenes SET parse_version = parse_version + CASE WHEN parse_id IS DISTINCT FROM $1 THEN 1 ELSE 0 END, parse_id = $1, updated_at = $2
+               WHERE id = $3 AND (job_id IS NULL OR job_id <= $4)";
+    let query = sqlx::query(sql).bind(parse_id).bind(now()).bind(scene_id).bind(job_id);
+    let is_set = query.execute(&mut **tx).await?.rows_affected() > 0;
+    if let Some(before) = before.flatten().filter(|_| is_set) {
+        number_changes(tx, scene_id, parse_id, &before).await?;
+    }
+    Ok(is_set)
 }
 
 /// Inserts a job on a scene, in the caller's transaction.

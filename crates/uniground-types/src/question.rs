@@ -276,6 +276,20 @@ pub struct GroundRequest {
     /// Timeout, seconds, at most 3600.
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3600))]
     pub timeout_s: Option<f32>,
+    /// `full`: wait until the parse that is queued or running for this scene is done, at most
+    /// `timeout_s`. By default, a scene that has a parse is asked at once, and one without is
+    /// rejected with `scene_not_ready`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wait: Option<WaitFor>,
+}
+
+/// The parse that a question waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum WaitFor {
+    /// The full parse, also if a draft is ready.
+    Full,
 }
 
 /// A query that returns only candidates.
@@ -364,6 +378,7 @@ impl GroundRequest {
             include: None,
             max_cost_usd: None,
             timeout_s: None,
+            wait: None,
         }
     }
 

@@ -24,6 +24,18 @@ pub enum SceneStatus {
     Failed,
 }
 
+/// What made a scene's current parse.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum ParseQuality {
+    /// The built-in methods, in seconds. The server's neural networks find and name more: their
+    /// parse follows, or can be requested.
+    Draft,
+    /// Everything that the server is configured to use.
+    Full,
+}
+
 /// Sizes of a scene's current parse.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -54,6 +66,10 @@ pub struct Scene {
     /// Version of the current parse, from 1. 0 before the first. Questions use it until a newer one
     /// is ready.
     pub parse_version: u32,
+    /// What made the current parse. `null` before the first. While it is `draft`, the job `job_id`
+    /// makes the full parse; objects keep their ids.
+    #[serde(default)]
+    pub quality: Option<ParseQuality>,
     /// Sizes of the current parse. `null` before the first.
     pub counts: Option<SceneCounts>,
     /// Box of all points; meters, world frame (Z up).

@@ -117,8 +117,8 @@ impl System for Server {
             let query = [("name", scene.id.as_str()), ("levelling", "off")];
             let created =
                 self.client.create_scene_once(&query, archive.media_type, body, &key).await?;
-            let job = created.job.context("the server started no parse job")?;
-            let job = self.client.follow_job(&job.id, |_| {}).await?;
+            let job = self.client.follow_parses(&created.scene.id, |_| {}).await?;
+            let job = job.context("the server started no parse job")?;
             if job.state != JobState::Succeeded {
                 let why = job.error.map_or_else(
                     || format!("the job ended as {:?}", job.state),

@@ -34,7 +34,7 @@ use uniground_storage::{AnswerRepository, Blobs, IdGenerator, NewAnswer, SceneRe
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace};
 use uniground_types::question::{
-    GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest,
+    GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest, WaitFor,
 };
 
 /// How long a batch keeps retrying to store an answer. After that the answer is lost and the
@@ -133,11 +133,20 @@ impl GroundingService {
         asker: QuestionCaller,
     ) -> Result<Answer, Error> {
         request.check()?;
+        let start = Instant::now();
+        if request.wait == Some(WaitFor::Full) {
+            let parsed = self.scene_lookup.wait_for_full_parse(scene_id);
+            match request.timeout_s {
+                Some(seconds) => timeout(Duration::from_secs_f32(seconds), parsed)
+                    .await
+                    .map_err(|_| Error::QuestionTimedOut { seconds })??,
+                None => parsed.await?,
+            }
+        }
         let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
         let mut budgets = Vlm::budgets(request.max_cost_usd);
         budgets.extend(asker.pays);
         let models = QuestionModels::decide(self.vlm.as_ref(), &request, &asker.caller, budgets)?;
-        let start = Instant::now();
         if models.has_reviewer() && asker.may_name {
             let naming =
                 self.naming_service.name_before_asking(&scene.id, &parse_id, &asker.caller);

@@ -1,5 +1,6 @@
-//! The job that parses a scene.
+//! The jobs that parse a scene.
 
+use super::plan::is_draft;
 use super::{files, settings_hash};
 use crate::error::Error;
 use crate::{
@@ -17,19 +18,19 @@ use tokio::time::{sleep, timeout};
 use uniground_geometry::progress::Progress;
 use uniground_ingest::GrownScan;
 use uniground_isolation::{ScanReader, Task, TaskOutcome};
-use uniground_jobs::{JobContext, JobFailure, JobKind, Retry};
+use uniground_jobs::{JobContext, JobFailure, JobKind, JobRequest, Jobs, Retry};
 use uniground_models::neural::Models;
 use uniground_parsing::checkpoints::Checkpoints;
 use uniground_parsing::scan::{
-    ImportedScan, ParsedScan, STAGE_1_VERSION, import_share, load_stored_import,
-    parse_imported_scan, select_models,
+    BUILTIN, ImportedScan, ParsedScan, STAGE_1_VERSION, import_share, load_stored_import,
+    model_names, parse_imported_scan, select_models,
 };
 use uniground_storage::{
-    Blobs, ContinuedParse, CorrectionRepository, HealthProbe, IdGenerator, NewParse,
-    ParseRepository, SceneRepository, SceneRow,
+    Blobs, ContinuationReason, ContinuedParse, CorrectionRepository, HealthProbe, IdGenerator,
+    NewParse, ParseRepository, SceneRepository, SceneRow,
 };
 use uniground_telemetry::metrics::Metrics;
-use uniground_types::settings::{ParseSettings, rename_deprecated_settings};
+use uniground_types::settings::{ParseModels, ParseSettings, rename_deprecated_settings};
 
 /// Parses scenes one at a time, because a parse uses every core it gets.
 pub struct ParseJob {
@@ -37,6 +38,10 @@ pub struct ParseJob {
     /// Names the objects of a scene right after its parse, if configured.
     pub naming: Arc<NamingService>,
 }
+
+/// Parses scenes that already have a parse with neural networks, which takes minutes. New scenes
+/// do not wait for it.
+pub struct FullParseJob(pub ParseJob);
 
 /// The result of a parse job that had nothing to do.
 pub(super) const STORED_PARSE_USED: &str =
@@ -48,6 +53,22 @@ pub struct Payload {
     pub(super) scene_id: String,
     #[serde(deserialize_with = "settings_of_any_version")]
     pub(super) settings: ParseSettings,
+    /// Jobs of earlier versions make full parses.
+    #[serde(default)]
+    pub(super) step: ParseStep,
+}
+
+/// What a parse job makes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ParseStep {
+    /// A parse with everything that the settings select.
+    #[default]
+    Full,
+    /// A parse with the built-in methods.
+    Draft,
+    /// The same. When it is done, a full parse is queued.
+    DraftThenFull,
 }
 
 /// Reads the settings of a queued job. An earlier version, whose settings had other names, may have
@@ -92,9 +113,30 @@ impl JobKind for ParseJob {
     type Payload = Payload;
 
     async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
-        let scene_id = job.payload.scene_id.clone();
+        self.run_in(job, &self.runner.parse_pool).await
+    }
+}
+
+impl JobKind for FullParseJob {
+    const NAME: &'static str = "full_parse";
+    const CONCURRENCY: usize = 1;
+    const RETRY: Retry = ParseJob::RETRY;
+    type Payload = Payload;
+
+    async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
+        self.0.run_in(job, &self.0.runner.full_parse_pool).await
+    }
+}
+
+impl ParseJob {
+    async fn run_in(
+        &self,
+        job: JobContext<Payload>,
+        pool: &Arc<ThreadPool>,
+    ) -> Result<String, JobFailure> {
+        let (scene_id, step) = (job.payload.scene_id.clone(), job.payload.step);
         let told = loop {
-            match self.runner.run_parse(&job).await {
+            match self.runner.run_parse(&job, pool).await {
                 // Finished stages are stored as checkpoints, so nothing is computed twice.
                 Err(error)
                     if error.is_object_store_unavailable()
@@ -108,7 +150,10 @@ impl JobKind for ParseJob {
                 done => break done.map_err(job_failure)?,
             }
         };
-        self.naming.name_when_parsed(&scene_id).await;
+        // Objects of the full parse are named when it is done.
+        if step != ParseStep::DraftThenFull {
+            self.naming.name_when_parsed(&scene_id).await;
+        }
         Ok(told)
     }
 }
@@ -126,6 +171,8 @@ pub struct ParseRunner {
     pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) models: Models,
     pub(crate) parse_pool: Arc<ThreadPool>,
+    pub(crate) full_parse_pool: Arc<ThreadPool>,
+    pub(crate) jobs: Jobs,
     pub(crate) capacity: Arc<Capacity>,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) reader: ScanReader,
@@ -152,13 +199,24 @@ impl ParseRunner {
     async fn run_parse(
         &self,
         JobContext { lease, payload, progress, .. }: &JobContext<Payload>,
+        pool: &Arc<ThreadPool>,
     ) -> Result<String, Error> {
-        let (Payload { scene_id, settings }, job_id, progress) =
+        let (Payload { scene_id, settings, step }, job_id, progress) =
             (payload, lease.job_id.as_str(), progress.clone());
         let scene = self.scene_lookup.scene_row(scene_id).await?;
-        if self.reuse_stored_parse(&scene, settings, job_id).await? {
+        // A draft is not needed where the full parse is stored.
+        if self.reuse_stored_parse(&scene, payload, ParseStep::Full, job_id).await?
+            || (*step != ParseStep::Full
+                && self.reuse_stored_parse(&scene, payload, *step, job_id).await?)
+        {
             return Ok(STORED_PARSE_USED.into());
         }
+        let used_settings = match step {
+            ParseStep::Full => settings.clone(),
+            ParseStep::Draft | ParseStep::DraftThenFull => {
+                ParseSettings { models: BUILTIN, ..settings.clone() }
+            }
+        };
         let (blobs, content, hash) = (
             self.blobs.clone(),
             self.blobs.content(&scene.content_hash),
@@ -176,9 +234,11 @@ impl ParseRunner {
         ))?;
         let (span, start) = (tracing::Span::current(), Instant::now());
         // Networks, where they are used, take nearly all of the time.
-        let parsed_by = if self.models.loaded.is_empty() { 0.9 } else { 0.99 };
-        let (blobs, pool, models, job_settings) =
-            (self.blobs.clone(), self.parse_pool.clone(), self.models.clone(), settings.clone());
+        let selected = select_models(used_settings.models, &self.models);
+        let parsed_by = if selected.loaded.is_empty() { 0.9 } else { 0.99 };
+        let imported = import_share(&selected);
+        let (blobs, stage_pool, models) = (self.blobs.clone(), pool.clone(), self.models.clone());
+        let how = used_settings.parsing.instances;
         let (service, entered, scan_folder, parsing) =
             (self.clone(), span.clone(), content.clone(), progress.sub_range(0.0, parsed_by));
         // A scene with a parse shows that one.
@@ -188,13 +248,12 @@ impl ParseRunner {
             let folder = blobs.open_checkpoints(&hash)?;
             let checkpoints = Checkpoints::in_folder(&folder, &origin);
             let draft = files::draft_points(&folder);
-            let imported = import_share(&select_models(job_settings.models, &models));
             let scan = if let Some(scan) =
-                load_stored_import(&scan_folder, &job_settings.import, &checkpoints)?
+                load_stored_import(&scan_folder, &used_settings.import, &checkpoints)?
             {
                 scan
             } else {
-                let (content, settings) = (scan_folder.to_path_buf(), job_settings.import.clone());
+                let (content, settings) = (scan_folder.to_path_buf(), used_settings.import.clone());
                 let task = Task::Import { content, settings, checkpoints: folder, origin };
                 service.import(&task, &checkpoints, &parsing.sub_range(0.0, imported))?
             };
@@ -202,11 +261,11 @@ impl ParseRunner {
                 tracing::warn!(%draft, %error, "draft of the cloud could not be written; viewers show no points until the parse is done");
             }
             // Parallel work stays in the pool of parses, whose threads have a low priority.
-            pool.install(|| {
+            stage_pool.install(|| {
                 service.capacity.check_memory(scan.estimate_memory())?;
                 Ok::<_, Error>(parse_imported_scan(
                     scan,
-                    &job_settings,
+                    &used_settings,
                     &models,
                     &checkpoints,
                     &parsing.sub_range(imported, 1.0),
@@ -219,34 +278,41 @@ impl ParseRunner {
         let mut scan = cut?;
         // The lock makes corrections wait from here on. They then apply to the parse that is being
         // written.
-        let parse_lock = match grown_from {
-            Some(_) if self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some() => {
-                Some(self.scene_lookup.lock_current_parse(scene_id).await?)
-            }
-            _ => None,
+        let is_parsed = self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some();
+        let mut parse_lock = match is_parsed && (grown_from.is_some() || *step == ParseStep::Full) {
+            true => Some(self.scene_lookup.lock_current_parse(scene_id).await?),
+            false => None,
         };
         let previous = match &parse_lock {
-            Some((parse_id, _lock)) => Some(self.previous_parse(parse_id.clone()).await?),
+            Some((parse_id, _lock)) => {
+                let is_draft = self.is_draft_of(parse_id, &scene.content_hash, settings).await?;
+                if is_draft && scan.models == builtin_models() {
+                    let why = scan.scene.report.warnings.pop().unwrap_or_default();
+                    return Ok(format!("the draft stays: {why}"));
+                }
+                match is_draft || grown_from.is_some() {
+                    true => Some((self.previous_parse(parse_id.clone()).await?, is_draft)),
+                    false => None,
+                }
+            }
             None => None,
         };
-        let (blobs, pool, id, how) = (
-            self.blobs.clone(),
-            self.parse_pool.clone(),
-            self.ids.new_id(),
-            settings.parsing.instances,
-        );
+        if previous.is_none() {
+            parse_lock = None;
+        }
+        let (blobs, pool, id) = (self.blobs.clone(), pool.clone(), self.ids.new_id());
         let place = blobs.parse(&id);
         let work = move || {
             let _entered = span.enter();
             let folder = blobs.scratch()?;
             let inherited = pool.install(|| {
                 let inherited = previous
-                    .map(|previous| {
-                        previous.continue_in(
-                            &mut scan,
-                            &how,
-                            &progress.sub_range(parsed_by, parsed_by),
-                        )
+                    .map(|(previous, is_draft)| {
+                        let comparing = progress.sub_range(parsed_by, parsed_by);
+                        match is_draft {
+                            true => Ok(previous.replace_draft_by(&mut scan, &how)),
+                            false => previous.continue_in(&mut scan, &how, &comparing),
+                        }
                     })
                     .transpose()?;
                 files::write(&scan, &content, &folder, &progress.sub_range(parsed_by, 1.0))?;
@@ -272,19 +338,21 @@ impl ParseRunner {
                 instances: &parsed.instances,
                 lease,
                 continued: inherited.as_ref().map(|inherited| ContinuedParse {
-                    scene_id,
                     from_parse: &inherited.parse_id,
-                    changes: &inherited.changes,
                     corrections: &inherited.corrections,
+                    reason: match &inherited.changes {
+                        Some(changes) => ContinuationReason::Growth { scene_id, changes },
+                        None => ContinuationReason::Draft,
+                    },
                 }),
             })
             .await?;
         if inserted {
-            self.scene_repository.set_scene_parse(scene_id, &id, job_id).await?;
+            self.set_scene_parse(payload, *step, &id, job_id).await?;
         } else {
             // Another job stored the same parse in the meantime, or the scene was deleted.
             self.blobs.discard(self.blobs.parse(&id)).await?;
-            if !self.reuse_stored_parse(&scene, settings, job_id).await? {
+            if !self.reuse_stored_parse(&scene, payload, *step, job_id).await? {
                 return Err(Error::SceneNotFound { id: scene_id.clone() });
             }
         }
@@ -328,18 +396,65 @@ impl ParseRunner {
     async fn reuse_stored_parse(
         &self,
         scene: &SceneRow,
-        settings: &ParseSettings,
+        payload: &Payload,
+        step: ParseStep,
         job_id: &str,
     ) -> Result<bool, Error> {
         // The lock keeps the parse until the scene refers to it.
         let _references = self.service_locks.lock_parse_references().await?;
-        let Some(parse_id) = self.parsed_scenes.stored_parse(&scene.content_hash, settings).await?
-        else {
-            return Ok(false);
+        let models = match step {
+            ParseStep::Full => model_names(&select_models(payload.settings.models, &self.models)),
+            ParseStep::Draft | ParseStep::DraftThenFull => builtin_models(),
         };
-        self.scene_repository.set_scene_parse(&scene.id, &parse_id, job_id).await?;
+        let stored =
+            self.parsed_scenes.stored_parse_by(&scene.content_hash, &payload.settings, &models);
+        let Some(parse_id) = stored.await? else { return Ok(false) };
+        self.set_scene_parse(payload, step, &parse_id, job_id).await?;
         Ok(true)
     }
+
+    /// Assigns a parse to the scene of a job. Queues the full parse after a draft.
+    async fn set_scene_parse(
+        &self,
+        Payload { scene_id, settings, .. }: &Payload,
+        step: ParseStep,
+        parse_id: &str,
+        job_id: &str,
+    ) -> Result<(), Error> {
+        if step != ParseStep::DraftThenFull {
+            return Ok(self.scene_repository.set_scene_parse(scene_id, parse_id, job_id).await?);
+        }
+        let next = Payload {
+            scene_id: scene_id.clone(),
+            settings: settings.clone(),
+            step: ParseStep::Full,
+        };
+        let next = JobRequest::<FullParseJob>::new(&next, None)?.without_limit();
+        let set =
+            self.scene_repository.set_scene_parse_and_queue(scene_id, parse_id, job_id, next.row());
+        self.jobs.enqueue(&next, set).await?;
+        Ok(())
+    }
+
+    /// Returns whether a parse is a draft of this content with these settings.
+    async fn is_draft_of(
+        &self,
+        parse_id: &str,
+        content_hash: &str,
+        settings: &ParseSettings,
+    ) -> Result<bool, Error> {
+        let Some(parse) = self.parse_repository.parse(parse_id).await? else { return Ok(false) };
+        let is_of_content = parse.content_hash == content_hash;
+        let record = parse.record();
+        Ok(is_of_content
+            && record.settings == *settings
+            && is_draft(&record.settings, &record.models, &self.models))
+    }
+}
+
+/// Returns the names of the built-in methods, which make drafts.
+fn builtin_models() -> ParseModels {
+    model_names(&Models::default())
 }
 
 /// Returns the hash of the first upload of a scan that has grown since.

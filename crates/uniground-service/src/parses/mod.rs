@@ -4,6 +4,7 @@ mod cache;
 mod files;
 mod job;
 mod parsed_scenes;
+mod plan;
 mod previous_parse;
 mod report_files;
 mod reports;
@@ -11,21 +12,24 @@ mod scene_media;
 
 pub use cache::{LoadedParse, ParseCache};
 pub use files::{ParseFile, photograph, read, read_frames, read_photograph, view};
-pub use job::ParseJob;
 pub use job::ParseRunner;
+pub use job::{FullParseJob, ParseJob};
 pub use parsed_scenes::ParsedScenes;
+pub use plan::ParseMode;
+pub(crate) use plan::is_draft;
 pub use scene_media::MediaService;
 
 use super::Caller;
 use crate::error::Error;
 use crate::{Capacity, SceneLookup, ServiceLocks};
-use job::Payload;
+use job::{ParseStep, Payload};
+use plan::{ParseRequest, PreparedParse};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use uniground_jobs::{Job, JobRequest, Jobs};
 use uniground_models::neural::Models;
-use uniground_parsing::scan::{STAGE_1_VERSION, model_names};
+use uniground_parsing::scan::{STAGE_1_VERSION, model_names, select_models};
 use uniground_storage::{Blobs, JobRepository, PinnedPath, SceneRepository};
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
@@ -41,6 +45,7 @@ pub enum FileDownload {
 #[derive(Clone)]
 pub struct ParseService {
     pub(crate) models: Models,
+    pub(crate) parse_mode: ParseMode,
     pub(crate) scene_repository: SceneRepository,
     pub(crate) scene_lookup: Arc<SceneLookup>,
     pub(crate) service_locks: Arc<ServiceLocks>,
@@ -59,7 +64,7 @@ impl ParseService {
     }
 
     /// Parses a scene in the background. A stored parse of the same content and settings is used at
-    /// once.
+    /// once. A scene without a parse may get a draft first, see [`ParseMode`].
     ///
     /// # Errors
     /// [`Error`] if the scene is unknown or the queue is full.
@@ -72,31 +77,51 @@ impl ParseService {
         let scene = self.scene_lookup.scene_row(scene_id).await?;
         // A stored parse stays until the scene refers to it.
         let _references = self.service_locks.lock_parse_references().await?;
-        let wanted = self.prepare_parse(&scene.id, &scene.content_hash, settings, caller).await?;
-        if wanted.stored.is_none() {
+        let is_parsed = scene.parse_id.is_some();
+        let wanted =
+            self.prepare_parse(&scene.id, &scene.content_hash, is_parsed, settings, caller).await?;
+        if !wanted.is_stored {
             self.capacity.check_disk(0)?;
         }
         let insert = self.scene_repository.insert_scene_job(&scene.id, wanted.job.row());
-        let row = self.jobs.enqueue(&wanted.job, insert).await?;
+        let row = wanted.job.enqueue(&self.jobs, insert).await?;
         let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id.clone() })?;
         Ok(self.jobs.to_job(row))
     }
 
-    /// Prepares a scene's parse, before it is recorded.
+    /// Prepares a scene's parse, before it is recorded. `is_parsed`: the scene can answer questions
+    /// meanwhile.
     pub(super) async fn prepare_parse(
         &self,
         scene_id: &str,
         content_hash: &str,
+        is_parsed: bool,
         settings: &ParseSettings,
         caller: &Caller,
     ) -> Result<PreparedParse, Error> {
-        let payload = Payload { scene_id: scene_id.to_owned(), settings: settings.clone() };
-        let mut job = JobRequest::new(&payload, caller.key_id())?;
+        let networks = !select_models(settings.models, &self.models).loaded.is_empty();
         let stored = self.parsed_scenes.stored_parse(content_hash, settings).await?;
-        if let Some(id) = &stored {
-            job = job.with_result(id.clone(), job::STORED_PARSE_USED);
-        }
-        Ok(PreparedParse { job, stored })
+        let step = match self.parse_mode {
+            ParseMode::FullOnly => ParseStep::Full,
+            _ if !networks || is_parsed || stored.is_some() => ParseStep::Full,
+            ParseMode::DraftFirst => ParseStep::DraftThenFull,
+            ParseMode::DraftOnly => ParseStep::Draft,
+        };
+        let payload = Payload { scene_id: scene_id.to_owned(), settings: settings.clone(), step };
+        // Drafts of other scenes do not wait for a parse that takes minutes.
+        let takes_long = networks && step == ParseStep::Full && stored.is_none();
+        let is_stored = stored.is_some();
+        let job = match takes_long && self.parse_mode != ParseMode::FullOnly {
+            true => ParseRequest::Full(JobRequest::new(&payload, caller.key_id())?),
+            false => {
+                let job = JobRequest::new(&payload, caller.key_id())?;
+                ParseRequest::Parse(match stored {
+                    Some(id) => job.with_result(id, job::STORED_PARSE_USED),
+                    None => job,
+                })
+            }
+        };
+        Ok(PreparedParse { job, is_stored })
     }
 
     /// Parses a scene again, with a preset in which single values are replaced.
@@ -161,12 +186,6 @@ fn corrected_names(corrections: &[Correction]) -> BTreeMap<u32, String> {
         .filter(|correction| correction.undone_at.is_none())
         .filter_map(name)
         .collect()
-}
-
-/// A requested parse: to be computed, or already stored.
-pub(super) struct PreparedParse {
-    pub(super) job: JobRequest<ParseJob>,
-    pub(super) stored: Option<String>,
 }
 
 /// Returns a hash of settings, with the models and the version of the code that use them.

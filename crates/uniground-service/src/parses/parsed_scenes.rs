@@ -1,7 +1,7 @@
 //! Loads finished parses, keeps them in memory and checks their files.
 
 use crate::error::Error;
-use crate::parses::job::{ParseJob, Payload};
+use crate::parses::job::{ParseJob, ParseStep, Payload};
 use crate::parses::{LoadedParse, ParseCache, ParseFile, corrected_names, files, settings_hash};
 use crate::{QuestionPermits, ServiceLocks, Vlm};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -20,7 +20,7 @@ use uniground_storage::{
     Blobs, CheckDepth, CorrectionRepository, DamagedFile, NameRepository, ParseRecord,
     ParseRepository, PinnedPath, SceneRepository,
 };
-use uniground_types::settings::ParseSettings;
+use uniground_types::settings::{ParseModels, ParseSettings};
 
 /// Loads finished parses, keeps them in memory and checks their files.
 #[derive(Clone)]
@@ -57,8 +57,18 @@ impl ParsedScenes {
         content_hash: &str,
         settings: &ParseSettings,
     ) -> Result<Option<String>, Error> {
-        let hash =
-            settings_hash(settings, &model_names(&select_models(settings.models, &self.models)))?;
+        let models = model_names(&select_models(settings.models, &self.models));
+        self.stored_parse_by(content_hash, settings, &models).await
+    }
+
+    /// Returns the parse of a content with these settings and models, if it exists with its files.
+    pub(crate) async fn stored_parse_by(
+        &self,
+        content_hash: &str,
+        settings: &ParseSettings,
+        models: &ParseModels,
+    ) -> Result<Option<String>, Error> {
+        let hash = settings_hash(settings, models)?;
         let Some(parse) = self.parse_repository.find_parse(content_hash, &hash).await? else {
             return Ok(None);
         };
@@ -81,7 +91,11 @@ impl ParsedScenes {
             self.parse_repository.parse(parse_id).await?.map(|parse| parse.record().settings);
         for scene in self.parse_repository.retire_parse(parse_id).await? {
             let Some(settings) = &settings else { continue };
-            let payload = Payload { scene_id: scene.id.clone(), settings: settings.clone() };
+            let payload = Payload {
+                scene_id: scene.id.clone(),
+                settings: settings.clone(),
+                step: ParseStep::Full,
+            };
             let job = JobRequest::<ParseJob>::new(&payload, None)?.without_limit();
             let insert = self.scene_repository.insert_scene_job(&scene.id, job.row());
             if let Some(row) = self.jobs.enqueue(&job, insert).await? {

@@ -37,7 +37,8 @@ pub(super) struct PreviousParse {
 /// What the new parse takes over from the previous one.
 pub(super) struct InheritedState {
     pub parse_id: String,
-    pub changes: Changes,
+    /// What changed in the room. `None` for a draft, which shows the same room.
+    pub changes: Option<Changes>,
     pub corrections: Vec<Correction>,
 }
 
@@ -74,25 +75,15 @@ impl PreviousParse {
         settings: &InstanceSettings,
         progress: &Progress,
     ) -> Result<InheritedState, Error> {
-        let Some((cloud, of_point)) = self.points() else {
-            tracing::warn!(
-                parse_id = self.parse_id,
-                "files of the previous parse could not be read; matching instances by their boxes"
-            );
-            let same = identical_instances(&self.found, &scan.scene.instances);
-            scan.scene = continue_ids(&self.found, scan.scene.clone(), &same);
-            let corrections = carry_over_corrections(&self.corrections, &mut scan.scene, settings);
+        let points = self.points();
+        let (corrections, counterparts) = self.carry_over(points.as_ref(), scan, settings);
+        let (Some((cloud, of_point)), Some(counterparts)) = (points, counterparts) else {
             return Ok(InheritedState {
                 parse_id: self.parse_id,
-                changes: Changes::default(),
+                changes: Some(Changes::default()),
                 corrections,
             });
         };
-        let counterparts =
-            Counterparts::match_identical(&cloud.positions, &scan.scene.cloud.positions);
-        let same = match_things(&of_point, &scan.scene.instance_of_point, &counterparts);
-        scan.scene = continue_ids(&self.found, scan.scene.clone(), &same);
-        let corrections = carry_over_corrections(&self.corrections, &mut scan.scene, settings);
         let mut now = scan.scene.instances.clone();
         correct(&mut now, &corrections);
         let frames_before =
@@ -124,7 +115,44 @@ impl PreviousParse {
             &Isometry3::identity(),
             progress,
         )?;
-        Ok(InheritedState { parse_id: self.parse_id, changes, corrections })
+        Ok(InheritedState { parse_id: self.parse_id, changes: Some(changes), corrections })
+    }
+
+    /// Gives the full parse the ids of this draft of the same scan. Blocks.
+    pub fn replace_draft_by(
+        self,
+        scan: &mut ParsedScan,
+        settings: &InstanceSettings,
+    ) -> InheritedState {
+        let (corrections, _) = self.carry_over(self.points().as_ref(), scan, settings);
+        InheritedState { parse_id: self.parse_id, changes: None, corrections }
+    }
+
+    /// Gives a new parse the ids of this one. Returns the corrections that still apply, and which
+    /// points of both clouds are the same.
+    fn carry_over(
+        &self,
+        points: Option<&(PointCloud, Vec<InstanceId>)>,
+        scan: &mut ParsedScan,
+        settings: &InstanceSettings,
+    ) -> (Vec<Correction>, Option<Counterparts>) {
+        let counterparts = points.map(|(cloud, _)| {
+            Counterparts::match_identical(&cloud.positions, &scan.scene.cloud.positions)
+        });
+        let same = match (points, &counterparts) {
+            (Some((_, of_point)), Some(counterparts)) => {
+                match_things(of_point, &scan.scene.instance_of_point, counterparts)
+            }
+            _ => {
+                tracing::warn!(
+                    parse_id = self.parse_id,
+                    "files of the previous parse could not be read; matching instances by their boxes"
+                );
+                identical_instances(&self.found, &scan.scene.instances)
+            }
+        };
+        scan.scene = continue_ids(&self.found, scan.scene.clone(), &same);
+        (carry_over_corrections(&self.corrections, &mut scan.scene, settings), counterparts)
     }
 
     fn points(&self) -> Option<(PointCloud, Vec<InstanceId>)> {

@@ -2,12 +2,14 @@
 
 use crate::ServiceLocks;
 use crate::error::Error;
+use crate::parses::is_draft;
 use std::sync::Arc;
 use uniground_jobs::{Job, Jobs};
+use uniground_models::neural::Models;
 use uniground_storage::{
     JobState, NamedLock, ParseRecord, ParseRepository, SceneRepository, SceneRow,
 };
-use uniground_types::scenes::{Scene, SceneCounts, SceneStatus};
+use uniground_types::scenes::{ParseQuality, Scene, SceneCounts, SceneStatus};
 use uuid::Uuid;
 
 /// Finds scenes and their parses.
@@ -17,6 +19,7 @@ pub struct SceneLookup {
     pub(crate) scene_repository: SceneRepository,
     pub(crate) jobs: Jobs,
     pub(crate) parse_repository: ParseRepository,
+    pub(crate) models: Models,
 }
 
 impl SceneLookup {
@@ -62,6 +65,24 @@ impl SceneLookup {
         }
     }
 
+    /// Waits until the latest parse job of a scene is done, and the full parse after a draft.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`].
+    pub(crate) async fn wait_for_full_parse(&self, id: &str) -> Result<(), Error> {
+        loop {
+            let Some(job_id) = self.scene_row(id).await?.job_id else { return Ok(()) };
+            // A deleted job counts as done too.
+            let done = self.jobs.follow(&job_id).await;
+            if let Ok(mut job) = done {
+                let _ = job.wait_for(|job| job.state.is_final()).await;
+            }
+            if self.scene_row(id).await?.job_id == Some(job_id) {
+                return Ok(());
+            }
+        }
+    }
+
     pub(crate) async fn to_scene(&self, row: SceneRow) -> Result<Scene, Error> {
         let job = self.current_job(&row).await?;
         let parse = match &row.parse_id {
@@ -95,6 +116,7 @@ impl SceneLookup {
             status,
             content_hash,
             parse_version: u32::try_from(parse_version).unwrap_or(0),
+            quality: None,
             counts: None,
             extent: None,
             scene_to_map,
@@ -119,6 +141,10 @@ impl SceneLookup {
                 instances: report.instances,
             });
             (scene.extent, scene.import, scene.report) = (extent, import, report);
+            scene.quality = Some(match is_draft(&settings, &models, &self.models) {
+                true => ParseQuality::Draft,
+                false => ParseQuality::Full,
+            });
             (scene.settings, scene.models) = (Some(settings), Some(models));
         }
         Ok(scene)

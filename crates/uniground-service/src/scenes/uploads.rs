@@ -241,7 +241,9 @@ impl ImportService {
         let id = self.ids.new_id();
         let wanted = match &parse {
             Some(settings) => {
-                Some(self.parse_service.prepare_parse(&id, &received.hash, settings, caller).await?)
+                let wanted =
+                    self.parse_service.prepare_parse(&id, &received.hash, false, settings, caller);
+                Some(wanted.await?)
             }
             None => None,
         };
@@ -255,7 +257,7 @@ impl ImportService {
             job: wanted.as_ref().map(|wanted| wanted.job.row()),
         });
         let inserted = match &wanted {
-            Some(wanted) => self.jobs.enqueue(&wanted.job, insert).await?,
+            Some(wanted) => wanted.job.enqueue(&self.jobs, insert).await?,
             None => insert.await?,
         };
         drop(references);
