@@ -17,6 +17,7 @@ mod coordinate_conventions;
 mod corrections;
 mod data_migration;
 mod databases;
+mod drafts;
 mod evaluation;
 mod export;
 mod graph;

@@ -66,7 +66,7 @@ async fn start_server(models: ModelsConfig) -> TestServer {
 }
 
 /// Uses few prompts, because random masks mean nothing.
-fn fast_settings() -> Value {
+pub fn fast_settings() -> Value {
     json!({"sam_masks": {"points_per_side": 2, "min_predicted_iou": -10.0, "min_stability": 0.0}})
 }
 

@@ -131,7 +131,12 @@ impl TestServer {
     ) -> Self {
         let config = serve_config(Utf8Path::from_path(data.path()).unwrap());
         let limits = LimitsConfig { reader_program: self::test_limits().reader_program, ..limits };
-        let running = app::start(&ServeConfig { models, vlm, limits, ..config }).await.unwrap();
+        Self::start_config(data, ServeConfig { models, vlm, limits, ..config }).await
+    }
+
+    /// Starts a server with this configuration, whose data is in `data`.
+    pub async fn start_config(data: tempfile::TempDir, config: ServeConfig) -> Self {
+        let running = app::start(&config).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();
         Self { client, running, data }
     }

@@ -175,6 +175,7 @@ export const t = {
     parse: "Parse it",
     draftCanvas: "The room as it was scanned. Drag to turn it.",
     draft: "Getting the room ready. It appears here as soon as it is done.",
+    isDraft: "draft",
     notParsed: "This scan has not been parsed. Parse it to find the objects in it.",
     steps: ["Read the scan", "Group points", "Find objects in the photos", "Join them into 3D objects", "Name the objects"],
     askNow: "You can ask now. The question is answered as soon as the room is ready.",
@@ -209,6 +210,8 @@ export const t = {
       "Drag to turn. Right-drag or Shift-drag to move. Wheel or pinch to zoom. Click an object to select it; hold Ctrl or Shift to select several. " +
       "Keys: arrows turn, Shift and arrows move, + and − zoom, Home shows the whole room, Escape deselects. " +
       "In walk mode: W A S D or arrow keys walk, drag to look around, Page Up and Page Down change the height, Escape leaves.",
+    improving: (left: string | null) => `Draft. The full parse is running${left === null ? "" : `, about ${left} left`}.`,
+    improved: (objects: number) => `The full parse is done: ${plural(objects, "object")}.`,
     loadingCloud: (share: number) => `Loading points, ${Math.round(share * 100)} %`,
     noWebgl: "This browser cannot draw in 3D (WebGL 2 is off). Questions and answers work without it.",
     tabs: { label: "Room", ask: "Ask", why: "Why", things: "Objects", photos: "Photos", report: "Report" },

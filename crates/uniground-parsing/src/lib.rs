@@ -20,6 +20,7 @@ pub mod correction;
 pub mod evidence;
 pub mod frame_appearance;
 pub mod frame_sampling;
+pub mod frame_selection;
 pub mod gaps;
 pub mod hierarchy;
 pub mod instances;

@@ -3,12 +3,12 @@
 //! earlier parts comes from checkpoints.
 
 use super::checkpoints::Checkpoints;
-use super::frame_sampling;
 use super::lifting::{Lifted, LiftingInput};
 use super::masks::MaskSource;
 use super::superpoints::{self, Superpoints};
 use super::visibility::Visibility;
 use super::{ParseError, Perception, StageOutcome, Stopwatch};
+use super::{frame_sampling, frame_selection};
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, PointCloud, SceneBundle};
 use uniground_types::settings::{
@@ -89,7 +89,16 @@ pub(super) fn lift_scan(
             progress,
         )
     };
-    let mut frames = frame_sampling::sample_frames(&frames, &settings.frame_sampling);
+    let select = |frames: &[FrameRef], cloud: &PointCloud, superpoints: &Superpoints| {
+        let sampled = frame_sampling::sample_frames(frames, &settings.frame_sampling);
+        match settings.frame_sampling.views_per_part {
+            Some(views) => {
+                frame_selection::select_frames(&sampled, cloud, &superpoints.patches, views)
+            }
+            None => sampled,
+        }
+    };
+    let mut frames = select(&frames, &cloud, &superpoints);
     let all_frames = (frames.len()
         + additions.iter().map(|addition| addition.frames.len()).sum::<usize>())
     .max(1) as f32;
@@ -105,9 +114,8 @@ pub(super) fn lift_scan(
     for (addition, number) in additions.iter().zip(1..) {
         watch.time("growth", |outcome| {
             let before = frames.len() as f32 / all_frames;
-            let new = frame_sampling::sample_frames(&addition.frames, &settings.frame_sampling);
-            let looking =
-                lifting_progress.sub_range(before, before + new.len() as f32 / all_frames);
+            let share = addition.frames.len() as f32 / all_frames;
+            let looking = lifting_progress.sub_range(before, before + share);
             checkpoints = checkpoints.with_dependency(&addition.made_of);
             cloud = addition.apply_to(&cloud);
             let compute = || {
@@ -125,6 +133,7 @@ pub(super) fn lift_scan(
                 compute,
             )?;
             superpoints = grown;
+            let new = select(&addition.frames, &cloud, &superpoints);
             lifted.iter_mut().for_each(|lifted: &mut Lifted| lifted.renumber(&renumbered));
             let (more, reused) = lifting_of(
                 &cloud,

@@ -46,6 +46,7 @@ impl InsertedJob for GrowthOutcome {
 /// What a parse takes over from the previous one.
 pub struct ContinuedParse<'a> {
     pub from_parse: &'a str,
+    pub changes: &'a Changes,
     /// Corrections whose instances still exist.
     pub corrections: &'a [Correction],
     pub reason: ContinuationReason<'a>,
@@ -54,7 +55,7 @@ pub struct ContinuedParse<'a> {
 /// Why a parse continues another one.
 pub enum ContinuationReason<'a> {
     /// The scene has grown.
-    Growth { scene_id: &'a str, changes: &'a Changes },
+    Growth { scene_id: &'a str },
     /// The other parse is a draft of the same content. Every scene that uses it changes to the new
     /// parse in the same transaction.
     Draft,
@@ -228,16 +229,17 @@ impl ParseRepository {
         parse_id: &str,
         continued: &ContinuedParse<'_>,
     ) -> Result<(), StoreError> {
-        let ContinuedParse { from_parse, corrections, reason } = continued;
+        let ContinuedParse { from_parse, changes, corrections, reason } = continued;
+        let changes = serde_json::to_string(changes)?;
         match reason {
-            ContinuationReason::Growth { scene_id, changes } => {
+            ContinuationReason::Growth { scene_id } => {
                 let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT $1, $2, $3, $4, $5
                            WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $1)";
                 sqlx::query(sql)
                     .bind(scene_id)
                     .bind(parse_id)
                     .bind(from_parse)
-                    .bind(serde_json::to_string(changes)?)
+                    .bind(&changes)
                     .bind(now())
                     .execute(&mut **tx)
                     .await?;
@@ -250,6 +252,15 @@ impl ParseRepository {
                     .bind(parse_id)
                     .bind(now())
                     .bind(from_parse)
+                    .execute(&mut **tx)
+                    .await?;
+                let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at, version)
+                           SELECT id, $1, $2, $3, $4, parse_version FROM scenes WHERE parse_id = $1";
+                sqlx::query(sql)
+                    .bind(parse_id)
+                    .bind(from_parse)
+                    .bind(&changes)
+                    .bind(now())
                     .execute(&mut **tx)
                     .await?;
             }

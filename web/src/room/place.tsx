@@ -8,6 +8,7 @@ import { ProblemNote } from "../ui/problem";
 import { panelId, tabId, Tabs } from "../ui/tabs";
 import { AskForm, AskPanel } from "./ask";
 import { RoomCanvas } from "./canvas";
+import { Improving } from "./improving";
 import { Photograph, PhotosPanel } from "./photos";
 import { ReportPanel } from "./report";
 import { Room, TABS } from "./state";
@@ -57,7 +58,8 @@ export function RoomPlace({ scene: id }: { scene: string }) {
       {narrow.value && <AskForm room={room} />}
       <section class="stage" aria-label={scene.name}>
         <h1 class="room-name">{scene.name}</h1>
-        <RoomCanvas room={room} onReady={(whole) => (showWhole.current = whole)} />
+        <Improving room={room} />
+        <RoomCanvas key={scene.parse_version} room={room} onReady={(whole) => (showWhole.current = whole)} />
         <ToolHint room={room} />
         {narrow.value ? (
           <ViewMenu room={room} onWhole={() => showWhole.current()} />

@@ -40,6 +40,7 @@ export function SceneCard({ scene, onGone, onChanged }: Properties) {
         <h2>{renaming ? <RenameForm name={scene.name} label={t.scenes.newName} maxLength={200} onDone={rename} /> : <a href={where}>{scene.name}</a>}</h2>
         <p class="facts">
           <span class={`badge ${status}`}>{t.scenes.status[status]}</span>
+          {scene.quality === "draft" && <span>{t.scenes.isDraft}</span>}
           {counts && <span>{t.scenes.things(counts.instances)}</span>}
           {counts && <span>{t.scenes.points(counts.points)}</span>}
           {extent && <span class="figures">{numbers(extent.size, 1)} m</span>}

@@ -115,6 +115,27 @@ pub fn compare(
     Ok(changes)
 }
 
+/// Compares two parses of the same scan, in which an object has the same id. The room is the same,
+/// so nothing appeared, moved or is gone.
+#[must_use]
+pub fn compare_parses(before: &[Instance], now: &[Instance]) -> Changes {
+    let is_thing = |thing: &&Instance| thing.is_shown() && thing.structure.is_none();
+    let ids = |of: &[Instance]| -> BTreeSet<InstanceId> {
+        of.iter().filter(is_thing).map(|thing| thing.id).collect()
+    };
+    let (old, new) = (ids(before), ids(now));
+    let others = |of: &[Instance], known: &BTreeSet<InstanceId>| {
+        let things = of.iter().filter(is_thing).filter(|thing| !known.contains(&thing.id));
+        things.map(to_changed_thing).collect()
+    };
+    Changes {
+        first_seen: others(now, &old),
+        regrouped: others(before, &new),
+        unchanged: old.intersection(&new).count() as u32,
+        ..Changes::default()
+    }
+}
+
 fn to_changed_thing(thing: &Instance) -> ChangedThing {
     ChangedThing { id: thing.id, label: thing.label().to_owned(), aabb: thing.aabb }
 }

@@ -339,10 +339,11 @@ impl ParseRunner {
                 lease,
                 continued: inherited.as_ref().map(|inherited| ContinuedParse {
                     from_parse: &inherited.parse_id,
+                    changes: &inherited.changes,
                     corrections: &inherited.corrections,
-                    reason: match &inherited.changes {
-                        Some(changes) => ContinuationReason::Growth { scene_id, changes },
-                        None => ContinuationReason::Draft,
+                    reason: match inherited.from_draft {
+                        true => ContinuationReason::Draft,
+                        false => ContinuationReason::Growth { scene_id },
                     },
                 }),
             })

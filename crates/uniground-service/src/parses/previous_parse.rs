@@ -13,7 +13,8 @@ use uniground_geometry::scene::{
     FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point,
 };
 use uniground_parsing::changes::{
-    Counterparts, RoomState, carry_over_corrections, compare, continue_ids, match_things,
+    Counterparts, RoomState, carry_over_corrections, compare, compare_parses, continue_ids,
+    match_things,
 };
 use uniground_parsing::scan::ParsedScan;
 use uniground_storage::{Blobs, PinnedPath};
@@ -37,8 +38,9 @@ pub(super) struct PreviousParse {
 /// What the new parse takes over from the previous one.
 pub(super) struct InheritedState {
     pub parse_id: String,
-    /// What changed in the room. `None` for a draft, which shows the same room.
-    pub changes: Option<Changes>,
+    /// Whether the previous parse was a draft of the same scan.
+    pub from_draft: bool,
+    pub changes: Changes,
     pub corrections: Vec<Correction>,
 }
 
@@ -80,7 +82,8 @@ impl PreviousParse {
         let (Some((cloud, of_point)), Some(counterparts)) = (points, counterparts) else {
             return Ok(InheritedState {
                 parse_id: self.parse_id,
-                changes: Some(Changes::default()),
+                from_draft: false,
+                changes: Changes::default(),
                 corrections,
             });
         };
@@ -115,7 +118,7 @@ impl PreviousParse {
             &Isometry3::identity(),
             progress,
         )?;
-        Ok(InheritedState { parse_id: self.parse_id, changes: Some(changes), corrections })
+        Ok(InheritedState { parse_id: self.parse_id, from_draft: false, changes, corrections })
     }
 
     /// Gives the full parse the ids of this draft of the same scan. Blocks.
@@ -125,7 +128,10 @@ impl PreviousParse {
         settings: &InstanceSettings,
     ) -> InheritedState {
         let (corrections, _) = self.carry_over(self.points().as_ref(), scan, settings);
-        InheritedState { parse_id: self.parse_id, changes: None, corrections }
+        let mut now = scan.scene.instances.clone();
+        correct(&mut now, &corrections);
+        let changes = compare_parses(&self.shown, &now);
+        InheritedState { parse_id: self.parse_id, from_draft: true, changes, corrections }
     }
 
     /// Gives a new parse the ids of this one. Returns the corrections that still apply, and which

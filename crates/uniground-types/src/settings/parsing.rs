@@ -67,6 +67,7 @@ impl ParsingSettings {
         Self {
             frame_sampling: FrameSamplingSettings {
                 max_frames: None,
+                views_per_part: None,
                 ..FrameSamplingSettings::default()
             },
             superpoints: SuperpointSettings {
