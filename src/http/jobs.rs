@@ -36,7 +36,7 @@ pub struct JobEvent {
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ListParameters {
-    /// Kind of job: `parse`, `naming`, `batch`.
+    /// Kind of job: `parse`, `full_parse`, `naming`, `batch`.
     kind: Option<String>,
     /// State of the job.
     #[param(inline)]

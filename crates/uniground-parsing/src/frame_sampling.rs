@@ -10,14 +10,17 @@ pub fn sample_frames(frames: &[FrameRef], settings: &FrameSamplingSettings) -> V
     let stride = (frames.len() / settings.stride_frames.max(1) as usize).max(1);
     let strided: Vec<FrameRef> = frames.iter().step_by(stride).cloned().collect();
     match settings.max_frames.map(|n| n.max(1) as usize) {
-        Some(budget) if strided.len() > budget => spread_along_path(&strided, budget),
+        Some(budget) if strided.len() > budget => {
+            let chosen = spread_along_path(&strided, budget);
+            chosen.into_iter().map(|frame| strided[frame].clone()).collect()
+        }
         _ => strided,
     }
 }
 
 /// Picks `budget` frames at equal steps of the distance traveled, so that a camera that stands
-/// still does not use up the budget.
-fn spread_along_path(frames: &[FrameRef], budget: usize) -> Vec<FrameRef> {
+/// still does not use up the budget. Returns their positions in `frames`, in order.
+pub(crate) fn spread_along_path(frames: &[FrameRef], budget: usize) -> Vec<usize> {
     let mut travelled = vec![0.0_f32];
     for pair in frames.windows(2) {
         let step = pair[0].camera_to_world.inverse() * pair[1].camera_to_world;
@@ -27,7 +30,7 @@ fn spread_along_path(frames: &[FrameRef], budget: usize) -> Vec<FrameRef> {
     }
     let total = travelled[travelled.len() - 1];
     if total <= 0.0 {
-        return frames.iter().step_by(frames.len().div_ceil(budget)).cloned().collect();
+        return (0..frames.len()).step_by(frames.len().div_ceil(budget)).collect();
     }
     let mut chosen = Vec::with_capacity(budget);
     let mut next = 0;
@@ -35,7 +38,7 @@ fn spread_along_path(frames: &[FrameRef], budget: usize) -> Vec<FrameRef> {
         let target = total * k as f32 / (budget - 1).max(1) as f32;
         let at = travelled[next..].partition_point(|&t| t < target) + next;
         let at = at.clamp(next, frames.len() - 1);
-        chosen.push(frames[at].clone());
+        chosen.push(at);
         next = at + 1;
         if next >= frames.len() {
             break;
@@ -84,7 +87,7 @@ mod tests {
         let frames = path((0..90).map(|_| 0.0).chain((1..=10).map(|i| i as f32)));
         let chosen = sample_frames(
             &frames,
-            &FrameSamplingSettings { stride_frames: 1000, max_frames: Some(11) },
+            &FrameSamplingSettings { max_frames: Some(11), ..Default::default() },
         );
         let moving = chosen.iter().filter(|f| f.camera_to_world.translation.x > 0.0).count();
         assert!(chosen.len() <= 11 && moving == 10, "{moving} of {}", chosen.len());

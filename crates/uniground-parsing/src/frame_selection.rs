@@ -1,7 +1,11 @@
-//! Selects few frames that together show every part of a room several times, from near and not at a
-//! grazing angle. Segmenting a frame takes most of the time of a parse, and neighboring frames of a
-//! video show the same.
+//! Selects the frames that a parse uses: few frames, spread evenly along the camera path, that
+//! together show every part of the scan several times. Segmenting a frame takes most of the time of
+//! a parse, and neighboring frames of a video show the same.
+//!
+//! A greedy choice of the frames that show most finds fewer objects than the same number of evenly
+//! spread frames (docs/METHOD.md), so only their number depends on what they show.
 
+use crate::frame_sampling::spread_along_path;
 use crate::superpoints::Patch;
 use rayon::prelude::*;
 use uniground_geometry::Point3;
@@ -15,77 +19,43 @@ const DRAWN: usize = 60_000;
 /// How far behind the nearest point of a cell something is still visible: a share of its depth,
 /// and meters. A cell covers a slanted surface over some depth.
 const TOLERANCE: (f32, f32) = (0.05, 0.05);
-/// A view along a surface counts like one at this cosine.
-const LEAST_COSINE: f32 = 0.1;
-/// The selection ends when it reaches this share of what all frames together show.
-const ENOUGH: f64 = 0.98;
-/// Frames this near to a selected one show nothing else: meters, plus radians between the views.
-const SAME_VIEW: f32 = 0.1;
+/// The selection shows at least this share of what is wanted.
+const ENOUGH: f64 = 0.9;
 
-/// Returns the frames to use, in order. Each part of the scan, such as a superpoint, counts as seen
-/// `views` times if its views are as good as the best one.
+/// Returns the frames to use, in order: at least `least`, if there are so many. Each part of the
+/// scan, such as a superpoint, is wanted in `views` frames, or in as many as there are.
 #[must_use]
 pub fn select_frames(
     frames: &[FrameRef],
     cloud: &PointCloud,
     parts: &[Patch],
     views: u32,
+    least: usize,
 ) -> Vec<FrameRef> {
-    let mut seen: Vec<Vec<(u32, f32)>> =
+    if frames.len() <= least {
+        return frames.to_vec();
+    }
+    let seen: Vec<Vec<u32>> =
         frames.par_iter().map(|frame| visible_parts(frame, cloud, parts)).collect();
-    let mut best = vec![0.0_f32; parts.len()];
-    for (part, quality) in seen.iter().flatten() {
-        let best = &mut best[*part as usize];
-        *best = best.max(*quality);
-    }
-    // From here on, the quality is relative to the part's best view.
-    for (part, quality) in seen.iter_mut().flatten() {
-        *quality /= best[*part as usize];
-    }
-    let wanted = f64::from(views.max(1));
-    let mut possible = vec![0.0_f64; parts.len()];
-    for (part, quality) in seen.iter().flatten() {
-        possible[*part as usize] += f64::from(*quality);
-    }
-    let possible: f64 = possible.iter().map(|sum| sum.min(wanted)).sum();
-    let mut reached = vec![0.0_f64; parts.len()];
-    let mut total = 0.0;
-    let mut left: Vec<usize> = (0..frames.len()).collect();
-    let mut chosen: Vec<usize> = Vec::new();
-    let gain = |frame: usize, reached: &[f64]| -> f64 {
-        let gains = seen[frame].iter().map(|(part, quality)| {
-            let before = reached[*part as usize];
-            (before + f64::from(*quality)).min(wanted) - before
-        });
-        gains.sum()
+    let shown = |frames: &mut dyn Iterator<Item = usize>| -> f64 {
+        let mut counts = vec![0_u32; parts.len()];
+        frames.flat_map(|frame| &seen[frame]).for_each(|part| counts[*part as usize] += 1);
+        counts.iter().map(|count| f64::from((*count).min(views))).sum()
     };
-    while total < ENOUGH * possible {
-        let gains: Vec<f64> = left.par_iter().map(|frame| gain(*frame, &reached)).collect();
-        // The first of equal frames.
-        let best = (0..left.len()).rev().max_by(|a, b| gains[*a].total_cmp(&gains[*b]));
-        let Some(best) = best.filter(|best| gains[*best] > 0.0) else { break };
-        let frame = left[best];
-        total += gains[best];
-        for (part, quality) in &seen[frame] {
-            let reached = &mut reached[*part as usize];
-            *reached = (*reached + f64::from(*quality)).min(wanted);
+    let wanted = ENOUGH * shown(&mut (0..frames.len()));
+    let mut number = least.max(1);
+    while number < frames.len() {
+        let chosen = spread_along_path(frames, number);
+        if shown(&mut chosen.iter().copied()) >= wanted {
+            return chosen.into_iter().map(|frame| frames[frame].clone()).collect();
         }
-        chosen.push(frame);
-        left.retain(|other| distance(&frames[frame], &frames[*other]) > SAME_VIEW);
+        number += number.div_ceil(16);
     }
-    chosen.sort_unstable();
-    chosen.into_iter().map(|frame| frames[frame].clone()).collect()
+    frames.to_vec()
 }
 
-/// Returns the distance between two views: meters between the cameras, plus radians between their
-/// orientations.
-pub(crate) fn distance(a: &FrameRef, b: &FrameRef) -> f32 {
-    let step = a.camera_to_world.inverse() * b.camera_to_world;
-    step.translation.vector.norm() + step.rotation.angle()
-}
-
-/// Returns the parts whose centers a frame shows, with the pixels per meter at which it shows them.
-fn visible_parts(frame: &FrameRef, cloud: &PointCloud, parts: &[Patch]) -> Vec<(u32, f32)> {
+/// Returns the parts whose centers a frame shows.
+fn visible_parts(frame: &FrameRef, cloud: &PointCloud, parts: &[Patch]) -> Vec<u32> {
     let camera = Camera::new(frame.depth_intrinsics, &frame.camera_to_world);
     let (width, height) =
         (frame.depth_intrinsics.width as f32, frame.depth_intrinsics.height as f32);
@@ -102,15 +72,87 @@ fn visible_parts(frame: &FrameRef, cloud: &PointCloud, parts: &[Patch]) -> Vec<(
             nearest[cell] = nearest[cell].min(depth);
         }
     }
-    let eye: Point3<f32> = frame.camera_to_world.translation.vector.into();
-    let focal = frame.color_intrinsics.fx;
-    let quality = |(number, part): (u32, &Patch)| {
-        let (cell, depth) = cell_of(&part.center)?;
+    let is_visible = |part: &Patch| {
         let (share, meters) = TOLERANCE;
-        let is_visible = depth <= nearest[cell] * (1.0 + share) + meters;
-        let towards = (eye - part.center).normalize();
-        let cosine = towards.dot(&part.normal).abs().max(LEAST_COSINE);
-        is_visible.then_some((number, focal / depth * cosine))
+        cell_of(&part.center)
+            .is_some_and(|(cell, depth)| depth <= nearest[cell] * (1.0 + share) + meters)
     };
-    (0..).zip(parts).filter_map(quality).collect()
+    (0..).zip(parts).filter(|(_, part)| is_visible(part)).map(|(number, _)| number).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Translation3, UnitQuaternion};
+    use uniground_geometry::scene::{FrameIndex, Intrinsics, Optics};
+    use uniground_geometry::{Isometry3, Vector3};
+
+    /// Returns a camera at `x` that looks along +Y, at a wall two meters away.
+    fn frame(index: u32, x: f32) -> FrameRef {
+        let intrinsics =
+            Intrinsics { width: 64, height: 48, fx: 64.0, fy: 64.0, cx: 31.5, cy: 23.5 };
+        // OpenCV axes: the view direction Z becomes +Y, and down Y becomes -Z.
+        let turn =
+            UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
+        FrameRef {
+            index: FrameIndex(index),
+            color: "c".into(),
+            depth: "d".into(),
+            color_intrinsics: intrinsics,
+            depth_intrinsics: intrinsics,
+            depth_scale_m: 0.001,
+            camera_to_world: Isometry3::from_parts(Translation3::new(x, 0.0, 1.0), turn),
+            optics: Optics::default(),
+        }
+    }
+
+    fn wall(y: f32, xs: std::ops::Range<i32>) -> Vec<Point3<f32>> {
+        let at = |i: i32, k: i32| Point3::new(i as f32 * 0.025, y, k as f32 * 0.025);
+        xs.flat_map(|i| (0..80).map(move |k| at(i, k))).collect()
+    }
+
+    fn parts(points: &[Point3<f32>]) -> Vec<Patch> {
+        let part = |center: &Point3<f32>| Patch {
+            points: 1,
+            center: *center,
+            normal: Vector3::y(),
+            lab: nalgebra::Vector3::zeros(),
+        };
+        points.iter().map(part).collect()
+    }
+
+    fn cloud(positions: Vec<Point3<f32>>) -> PointCloud {
+        PointCloud { colors: vec![[90; 3]; positions.len()], positions }
+    }
+
+    #[test]
+    fn a_slow_video_needs_few_frames_and_a_fast_one_nearly_all() {
+        let points = wall(2.0, -40..440);
+        let cloud = cloud(points.clone());
+        // The same ten meters in 200 and in 10 frames.
+        let slow: Vec<FrameRef> = (0..200).map(|i| frame(i, i as f32 * 0.05)).collect();
+        let fast: Vec<FrameRef> = (0..10).map(|i| frame(i, i as f32)).collect();
+        let of_slow = select_frames(&slow, &cloud, &parts(&points), 4, 8);
+        assert!((12..40).contains(&of_slow.len()), "{}", of_slow.len());
+        assert!(of_slow.windows(2).all(|pair| pair[0].index < pair[1].index));
+        assert!(select_frames(&fast, &cloud, &parts(&points), 4, 8).len() >= 9);
+        let more = select_frames(&slow, &cloud, &parts(&points), 8, 8).len();
+        assert!(more > of_slow.len(), "{more}");
+    }
+
+    #[test]
+    fn parts_behind_a_wall_are_not_visible() {
+        let (near, far) = (wall(2.0, -40..40), wall(4.0, -40..40));
+        let all = [near.clone(), far].concat();
+        let seen = visible_parts(&frame(0, 0.0), &cloud(all.clone()), &parts(&all));
+        assert!(seen.len() > 100 && seen.iter().all(|part| (*part as usize) < near.len()));
+    }
+
+    #[test]
+    fn a_scan_without_frames_or_parts_is_left_as_it_is() {
+        let points = wall(2.0, -40..40);
+        assert!(select_frames(&[], &cloud(points.clone()), &parts(&points), 4, 8).is_empty());
+        let few: Vec<FrameRef> = (0..3).map(|i| frame(i, i as f32)).collect();
+        assert_eq!(select_frames(&few, &cloud(points), &[], 4, 8).len(), few.len());
+    }
 }

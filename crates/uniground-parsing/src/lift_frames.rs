@@ -4,7 +4,7 @@
 
 use super::checkpoints::Checkpoints;
 use super::lifting::{Lifted, LiftingInput};
-use super::masks::MaskSource;
+use super::masks::{self, MaskSource};
 use super::superpoints::{self, Superpoints};
 use super::visibility::Visibility;
 use super::{ParseError, Perception, StageOutcome, Stopwatch};
@@ -14,6 +14,11 @@ use uniground_geometry::scene::{FrameRef, PointCloud, SceneBundle};
 use uniground_types::settings::{
     FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings,
 };
+
+/// Fewest frames that are selected for a segmentation model, which takes seconds per frame.
+const LEAST_FRAMES: usize = 8;
+/// Fewest frames that are selected for built-in masks, which take a tenth of a second.
+const LEAST_FRAMES_BUILTIN: usize = 100;
 
 /// A scan in superpoints, with what its frames show of them.
 pub(super) struct LiftedFrames {
@@ -93,7 +98,12 @@ pub(super) fn lift_scan(
         let sampled = frame_sampling::sample_frames(frames, &settings.frame_sampling);
         match settings.frame_sampling.views_per_part {
             Some(views) => {
-                frame_selection::select_frames(&sampled, cloud, &superpoints.patches, views)
+                let least = match masks::is_builtin(perception.masks.name()) {
+                    true => LEAST_FRAMES_BUILTIN,
+                    false => LEAST_FRAMES,
+                };
+                let parts = &superpoints.patches;
+                frame_selection::select_frames(&sampled, cloud, parts, views, least)
             }
             None => sampled,
         }

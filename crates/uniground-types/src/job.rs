@@ -61,7 +61,7 @@ impl TryFrom<String> for JobState {
 pub struct Job {
     /// UUIDv7, so ids sort by time.
     pub id: String,
-    /// Kind of job: `parse`, `naming`, `batch`.
+    /// Kind of job: `parse`, `full_parse`, `naming`, `batch`.
     pub kind: String,
     /// Id of the scene or batch it works on.
     #[serde(default)]

@@ -46,7 +46,7 @@ pub struct StoredCounts {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobStats {
-    /// Kind of job: `parse`, `naming`, `batch`.
+    /// Kind of job: `parse`, `full_parse`, `naming`, `batch`.
     pub kind: String,
     /// Whether this server runs these jobs.
     pub working: bool,

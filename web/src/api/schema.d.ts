@@ -1940,6 +1940,14 @@ export interface components {
              * @default 1000
              */
             stride_frames?: number;
+            /**
+             * Format: int32
+             * @description Number of frames in which each part of the scan is wanted. Of the frames left so far, only so
+             *     many are used that nine tenths of this is reached, spread evenly along the camera path. At
+             *     least 100 with built-in masks. `null`: all frames. Default: 4. Not in the paper.
+             * @default 4
+             */
+            views_per_part?: number | null;
         };
         /** @description A photograph with its pinhole camera and pose. */
         FrameView: {
@@ -2140,6 +2148,7 @@ export interface components {
              * @default 5
              */
             top_k?: number;
+            wait?: components["schemas"]["WaitFor"] | null;
         };
         /** @description Objects of a scene, in the format of annotations for `uniground eval`. */
         GroundTruth: {
@@ -2445,7 +2454,7 @@ export interface components {
             finished_at?: string | null;
             /** @description UUIDv7, so ids sort by time. */
             id: string;
-            /** @description Kind of job: `parse`, `naming`, `batch`. */
+            /** @description Kind of job: `parse`, `full_parse`, `naming`, `batch`. */
             kind: string;
             /** @description Result, one sentence. */
             message?: string | null;
@@ -2506,7 +2515,7 @@ export interface components {
              * @description Number of failed jobs.
              */
             failed: number;
-            /** @description Kind of job: `parse`, `naming`, `batch`. */
+            /** @description Kind of job: `parse`, `full_parse`, `naming`, `batch`. */
             kind: string;
             /**
              * Format: double
@@ -2977,6 +2986,11 @@ export interface components {
          */
         ParsePreset: "default" | "paper";
         /**
+         * @description What made a scene's current parse.
+         * @enum {string}
+         */
+        ParseQuality: "draft" | "full";
+        /**
          * @description The parser of the question.
          * @enum {string}
          */
@@ -3088,7 +3102,8 @@ export interface components {
              *       "depth_tolerance": 0.019999999552965164,
              *       "frame_sampling": {
              *         "max_frames": 400,
-             *         "stride_frames": 1000
+             *         "stride_frames": 1000,
+             *         "views_per_part": 4
              *       },
              *       "instances": {
              *         "min_agreement": 0.20000000298023224,
@@ -3203,7 +3218,8 @@ export interface components {
              * @description Selection of the frames to process.
              * @default {
              *       "max_frames": 400,
-             *       "stride_frames": 1000
+             *       "stride_frames": 1000,
+             *       "views_per_part": 4
              *     }
              */
             frame_sampling?: components["schemas"]["FrameSamplingSettings"];
@@ -3807,6 +3823,7 @@ export interface components {
              *     is ready.
              */
             parse_version: number;
+            quality?: components["schemas"]["ParseQuality"] | null;
             report?: components["schemas"]["ParseReport"] | null;
             scene_to_map?: components["schemas"]["SceneToMap"] | null;
             settings?: components["schemas"]["ParseSettings"] | null;
@@ -4513,6 +4530,11 @@ export interface components {
              */
             min_share_of_best?: number;
         };
+        /**
+         * @description The parse that a question waits for.
+         * @enum {string}
+         */
+        WaitFor: "full";
     };
     responses: never;
     parameters: never;
@@ -6989,7 +7011,7 @@ export interface operations {
             query?: {
                 /** @description `next_cursor` of the previous page. */
                 cursor?: string;
-                /** @description Kind of job: `parse`, `naming`, `batch`. */
+                /** @description Kind of job: `parse`, `full_parse`, `naming`, `batch`. */
                 kind?: string;
                 /** @description Number of entries per page. */
                 limit?: number;

@@ -384,14 +384,21 @@ class AsyncScene:
         self.info = decode(models.Scene, await self._client.call("GET", f"/v1/scenes/{self.id}"))
         return self
 
-    async def wait(self, on_progress: Optional[OnJob] = None, timeout_s: Optional[float] = None) -> AsyncScene:
-        """Waits until the scene is parsed; an `UnigroundError` says why where it can not be."""
+    async def wait(
+        self, on_progress: Optional[OnJob] = None, timeout_s: Optional[float] = None, *, full: bool = False
+    ) -> AsyncScene:
+        """Waits until the scene is parsed; an `UnigroundError` says why where it can not be.
+
+        A server with neural networks makes a draft first. With `full`, also waits for the full parse after it; `timeout_s` applies to
+        each of the two.
+        """
         if self.info.job_id is None:
             raise UnigroundError("scene_not_ready", f"scene {self.id} was only stored: parse() it")
         job = await self._client.follow(self.info.job_id, on_progress, timeout_s)
         await self.refresh()
         if job.state == "succeeded":
-            return self
+            follows = full and self.info.job_id not in (None, job.id)
+            return await self.wait(on_progress, timeout_s, full=full) if follows else self
         error = job.error or models.JobError(code="cancelled", detail=f"job {job.id} was cancelled")
         raise UnigroundError(error.code, error.detail, job_id=job.id)
 

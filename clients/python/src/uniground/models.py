@@ -56,6 +56,8 @@ Normalisation = Literal["normalised", "literal"]
 """Averaging of Eq. (1) over frames."""
 ParsePreset = Literal["default", "paper"]
 """Preset of settings. Given settings override its values."""
+ParseQuality = Literal["draft", "full"]
+"""What made a scene's current parse."""
 ParserChoice = Literal["auto", "builtin", "vlm"]
 """The parser of the question."""
 PartChoice = Literal["configured", "builtin"]
@@ -84,6 +86,8 @@ UpAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 """The axis that points up in a file. After import it is always `z`."""
 UploadState = Literal["receiving", "making", "done", "refused"]
 """State of an upload."""
+WaitFor = Literal["full"]
+"""The parse that a question waits for."""
 
 @dataclass(repr=False)
 class Aabb(BoxMethods):
@@ -373,6 +377,10 @@ class BatchItemOptions(TypedDict, total=False):
     """Timeout, seconds, at most 3600."""
     top_k: int
     """Maximum number of candidates, 1 to 100. Contact sheets (`evidence`) use at least 24. Default: 5."""
+    wait: Optional[WaitFor]
+    """`full`: wait until the parse that is queued or running for this scene is done, at most `timeout_s`. By default, a scene that has a
+    parse is asked at once, and one without is rejected with `scene_not_ready`.
+    """
 class BatchItem(BatchItemOptions):
     """One question of a batch: the scene and all fields of a question."""
     scene_id: str
@@ -698,6 +706,10 @@ class FrameSamplingSettings(TypedDict, total=False):
     """Maximum number of frames, spread evenly along the camera path. `null`: no limit. Default: 400."""
     stride_frames: int
     """Uses every `max(1, floor(frames / this))`-th frame. Default and paper: 1000."""
+    views_per_part: Optional[int]
+    """Number of frames in which each part of the scan is wanted. Of the frames left so far, only so many are used that nine tenths of this
+    is reached, spread evenly along the camera path. At least 100 with built-in masks. `null`: all frames. Default: 4. Not in the paper.
+    """
 
 
 @dataclass(repr=False)
@@ -809,6 +821,10 @@ class GroundOptions(TypedDict, total=False):
     """Timeout, seconds, at most 3600."""
     top_k: int
     """Maximum number of candidates, 1 to 100. Contact sheets (`evidence`) use at least 24. Default: 5."""
+    wait: Optional[WaitFor]
+    """`full`: wait until the parse that is queued or running for this scene is done, at most `timeout_s`. By default, a scene that has a
+    parse is asked at once, and one without is rejected with `scene_not_ready`.
+    """
 class GroundRequest(GroundOptions):
     """A question about a scene."""
     query: str
@@ -999,7 +1015,7 @@ class Job(ShortRepr):
     id: str
     """UUIDv7, so ids sort by time."""
     kind: str
-    """Kind of job: `parse`, `naming`, `batch`."""
+    """Kind of job: `parse`, `full_parse`, `naming`, `batch`."""
     state: JobState
     """State of the job."""
     progress: float
@@ -1060,7 +1076,7 @@ class JobList:
 class JobStats(ShortRepr):
     """Statistics of one kind of job. Finished jobs count until retention removes them."""
     kind: str
-    """Kind of job: `parse`, `naming`, `batch`."""
+    """Kind of job: `parse`, `full_parse`, `naming`, `batch`."""
     working: bool
     """Whether this server runs these jobs."""
     queued: int
@@ -1723,6 +1739,7 @@ class Scene(ShortRepr):
     map_frame_id: Optional[str] = None
     """Name of the map frame. `null` if not set."""
     models: Optional[ParseModels] = None
+    quality: Optional[ParseQuality] = None
     report: Optional[ParseReport] = None
     scene_to_map: Optional[SceneToMap] = None
     settings: Optional[ParseSettings] = None

@@ -12,15 +12,15 @@ pub struct FrameSamplingSettings {
     /// Maximum number of frames, spread evenly along the camera path. `null`: no limit. Default:
     /// 400.
     pub max_frames: Option<u32>,
-    /// Number of frames in which each part of the scan is wanted. Of the frames left so far, the
-    /// fewest are used that show every part so often, or as often as there are frames. `null`: all.
-    /// Default: 6. Not in the paper.
+    /// Number of frames in which each part of the scan is wanted. Of the frames left so far, only so
+    /// many are used that nine tenths of this is reached, spread evenly along the camera path. At
+    /// least 100 with built-in masks. `null`: all frames. Default: 4. Not in the paper.
     pub views_per_part: Option<u32>,
 }
 
 impl Default for FrameSamplingSettings {
     fn default() -> Self {
-        Self { stride_frames: 1000, max_frames: Some(400), views_per_part: None }
+        Self { stride_frames: 1000, max_frames: Some(400), views_per_part: Some(4) }
     }
 }
 
