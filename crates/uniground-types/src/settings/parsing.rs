@@ -122,11 +122,16 @@ impl ParsingSettings {
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 54] = [
+        let rules: [(&str, bool, &str); 55] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             (
                 "/frame_sampling/max_frames",
                 frame_sampling.max_frames != Some(0),
+                "at least 1, or null",
+            ),
+            (
+                "/frame_sampling/views_per_part",
+                frame_sampling.views_per_part != Some(0),
                 "at least 1, or null",
             ),
             (
