@@ -33,11 +33,18 @@ fn with_room(name: &str, test: impl FnOnce(AnnotatedRoom)) {
     test(AnnotatedRoom::load(&folder, name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap());
 }
 
+/// Returns the default settings, with all frames: the masks of these tests cost nothing.
+fn all_frames() -> ParsingSettings {
+    let mut settings = ParsingSettings::default();
+    settings.frame_sampling.views_per_part = None;
+    settings
+}
+
 fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
     parsing::parse(
         bundle,
         &Perception::with_masks(masks),
-        &ParsingSettings::default(),
+        &all_frames(),
         &Checkpoints::disabled(),
         &Progress::silent(),
     )
@@ -199,7 +206,7 @@ fn a_cancelled_parse_resumes_where_it_stopped() {
     let bundle = sample_scan(Utf8Path::from_path(scan.path()).unwrap());
     let checkpoints =
         Checkpoints::in_folder(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
-    let settings = ParsingSettings::default();
+    let settings = all_frames();
     let run = |watched: &CountingMasks, settings: &ParsingSettings| {
         let stop = watched.stop.clone();
         let progress = Progress::new(|_, _| {}, move || stop.is_cancelled());
@@ -264,7 +271,7 @@ fn saved_frames_of_another_scan_are_not_reused() {
         parsing::parse(
             bundle.clone(),
             &Perception::with_masks(&watched),
-            &ParsingSettings::default(),
+            &all_frames(),
             &checkpoints,
             &Progress::silent(),
         )

@@ -217,7 +217,7 @@ async fn metrics_and_stats_match_the_requests() {
     );
     assert_eq!(
         first.samples["uniground_jobs_finished_total"].len(),
-        9,
+        12,
         "a counter without events is missing"
     );
     assert_eq!(

@@ -89,6 +89,8 @@ async fn a_folder_without_record_versions_is_served_completely() {
     expected["settings"]["parsing"]["instances"]["min_agreement"] = 0.0.into();
     expected["settings"]["parsing"]["instances"]["min_points"] = 0.into();
     expected["settings"]["parsing"]["instances"]["parts_and_wholes"] = 0.0.into();
+    expected["settings"]["parsing"]["frame_sampling"]["views_per_part"] = Value::Null;
+    expected["quality"] = "full".into();
     expected["scene_to_map"] = Value::Null;
     expected["map_frame_id"] = Value::Null;
     expected["labels"] = serde_json::json!({});

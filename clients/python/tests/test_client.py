@@ -31,7 +31,7 @@ def test_a_scan_is_uploaded_followed_and_asked_about(client: Client, few_frames:
     assert sent[-1] == (few_frames.stat().st_size, few_frames.stat().st_size)
     scene.wait(lambda job: stages.append(job.stage), timeout_s=120)
     assert len(stages) > 1
-    scene.parse(settings={"parsing": {"superpoints": {"voxel_m": 0.03}}}).wait()
+    scene.parse(settings={"parsing": {"superpoints": {"voxel_m": 0.03}}}).wait(full=True)
     assert (scene.name, scene.status, scene.info.parse_version) == ("followed", "ready", 2)
     assert scene.info.settings is not None
     assert scene.info.settings["parsing"]["superpoints"]["voxel_m"] == pytest.approx(0.03)

@@ -89,9 +89,11 @@ export class Room {
       void getModels().then((models) => (this.models.value = models)).catch(() => undefined);
       this.queueLinked();
       const scene = await getScene(this.id, signal);
+      const ready = scene.status === "ready";
+      // The picture of a scene is made for its objects.
+      if (ready) await this.lookAgain(signal);
       this.scene.value = scene;
-      if (scene.status !== "ready") return;
-      await this.lookAgain(signal);
+      if (!ready) return;
       this.cutHeight.value = ceilingOf([...this.instances.value.values()]);
       await this.corrections.load();
       await this.reopen();

@@ -15,6 +15,8 @@ pub struct FrameSamplingSettings {
     /// Number of frames in which each part of the scan is wanted. Of the frames left so far, only so
     /// many are used that nine tenths of this is reached, spread evenly along the camera path. At
     /// least 100 with built-in masks. `null`: all frames. Default: 4. Not in the paper.
+    // Parses of versions without this setting used all frames.
+    #[serde(default)]
     pub views_per_part: Option<u32>,
 }
 
