@@ -128,7 +128,7 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     }
     let mut scene = client.scene(&scene.id).await?;
     if is_awaited && scene.quality == Some(ParseQuality::Draft) {
-        scene = after_draft(&client, scene, args.wait, begun).await?;
+        scene = after_draft(client, scene, args.wait, begun).await?;
     }
     for warning in scene.import.iter().flat_map(|import| &import.warnings) {
         eprintln!("warning: {warning}");

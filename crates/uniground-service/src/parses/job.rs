@@ -1,6 +1,7 @@
 //! The jobs that parse a scene.
 
 use super::plan::is_draft;
+use super::previous_parse::PreviousParse;
 use super::{files, settings_hash};
 use crate::error::Error;
 use crate::{
@@ -27,7 +28,7 @@ use uniground_parsing::scan::{
 };
 use uniground_storage::{
     Blobs, ContinuationReason, ContinuedParse, CorrectionRepository, HealthProbe, IdGenerator,
-    NewParse, ParseRepository, SceneRepository, SceneRow,
+    NamedLock, NewParse, ParseRepository, SceneRepository, SceneRow,
 };
 use uniground_telemetry::metrics::Metrics;
 use uniground_types::settings::{ParseModels, ParseSettings, rename_deprecated_settings};
@@ -276,29 +277,16 @@ impl ParseRunner {
         let cut = spawn_blocking(work).await?;
         stages.finish().await;
         let mut scan = cut?;
+        let previous =
+            self.parse_to_continue(payload, &scene.content_hash, grown_from.is_some()).await?;
         // The lock makes corrections wait from here on. They then apply to the parse that is being
         // written.
-        let is_parsed = self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some();
-        let mut parse_lock = match is_parsed && (grown_from.is_some() || *step == ParseStep::Full) {
-            true => Some(self.scene_lookup.lock_current_parse(scene_id).await?),
-            false => None,
-        };
-        let previous = match &parse_lock {
-            Some((parse_id, _lock)) => {
-                let is_draft = self.is_draft_of(parse_id, &scene.content_hash, settings).await?;
-                if is_draft && scan.models == builtin_models() {
-                    let why = scan.scene.report.warnings.pop().unwrap_or_default();
-                    return Ok(format!("the draft stays: {why}"));
-                }
-                match is_draft || grown_from.is_some() {
-                    true => Some((self.previous_parse(parse_id.clone()).await?, is_draft)),
-                    false => None,
-                }
-            }
-            None => None,
-        };
-        if previous.is_none() {
-            parse_lock = None;
+        let (previous, parse_lock) = previous.unzip();
+        if previous.as_ref().is_some_and(|previous| previous.is_draft)
+            && scan.models == builtin_models()
+        {
+            let why = scan.scene.report.warnings.pop().unwrap_or_default();
+            return Ok(format!("the draft stays: {why}"));
         }
         let (blobs, pool, id) = (self.blobs.clone(), pool.clone(), self.ids.new_id());
         let place = blobs.parse(&id);
@@ -307,12 +295,9 @@ impl ParseRunner {
             let folder = blobs.scratch()?;
             let inherited = pool.install(|| {
                 let inherited = previous
-                    .map(|(previous, is_draft)| {
+                    .map(|previous| {
                         let comparing = progress.sub_range(parsed_by, parsed_by);
-                        match is_draft {
-                            true => Ok(previous.replace_draft_by(&mut scan, &how)),
-                            false => previous.continue_in(&mut scan, &how, &comparing),
-                        }
+                        previous.continue_in(&mut scan, &how, &comparing)
                     })
                     .transpose()?;
                 files::write(&scan, &content, &folder, &progress.sub_range(parsed_by, 1.0))?;
@@ -435,6 +420,26 @@ impl ParseRunner {
             self.scene_repository.set_scene_parse_and_queue(scene_id, parse_id, job_id, next.row());
         self.jobs.enqueue(&next, set).await?;
         Ok(())
+    }
+
+    /// Returns the parse that the new parse of a job continues, and the lock on its data: a draft of
+    /// the same scan, or the current parse of a scene that has grown.
+    async fn parse_to_continue(
+        &self,
+        Payload { scene_id, settings, step }: &Payload,
+        content_hash: &str,
+        has_grown: bool,
+    ) -> Result<Option<(PreviousParse, NamedLock)>, Error> {
+        let is_parsed = self.scene_lookup.scene_row(scene_id).await?.parse_id.is_some();
+        if !is_parsed || !(has_grown || *step == ParseStep::Full) {
+            return Ok(None);
+        }
+        let (parse_id, lock) = self.scene_lookup.lock_current_parse(scene_id).await?;
+        let is_draft = self.is_draft_of(&parse_id, content_hash, settings).await?;
+        match is_draft || has_grown {
+            true => Ok(Some((self.previous_parse(parse_id, is_draft).await?, lock))),
+            false => Ok(None),
+        }
     }
 
     /// Returns whether a parse is a draft of this content with these settings.

@@ -111,15 +111,14 @@ impl ParseService {
         // Drafts of other scenes do not wait for a parse that takes minutes.
         let takes_long = networks && step == ParseStep::Full && stored.is_none();
         let is_stored = stored.is_some();
-        let job = match takes_long && self.parse_mode != ParseMode::FullOnly {
-            true => ParseRequest::Full(JobRequest::new(&payload, caller.key_id())?),
-            false => {
-                let job = JobRequest::new(&payload, caller.key_id())?;
-                ParseRequest::Parse(match stored {
-                    Some(id) => job.with_result(id, job::STORED_PARSE_USED),
-                    None => job,
-                })
-            }
+        let job = if takes_long && self.parse_mode != ParseMode::FullOnly {
+            ParseRequest::Full(JobRequest::new(&payload, caller.key_id())?)
+        } else {
+            let job = JobRequest::new(&payload, caller.key_id())?;
+            ParseRequest::Parse(match stored {
+                Some(id) => job.with_result(id, job::STORED_PARSE_USED),
+                None => job,
+            })
         };
         Ok(PreparedParse { job, is_stored })
     }

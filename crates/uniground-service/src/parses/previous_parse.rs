@@ -25,6 +25,8 @@ use uniground_types::settings::InstanceSettings;
 /// The previous parse of a scene.
 pub(super) struct PreviousParse {
     pub parse_id: String,
+    /// Whether it is a draft of the same scan.
+    pub is_draft: bool,
     /// The instances as that parse found them, with those added since.
     found: Vec<Instance>,
     /// The instances with their names and with corrections applied.
@@ -45,8 +47,12 @@ pub(super) struct InheritedState {
 }
 
 impl ParseRunner {
-    /// Loads the parse that the next parse of a grown scene continues.
-    pub(super) async fn previous_parse(&self, parse_id: String) -> Result<PreviousParse, Error> {
+    /// Loads the parse that the next one continues.
+    pub(super) async fn previous_parse(
+        &self,
+        parse_id: String,
+        is_draft: bool,
+    ) -> Result<PreviousParse, Error> {
         let loaded = self.parsed_scenes.loaded_parse(&parse_id).await?;
         let (blobs, folder, content) =
             (self.blobs.clone(), self.blobs.parse(&parse_id), loaded.content.clone());
@@ -62,6 +68,7 @@ impl ParseRunner {
             folder,
             content,
             parse_id,
+            is_draft,
         })
     }
 }
@@ -79,6 +86,17 @@ impl PreviousParse {
     ) -> Result<InheritedState, Error> {
         let points = self.points();
         let (corrections, counterparts) = self.carry_over(points.as_ref(), scan, settings);
+        if self.is_draft {
+            let mut now = scan.scene.instances.clone();
+            correct(&mut now, &corrections);
+            let changes = compare_parses(&self.shown, &now);
+            return Ok(InheritedState {
+                parse_id: self.parse_id,
+                from_draft: true,
+                changes,
+                corrections,
+            });
+        }
         let (Some((cloud, of_point)), Some(counterparts)) = (points, counterparts) else {
             return Ok(InheritedState {
                 parse_id: self.parse_id,
@@ -121,19 +139,6 @@ impl PreviousParse {
         Ok(InheritedState { parse_id: self.parse_id, from_draft: false, changes, corrections })
     }
 
-    /// Gives the full parse the ids of this draft of the same scan. Blocks.
-    pub fn replace_draft_by(
-        self,
-        scan: &mut ParsedScan,
-        settings: &InstanceSettings,
-    ) -> InheritedState {
-        let (corrections, _) = self.carry_over(self.points().as_ref(), scan, settings);
-        let mut now = scan.scene.instances.clone();
-        correct(&mut now, &corrections);
-        let changes = compare_parses(&self.shown, &now);
-        InheritedState { parse_id: self.parse_id, from_draft: true, changes, corrections }
-    }
-
     /// Gives a new parse the ids of this one. Returns the corrections that still apply, and which
     /// points of both clouds are the same.
     fn carry_over(
@@ -145,17 +150,14 @@ impl PreviousParse {
         let counterparts = points.map(|(cloud, _)| {
             Counterparts::match_identical(&cloud.positions, &scan.scene.cloud.positions)
         });
-        let same = match (points, &counterparts) {
-            (Some((_, of_point)), Some(counterparts)) => {
-                match_things(of_point, &scan.scene.instance_of_point, counterparts)
-            }
-            _ => {
-                tracing::warn!(
-                    parse_id = self.parse_id,
-                    "files of the previous parse could not be read; matching instances by their boxes"
-                );
-                identical_instances(&self.found, &scan.scene.instances)
-            }
+        let same = if let (Some((_, of_point)), Some(counterparts)) = (points, &counterparts) {
+            match_things(of_point, &scan.scene.instance_of_point, counterparts)
+        } else {
+            tracing::warn!(
+                parse_id = self.parse_id,
+                "files of the previous parse could not be read; matching instances by their boxes"
+            );
+            identical_instances(&self.found, &scan.scene.instances)
         };
         scan.scene = continue_ids(&self.found, scan.scene.clone(), &same);
         (carry_over_corrections(&self.corrections, &mut scan.scene, settings), counterparts)
