@@ -244,7 +244,7 @@ async fn metrics_and_stats_match_the_requests() {
             >= 3.0
     );
     assert_eq!(first.value("uniground_component_up", &[("component", "workers")]), 1.0);
-    assert_eq!(first.samples["uniground_lane_up"].len(), 3);
+    assert_eq!(first.samples["uniground_lane_up"].len(), 4);
     assert!(
         first.value("process_resident_memory_bytes", &[]) > 1e6,
         "{}",
