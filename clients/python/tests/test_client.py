@@ -115,6 +115,7 @@ def test_every_field_of_a_question_is_taken(scene: Scene) -> None:
         "reasoner": "builtin",
         "timeout_s": 10.0,
         "top_k": 2,
+        "wait": "full",
     }
     assert set(every) == set(models.GroundOptions.__annotations__), "the API has other fields by now: ask with them"
     answer = scene.ask("the chair to the left of the dining table", **every)

@@ -384,9 +384,7 @@ class AsyncScene:
         self.info = decode(models.Scene, await self._client.call("GET", f"/v1/scenes/{self.id}"))
         return self
 
-    async def wait(
-        self, on_progress: Optional[OnJob] = None, timeout_s: Optional[float] = None, *, full: bool = False
-    ) -> AsyncScene:
+    async def wait(self, on_progress: Optional[OnJob] = None, timeout_s: Optional[float] = None, *, full: bool = False) -> AsyncScene:
         """Waits until the scene is parsed; an `UnigroundError` says why where it can not be.
 
         A server with neural networks makes a draft first. With `full`, also waits for the full parse after it; `timeout_s` applies to
