@@ -9,7 +9,7 @@ set -eu
 cd "$(dirname "$0")/.."
 CARGO=${CARGO:-cargo}
 PYTHON=${PYTHON:-python3}
-contract="batches cluster concurrency corrections data_migration databases growth keys maintenance many_scenes restart resumable_uploads retention
+contract="batches cluster concurrency corrections data_migration databases drafts growth keys maintenance many_scenes restart resumable_uploads retention
     uploads webhooks"
 skipped="backups:: upgrades:: command_line::maintenance_commands_print_json retention::only_expired_data_is_removed
     retention::gc_requires_the_folder_of_a_stopped_server chat_models:: coordinate_conventions:: evaluation:: layering:: language:: neural::
