@@ -40,8 +40,8 @@ pub struct ParseJob {
     pub naming: Arc<NamingService>,
 }
 
-/// Parses scenes that already have a parse with neural networks, which takes minutes. New scenes
-/// do not wait for it.
+/// Parses with neural networks, which take minutes, for scenes that already have a parse. New
+/// scenes do not wait for them.
 pub struct FullParseJob(pub ParseJob);
 
 /// The result of a parse job that had nothing to do.

@@ -5,8 +5,8 @@ use crate::answers::CoordinateFrameView;
 use crate::error::Error;
 use crate::parses::ParseFile;
 use crate::{
-    Caller, Capacity, FullParseJob, ImportService, Limits, MAX_UPLOADS, ParseJob, ParseService,
-    ParsedScenes, SceneLookup, ServiceLocks,
+    Caller, Capacity, ImportService, Limits, MAX_UPLOADS, ParseJob, ParseService, ParsedScenes,
+    SceneLookup, ServiceLocks,
 };
 use bytes::Bytes;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -19,7 +19,7 @@ use tokio::task::spawn_blocking;
 use uniground_geometry::scene::SourceToScene;
 use uniground_ingest::{GrownScan, ScanPart, part_folder};
 use uniground_isolation::{ScanReader, Task};
-use uniground_jobs::{Job, JobKind, Jobs, JobsError};
+use uniground_jobs::{Job, Jobs};
 use uniground_storage::{
     Blobs, GrowthOutcome, ParseRepository, SceneGrowth, SceneRepository, SceneRow,
 };
@@ -105,7 +105,7 @@ impl GrowthService {
             };
         }
         let (scene, _) = self.scene_lookup.ready_scene(scene_id).await?;
-        let (from_content, job_before) = (scene.content_hash.clone(), scene.job_id.clone());
+        let from_content = scene.content_hash.clone();
         let to_scene = parse_to_scene(part.to_scene, parse.source_to_scene);
         let cloud = self
             .parsed_scenes
@@ -140,30 +140,12 @@ impl GrowthService {
         drop(references);
         match grew {
             GrowthOutcome::Grown(row, job) => {
-                if let Some(id) = job_before {
-                    self.cancel_full_parse(&id).await?;
-                }
                 Ok((self.scene_lookup.to_scene(row).await?, self.jobs.to_job(*job)))
             }
             GrowthOutcome::AlreadyGrown(row) => self.growth_under_key(row).await,
             GrowthOutcome::KeyReused => Err(Error::IdempotencyKeyReused),
             GrowthOutcome::Overtaken => Err(Error::GrowthOvertaken { id: scene_id.to_owned() }),
         }
-    }
-
-    /// Cancels the full parse of a content that the scene no longer has. The parse of the new
-    /// content is a full one.
-    async fn cancel_full_parse(&self, job_id: &str) -> Result<(), Error> {
-        let job = match self.jobs.get(job_id).await {
-            Ok(job) => job,
-            // Old jobs are deleted.
-            Err(JobsError::NotFound { .. }) => return Ok(()),
-            Err(error) => return Err(error.into()),
-        };
-        if job.kind == FullParseJob::NAME && !job.state.is_final() {
-            self.jobs.cancel(job_id).await?;
-        }
-        Ok(())
     }
 
     async fn growth_under_key(&self, scene: SceneRow) -> Result<(Scene, Job), Error> {
