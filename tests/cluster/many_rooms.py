@@ -163,8 +163,9 @@ def near(database, statement, index):
 def run(table, options, folder):
     database, scans = Database(options.database), Scans(6)
     bundles = ROOT / "crates/uniground-models/tests/data"
+    # A draft would be a parse more than there are rooms.
     flags = ["--database", options.database, "--vectors", "pgvector", "--models", bundles, "--masks", "builtin", "--encoder", "tiny-dual-encoder",
-             "--onnxruntime-lib", options.onnxruntime_lib]
+             "--parse", "full-only", "--onnxruntime-lib", options.onnxruntime_lib]
     with Server(options.program.resolve(), folder / "data", folder / "log", *flags) as server:
         server.ready()
         connection = server.connection(600)
