@@ -4,7 +4,6 @@ use super::{Camera, Confidence, FrameIndex, Intrinsics, Optics, depth_file};
 use crate::Isometry3;
 use camino::{Utf8Path, Utf8PathBuf};
 use image::{DynamicImage, GrayImage, ImageReader, Limits, RgbImage};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io;
 
@@ -298,27 +297,6 @@ impl Frame {
             })
             .collect()
     }
-}
-
-/// Processes frames in parallel, a few at a time, and folds the results in frame order.
-///
-/// At most one frame per thread is in memory. The results do not depend on the number of threads.
-///
-/// # Errors
-/// Returns the first error of `work` or `fold`, in frame order.
-pub fn stream_frames<T: Send, E: Send>(
-    frames: &[FrameRef],
-    work: impl Fn(&FrameRef) -> Result<T, E> + Sync,
-    mut fold: impl FnMut(usize, T) -> Result<(), E>,
-) -> Result<(), E> {
-    let at_once = rayon::current_num_threads();
-    for (batch, refs) in frames.chunks(at_once).enumerate() {
-        let results: Vec<_> = refs.par_iter().map(&work).collect();
-        for (i, result) in results.into_iter().enumerate() {
-            fold(batch * at_once + i, result?)?;
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

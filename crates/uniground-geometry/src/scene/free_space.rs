@@ -51,7 +51,7 @@ impl FreeSpaceVotes {
 pub fn count_free_space<E: From<FrameError> + Send>(
     positions: &[Point3<f32>],
     frames: &[FrameRef],
-    mut check: impl FnMut(usize) -> Result<(), E>,
+    mut check: impl FnMut(usize) -> Result<(), E> + Send,
 ) -> Result<Vec<FreeSpaceVotes>, E> {
     let mut looks = vec![FreeSpaceVotes::default(); positions.len()];
     stream_frames(

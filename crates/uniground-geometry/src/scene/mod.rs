@@ -22,6 +22,7 @@ mod npy;
 mod optics;
 mod owners;
 mod parsed;
+mod stream_frames;
 
 pub use bundle::{Addition, SceneBundle};
 pub use camera::{Camera, Intrinsics, Pixel};
@@ -34,14 +35,15 @@ pub use even_points::{evenly_spread_order, write_even_points};
 pub use export::write as write_ply;
 pub use export::{id_color, read_instance_of_point, write_cloud_ply, write_instances_ply};
 pub use float_pictures::{float_picture_size, is_float_picture};
-pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
+pub use frame::{DepthImage, Frame, FrameError, FrameRef};
 pub use frame_embeddings::FrameEmbeddings;
 pub use free_space::{FreeSpaceVotes, count_free_space};
 pub use instance::Instance;
 pub use optics::{Confidence, DepthSensor, Lens, Optics};
 pub use owners::Owners;
 pub use parsed::ParsedScene;
+pub use stream_frames::stream_frames;
 pub use uniground_types::scene::{
-    FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention,
-    SourceToScene, StageReport, Structure, Support, View, ViewMask,
+    FrameIndex, ImportReport, InstanceId, Level, Levelling, ModelNetwork, ModelTime, NameGuess,
+    ParseReport, PoseConvention, SourceToScene, StageReport, Structure, Support, View, ViewMask,
 };
