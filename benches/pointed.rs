@@ -18,6 +18,7 @@ use uniground_core::models::neural::Segmenter;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::masks::{IdImage, MaskSource};
+use uniground_core::parsing::model_clock::PictureEncoder;
 use uniground_core::parsing::pointed::{PhotographPoint, PointedObjectFinder, find_identical};
 use uniground_core::parsing::{self, ParsingSettings, Perception, frame_appearance};
 use uniground_core::progress::Progress;
@@ -81,7 +82,7 @@ fn main() {
         if let Some(encoder) = &loaded.encoder {
             let seen = frame_appearance::embed_frames(
                 &room.bundle.frames,
-                encoder,
+                &PictureEncoder::new(encoder),
                 &settings.appearance,
                 &Progress::silent(),
             )

@@ -24,7 +24,12 @@ fi
 
 venv=.venv-models
 [ -x $venv/bin/python ] || "${PYTHON:-python3}" -m venv $venv
-$venv/bin/pip install -q kserve==0.21.0 onnxruntime==1.31.1 tokenizers==0.23.2
+$venv/bin/pip install -q kserve==0.21.0 onnx==1.23.2 onnxruntime==1.31.1 pillow==13.0.0 tokenizers==0.23.2
+rm -rf target/quantized
+for bundle in models/sam2-hiera-tiny crates/uniground-models/tests/data/tiny-segmenter-sam; do
+    $venv/bin/python tools/quantize_segmenter.py "$bundle" "target/quantized/$(basename "$bundle")-int8"
+done
+./target/release/uniground models verify --models target/quantized
 if [ ! -f models/pe-tokenizer.json ]; then
     work=$(mktemp -d)
     $venv/bin/pip download -q --no-deps --only-binary=:all: -d "$work" open_clip_torch==3.3.0

@@ -13,6 +13,7 @@ Requires: numpy, onnx, onnxruntime, pillow.
 """
 import argparse
 import json
+import logging
 import shutil
 import sys
 import tempfile
@@ -45,6 +46,8 @@ def quantize(source, target):
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / "encoder.onnx"
         session(source, save_to=plain)
+        # It recommends shape inference, which changes nothing for matrix products.
+        logging.getLogger().setLevel(logging.ERROR)
         quantize_dynamic(str(plain), str(target), op_types_to_quantize=["MatMul"], per_channel=True, weight_type=QuantType.QInt8)
 
 
@@ -138,6 +141,7 @@ def main():
     if options.out.exists():
         sys.exit(f"{options.out} exists already")
     encoder = manifest["encoder"]["file"]
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     shutil.copytree(options.bundle, options.out, ignore=shutil.ignore_patterns(encoder, f"{encoder}.data"))
     quantized = Path(encoder).with_suffix(".onnx").name
     quantize(options.bundle / encoder, options.out / quantized)

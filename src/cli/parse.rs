@@ -154,6 +154,9 @@ fn print_summary(
             "  {:<20} {:>7.2} s {memory} {:>9}",
             stage.stage, stage.seconds, stage.produced
         )?;
+        for time in &stage.models {
+            writeln!(out, "    {time}")?;
+        }
     }
     for warning in import.warnings.iter().chain(&parse.warnings) {
         writeln!(out, "  warning: {warning}")?;

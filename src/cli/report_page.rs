@@ -53,6 +53,9 @@ pub(super) fn render(
             "<tr><td>{name}<td class=\"n\">{:.2}<td class=\"n\">{memory}<td class=\"n\">{}</tr>",
             stage.seconds, stage.produced
         );
+        for time in &stage.models {
+            let _ = write!(page, "<tr><td colspan=\"4\">{time}</tr>");
+        }
     }
     page.push_str("</table><h2>Pictures</h2>");
     for picture in pictures {

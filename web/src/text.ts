@@ -465,6 +465,8 @@ export const t = {
     seconds: "Seconds",
     produced: "Results",
     memory: "Memory",
+    networks: { mask_encoder: "mask encoder", mask_decoder: "mask decoder", picture_encoder: "picture encoder" },
+    inputs: { mask_encoder: "pictures", mask_decoder: "prompts", picture_encoder: "pictures" },
     reused: "reused",
     models: "Models",
     pictures: "Pictures",

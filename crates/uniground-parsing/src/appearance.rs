@@ -4,6 +4,7 @@
 use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
 use super::lifting::MasksOfFrames;
+use super::model_clock::PictureEncoder;
 use super::outline::Outline;
 use super::views::{LabeledPoints, Sighting, compute_sightings, visible_pixels};
 use image::{RgbImage, imageops};
@@ -68,13 +69,13 @@ pub fn embed_instances(
     instances: &[Instance],
     boxes: &FrameBoxes,
     labeled: LabeledPoints,
-    (correction, encoder): (Option<Correction>, Option<&DualEncoder>),
+    (correction, encoder): (Option<Correction>, Option<&PictureEncoder>),
     settings: &AppearanceSettings,
     progress: &Progress,
 ) -> Result<(Vec<f32>, Outlines), ParseError> {
     let wanted: Vec<FrameRef> =
         frames.iter().filter(|frame| boxes.contains_key(&frame.index)).cloned().collect();
-    let dim = encoder.map_or(0, DualEncoder::dim);
+    let dim = encoder.map_or(0, PictureEncoder::dim);
     let mut sums = vec![0.0_f64; instances.len() * dim];
     let mut outlines = Outlines::new();
     stream_frames(
@@ -128,7 +129,7 @@ pub fn embed_known(
         instances,
         &boxes,
         labeled,
-        (None, Some(encoder)),
+        (None, Some(&PictureEncoder::new(encoder))),
         settings,
         &quiet,
     )?
@@ -184,18 +185,14 @@ fn correct_outlines(
 fn embed(
     picture: &RgbImage,
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
-    encoder: &DualEncoder,
+    encoder: &PictureEncoder,
     settings: &AppearanceSettings,
     progress: &Progress,
 ) -> Result<Vec<(InstanceId, Vec<f32>)>, ParseError> {
     let levels = settings.levels as usize;
     let crops: Vec<RgbImage> =
         boxes.values().flat_map(|tight| crops(picture, *tight, settings)).collect();
-    let mut vectors = Vec::with_capacity(crops.len());
-    for batch in crops.chunks(encoder.batch_size()) {
-        progress.check()?;
-        vectors.extend(encoder.embed_pictures(batch)?);
-    }
+    let vectors = encoder.embed(&crops, progress)?;
     let summed = |vectors: &[Vec<f32>]| {
         let mut sum = vec![0.0; encoder.dim()];
         vectors
@@ -213,8 +210,8 @@ fn crops(
     settings: &AppearanceSettings,
 ) -> impl Iterator<Item = RgbImage> {
     (0..settings.levels).map(move |level| {
-        let grown =
-            |length: u32| (length as f32 * settings.level_step * level as f32).round() as u32;
+        let share = settings.margin + settings.level_step * level as f32;
+        let grown = |length: u32| (length as f32 * share).round() as u32;
         let (mx, my) = (grown(right - left), grown(bottom - top));
         let (x, y) = (left.saturating_sub(mx), top.saturating_sub(my));
         let (x2, y2) = ((right + mx).min(picture.width()), (bottom + my).min(picture.height()));
@@ -283,10 +280,14 @@ mod tests {
     #[test]
     fn crops_grow_per_level_and_stay_inside_the_picture() {
         let picture = RgbImage::new(100, 80);
-        let settings = AppearanceSettings { levels: 3, ..AppearanceSettings::default() };
-        let sizes: Vec<_> =
-            crops(&picture, [10, 20, 50, 40], &settings).map(|c| c.dimensions()).collect();
-        assert_eq!(sizes, [(40, 20), (48, 24), (56, 28)]);
+        let settings =
+            AppearanceSettings { levels: 3, margin: 0.0, ..AppearanceSettings::default() };
+        let sizes = |settings: &AppearanceSettings| -> Vec<_> {
+            crops(&picture, [10, 20, 50, 40], settings).map(|c| c.dimensions()).collect()
+        };
+        assert_eq!(sizes(&settings), [(40, 20), (48, 24), (56, 28)]);
+        let wider = AppearanceSettings { levels: 1, margin: 0.1, ..settings };
+        assert_eq!(sizes(&wider), [(48, 24)]);
         assert_eq!(
             crops(&picture, [0, 0, 100, 80], &settings).last().unwrap().dimensions(),
             (100, 80)
@@ -296,6 +297,7 @@ mod tests {
     #[test]
     fn embeddings_do_not_depend_on_other_boxes_and_are_normalized() {
         let encoder = tiny_encoder();
+        let encoder = PictureEncoder::new(&encoder);
         let picture =
             RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));
         let boxes =

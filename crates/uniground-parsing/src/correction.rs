@@ -65,7 +65,7 @@ impl Corrector<'_> {
         projection: &Projection,
         (width, height): (u32, u32),
     ) -> Result<Option<Outline>, ModelError> {
-        let segmenter = &self.frames.segmenter;
+        let segmenter = self.frames.segmenter();
         let (scale, size) = (segmenter.low_scale(encoded), segmenter.mask_size());
         let pixels = projection.pixels;
         if pixels.is_empty() || self.settings.rounds == 0 {
@@ -80,7 +80,7 @@ impl Corrector<'_> {
             })
             .collect();
         let covered = MaskCoverage::of_projection(pixels, scale, size);
-        let masks = segmenter.decode(encoded, &prompts)?;
+        let masks = self.frames.decode(encoded, &prompts)?;
         let judged = masks.into_iter().flatten().map(|mask| {
             let agreement = covered.agreement(|cell| mask.logits[cell] > segmenter.threshold());
             (agreement, mask)

@@ -4,11 +4,11 @@
 //! Small things vanish in one vector of a photograph. So six overlapping crops are embedded besides
 //! the whole, in two rows of three.
 
+use super::model_clock::PictureEncoder;
 use super::{ParseError, frame_sampling};
 use image::{RgbImage, imageops};
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameEmbeddings, FrameRef, stream_frames};
-use uniground_models::neural::DualEncoder;
 use uniground_types::settings::{AppearanceSettings, FrameSamplingSettings};
 
 /// Embeds some of these frames, spread along the camera's path. `None` where no frame embeddings
@@ -18,7 +18,7 @@ use uniground_types::settings::{AppearanceSettings, FrameSamplingSettings};
 /// [`ParseError`]: an unreadable frame, an encoder that fails, cancellation.
 pub fn embed_frames(
     frames: &[FrameRef],
-    encoder: &DualEncoder,
+    encoder: &PictureEncoder,
     settings: &AppearanceSettings,
     progress: &Progress,
 ) -> Result<Option<FrameEmbeddings>, ParseError> {
@@ -35,12 +35,7 @@ pub fn embed_frames(
         &frames,
         |frame| {
             progress.check()?;
-            let mut vectors = Vec::new();
-            for batch in overlapping_crops(&frame.decode_color()?).chunks(encoder.batch_size()) {
-                progress.check()?;
-                vectors.extend(encoder.embed_pictures(batch)?);
-            }
-            Ok::<_, ParseError>(vectors)
+            encoder.embed(&overlapping_crops(&frame.decode_color()?), progress)
         },
         |i, vectors| {
             of_row.extend(vectors.iter().map(|_| frames[i].index));

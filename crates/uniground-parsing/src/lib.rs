@@ -28,9 +28,11 @@ pub mod labels;
 pub mod lifting;
 pub mod masks;
 pub mod merging;
+pub mod model_clock;
 pub mod outline;
 pub mod part_merging;
 
+mod frame_budget;
 mod lift_frames;
 pub mod planes;
 pub mod pointed;
@@ -40,6 +42,7 @@ pub mod report_pictures;
 pub mod scan;
 pub mod sharpness;
 pub mod split_supported;
+mod stage_shares;
 mod stopwatch;
 pub mod superpoints;
 pub mod views;
@@ -54,8 +57,10 @@ use labels::Labels;
 use lift_frames::LiftedFrames;
 use lifting::{FrameVisibility, Lifted, MasksOfFrames};
 use masks::MaskSource;
+use model_clock::PictureEncoder;
 use planes::Planes;
 use relief::FlatCandidates;
+use stage_shares::StageEnds;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
 use uniground_geometry::Point3;
@@ -107,28 +112,7 @@ impl<'a> Perception<'a> {
     fn is_neural(&self) -> bool {
         self.corrector.is_some() || self.encoder.is_some()
     }
-
-    fn superpoints_end(&self) -> f32 {
-        let [superpoints, masks, ..] = self.stage_ends();
-        superpoints / masks
-    }
-
-    /// Returns the progress at which each stage ends, as a share of the whole: superpoints, masks,
-    /// planes, merging, part merging, refinement, views, instances. Appearance comes last and ends
-    /// at 1. Where networks take part, they take nearly all of the time. The remaining time is
-    /// estimated from these.
-    fn stage_ends(&self) -> [f32; 8] {
-        match (self.corrector.is_some(), self.encoder.is_some()) {
-            (false, false) => [0.3, 0.67, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
-            (false, true) => [0.06, 0.14, 0.15, 0.165, 0.17, 0.18, 0.195, 0.2],
-            (true, _) => [0.01, 0.699, 0.7, 0.705, 0.708, 0.713, 0.718, 0.72],
-        }
-    }
 }
-
-/// Progress at which the embeddings of instances end and those of frames begin, as a share of the
-/// whole.
-const FRAMES_LOOKED_AT: f32 = 0.97;
 
 /// Parses a scene into instances. Stages found in `checkpoints` are loaded from there.
 ///
@@ -145,11 +129,8 @@ pub fn parse(
         return Err(ParseError::NoPoints);
     }
     let mut watch = Stopwatch::default();
-    let ends = perception.stage_ends();
-
-    let perceiving = progress.sub_range(0.0, ends[1]);
-    let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints } =
-        lift_frames::lift_scan(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
+    let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints, ends, mut warnings } =
+        lift_frames::lift_scan(bundle, perception, settings, checkpoints, progress, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
     let (tables, masks_of, sharpness_of) = Lifted::split(lifted);
@@ -173,12 +154,13 @@ pub fn parse(
         visibility: &visibility,
         tables: &tables,
         masks_of: &masks_of,
+        ends,
     };
     let RegionGrouping { planes, region_of, proposals } =
         group_superpoints(seen, perception, settings, &checkpoints, progress, &mut watch)?;
     let labels = Labels::from_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
-        let viewing = progress.sub_range(ends[5], ends[6]);
+        let viewing = progress.sub_range(ends.refinement, ends.views);
         let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
         let flats = FlatCandidates::find(
             &cloud,
@@ -194,7 +176,7 @@ pub fn parse(
         Ok::<_, ParseError>(sighted)
     })?;
     let built = watch.time("instances", |outcome| {
-        let building = progress.sub_range(ends[6], ends[7]);
+        let building = progress.sub_range(ends.views, ends.instances);
         let built = instances::build(
             &cloud,
             &superpoints,
@@ -210,11 +192,12 @@ pub fn parse(
     let BuiltInstances { mut instances, labels, sightings, dropped, specks } = built;
     let looked_at = appearance::choose_frames(&instances, &sightings, &settings.appearance);
     views::choose_views(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
+    let pictures = perception.encoder.map(PictureEncoder::new);
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
             let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
-            let looking = progress.sub_range(ends[7], FRAMES_LOOKED_AT);
+            let looking = progress.sub_range(ends.instances, ends.appearance);
             let (rows, outlines) = appearance::embed_instances(
                 &frames,
                 &instances,
@@ -225,12 +208,14 @@ pub fn parse(
                         .corrector
                         .as_ref()
                         .map(|corrector| Correction { corrector, known: &masks_of }),
-                    perception.encoder,
+                    pictures.as_ref(),
                 ),
                 &settings.appearance,
                 &looking,
             )?;
             views::apply_outlines(&mut instances, &outlines);
+            outcome.models = perception.masks.take_model_times();
+            outcome.models.extend(pictures.iter().flat_map(|pictures| pictures.clock.take()));
             outcome.produced = looked_at.values().map(std::collections::BTreeMap::len).sum();
             Ok::<_, ParseError>(rows)
         })?,
@@ -241,19 +226,21 @@ pub fn parse(
         .map(|encoder| calibration::name_all(&mut instances, encoder, &rows))
         .transpose()?;
 
-    let frame_embeddings = match perception.encoder {
+    let frame_embeddings = match &pictures {
         None => None,
-        Some(encoder) => watch.time("frame_appearance", |outcome| {
+        Some(pictures) => watch.time("frame_appearance", |outcome| {
             let seen = frame_appearance::embed_frames(
                 &frames,
-                encoder,
+                pictures,
                 &settings.appearance,
-                &progress.sub_range(FRAMES_LOOKED_AT, 1.0),
+                &progress.sub_range(ends.appearance, 1.0),
             )?;
+            outcome.models = pictures.clock.take();
             outcome.produced = seen.as_ref().map_or(0, FrameEmbeddings::len);
             Ok::<_, ParseError>(seen)
         })?,
     };
+    warnings.extend(blind_frame_warnings(frames.len(), &blind));
     let report = ParseReport {
         points: cloud.len() as u64,
         frames_used: frames.len() as u32,
@@ -265,7 +252,7 @@ pub fn parse(
         specks,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
-        warnings: blind_frame_warnings(frames.len(), &blind),
+        warnings,
     };
     Ok(ParsedScene {
         cloud,
@@ -307,6 +294,7 @@ struct ScanObservations<'a> {
     visibility: &'a Visibility,
     tables: &'a [FrameVisibility],
     masks_of: &'a MasksOfFrames,
+    ends: StageEnds,
 }
 
 /// The points of a scan grouped into regions, each a candidate for an instance.
@@ -327,14 +315,13 @@ fn group_superpoints(
     progress: &Progress,
     watch: &mut Stopwatch,
 ) -> Result<RegionGrouping, ParseError> {
-    let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
-    let ends = perception.stage_ends();
+    let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of, ends } = seen;
     let planes = watch.time("planes", |outcome| {
         let planes = planes::find(
             cloud,
             superpoints,
             &camera_centers(frames),
-            &progress.sub_range(ends[1], ends[2]),
+            &progress.sub_range(ends.masks, ends.planes),
         )?;
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
@@ -347,12 +334,16 @@ fn group_superpoints(
                 &planes,
                 tables,
                 &settings.merging,
-                &progress.sub_range(ends[2], ends[3]),
+                &progress.sub_range(ends.planes, ends.merging),
             )
         };
         let (regions, reused) =
             checkpoints.load_or_compute("merging", &(lifted_with, &settings.merging), compute)?;
-        *outcome = StageOutcome { produced: count_labels(regions.last()), reused };
+        *outcome = StageOutcome {
+            produced: count_labels(regions.last()),
+            reused,
+            ..StageOutcome::default()
+        };
         Ok::<_, ParseError>(regions)
     })?;
     let region_of = watch.time("part_merging", |outcome| {
@@ -373,13 +364,13 @@ fn group_superpoints(
             &planes,
             freed,
             &settings.part_merging,
-            &progress.sub_range(ends[3], ends[4]),
+            &progress.sub_range(ends.merging, ends.part_merging),
         )?;
         outcome.produced = count_labels(&joined);
         Ok::<_, ParseError>(joined)
     })?;
     let proposals = watch.time("hierarchy", |outcome| {
-        let proposing = progress.sub_range(ends[4], ends[4]);
+        let proposing = progress.sub_range(ends.part_merging, ends.part_merging);
         let proposals = hierarchy::propose(
             superpoints,
             &planes,
@@ -396,7 +387,7 @@ fn group_superpoints(
     let region_of = match settings.refine_borders {
         false => region_of,
         true => watch.time("refinement", |outcome| {
-            let refining = progress.sub_range(ends[4], ends[5]);
+            let refining = progress.sub_range(ends.part_merging, ends.refinement);
             let refined =
                 refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
             outcome.produced = count_labels(&refined);

@@ -3,12 +3,14 @@
 //! earlier parts comes from checkpoints.
 
 use super::checkpoints::Checkpoints;
+use super::frame_budget::FrameBudget;
 use super::lifting::{Lifted, LiftingInput};
 use super::masks::{self, MaskSource};
+use super::stage_shares::StageEnds;
 use super::superpoints::{self, Superpoints};
 use super::visibility::Visibility;
 use super::{ParseError, Perception, StageOutcome, Stopwatch};
-use super::{frame_sampling, frame_selection};
+use super::{frame_sampling, frame_selection, stage_shares};
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, PointCloud, SceneBundle};
 use uniground_types::settings::{
@@ -31,6 +33,10 @@ pub(super) struct LiftedFrames {
     pub lifted: Vec<Lifted>,
     /// Checkpoints for stages that depend on the whole scan.
     pub checkpoints: Checkpoints,
+    /// Progress at which the stages end.
+    pub ends: StageEnds,
+    /// For the report.
+    pub warnings: Vec<String>,
 }
 
 /// Returns the inputs that lifted masks depend on.
@@ -62,7 +68,7 @@ pub(super) fn lift_scan(
     watch: &mut Stopwatch,
 ) -> Result<LiftedFrames, ParseError> {
     let SceneBundle { mut cloud, frames, additions, report: _ } = bundle;
-    let superpoints_end = perception.superpoints_end();
+    let superpoints_end = stage_shares::superpoints_end(perception);
     let mut superpoints = watch.time("superpoints", |outcome| {
         let compute = || {
             superpoints::compute(
@@ -73,7 +79,8 @@ pub(super) fn lift_scan(
         };
         let (superpoints, reused) =
             checkpoints.load_or_compute("superpoints", &settings.superpoints, compute)?;
-        *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
+        *outcome =
+            StageOutcome { produced: superpoints.patches.len(), reused, ..StageOutcome::default() };
         Ok::<_, ParseError>(superpoints)
     })?;
     let lifting_of = |cloud: &PointCloud,
@@ -94,9 +101,13 @@ pub(super) fn lift_scan(
             progress,
         )
     };
-    let select = |frames: &[FrameRef], cloud: &PointCloud, superpoints: &Superpoints| {
+    let mut warnings = Vec::new();
+    let mut select = |frames: &[FrameRef],
+                      cloud: &PointCloud,
+                      superpoints: &Superpoints,
+                      checkpoints: &Checkpoints| {
         let sampled = frame_sampling::sample_frames(frames, &settings.frame_sampling);
-        match settings.frame_sampling.views_per_part {
+        let selected = match settings.frame_sampling.views_per_part {
             Some(views) => {
                 let least = match masks::is_builtin(perception.masks.name()) {
                     true => LEAST_FRAMES_BUILTIN,
@@ -106,18 +117,28 @@ pub(super) fn lift_scan(
                 frame_selection::select_frames(&sampled, cloud, parts, views, least)
             }
             None => sampled,
-        }
+        };
+        let budget = FrameBudget { perception, settings, superpoints: superpoints.patches.len() };
+        let affordable = budget.fit(selected, checkpoints, progress)?;
+        warnings.extend(affordable.warning);
+        Ok::<_, ParseError>(affordable.frames)
     };
-    let mut frames = select(&frames, &cloud, &superpoints);
+    let mut frames = select(&frames, &cloud, &superpoints, checkpoints)?;
     let all_frames = (frames.len()
         + additions.iter().map(|addition| addition.frames.len()).sum::<usize>())
     .max(1) as f32;
-    let lifting_progress = progress.sub_range(superpoints_end, 1.0);
+    let number = superpoints.patches.len();
+    let ends = StageEnds::estimate(perception, settings, all_frames as usize, number);
+    let lifting_progress = progress.sub_range(superpoints_end, ends.masks);
     let mut lifted = watch.time("masks_and_lifting", |outcome| {
         let looking = lifting_progress.sub_range(0.0, frames.len() as f32 / all_frames);
         let (lifted, reused) =
             lifting_of(&cloud, &superpoints, "lifting", checkpoints, &frames, &looking)?;
-        *outcome = StageOutcome { produced: count_masks(&lifted), reused };
+        *outcome = StageOutcome {
+            produced: count_masks(&lifted),
+            reused,
+            models: perception.masks.take_model_times(),
+        };
         Ok::<_, ParseError>(lifted)
     })?;
     let mut checkpoints = checkpoints.clone();
@@ -143,7 +164,7 @@ pub(super) fn lift_scan(
                 compute,
             )?;
             superpoints = grown;
-            let new = select(&addition.frames, &cloud, &superpoints);
+            let new = select(&addition.frames, &cloud, &superpoints, &checkpoints)?;
             lifted.iter_mut().for_each(|lifted: &mut Lifted| lifted.renumber(&renumbered));
             let (more, reused) = lifting_of(
                 &cloud,
@@ -153,13 +174,17 @@ pub(super) fn lift_scan(
                 &new,
                 &looking,
             )?;
-            *outcome = StageOutcome { produced: count_masks(&more), reused };
+            *outcome = StageOutcome {
+                produced: count_masks(&more),
+                reused,
+                models: perception.masks.take_model_times(),
+            };
             lifted.extend(more);
             frames.extend(new);
             Ok::<_, ParseError>(())
         })?;
     }
-    Ok(LiftedFrames { cloud, frames, superpoints, lifted, checkpoints })
+    Ok(LiftedFrames { cloud, frames, superpoints, lifted, checkpoints, ends, warnings })
 }
 
 fn count_masks(lifted: &[Lifted]) -> usize {

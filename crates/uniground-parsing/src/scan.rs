@@ -216,7 +216,7 @@ fn load_or_import(
     let mut watch = Stopwatch::default();
     let bundle = watch.time("import", |outcome| {
         let (bundle, reused) = import(content, settings, checkpoints, progress, missing)?;
-        *outcome = StageOutcome { produced: bundle.points(), reused };
+        *outcome = StageOutcome { produced: bundle.points(), reused, ..StageOutcome::default() };
         Ok::<_, ScanError>(bundle)
     })?;
     Ok(ImportedScan { bundle, stages: watch.stages })

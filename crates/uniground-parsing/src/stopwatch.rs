@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::time::Instant;
-use uniground_geometry::scene::StageReport;
+use uniground_geometry::scene::{ModelTime, StageReport};
 
 /// Collects one [`StageReport`] per stage.
 #[derive(Default)]
@@ -18,6 +18,8 @@ pub struct StageOutcome {
     pub produced: usize,
     /// Whether they came from a checkpoint.
     pub reused: bool,
+    /// Time spent in models.
+    pub models: Vec<ModelTime>,
 }
 
 impl Stopwatch {
@@ -40,6 +42,7 @@ impl Stopwatch {
             produced: outcome.produced as u64,
             reused: outcome.reused,
             peak_memory_mb: peak_memory_mb(),
+            models: outcome.models,
         });
         Ok(result)
     }

@@ -333,4 +333,44 @@ pub struct StageReport {
     /// not report it.
     #[serde(default)]
     pub peak_memory_mb: Option<u32>,
+    /// Time spent in models. Empty for stages without models, and for what a checkpoint held.
+    #[serde(default)]
+    pub models: Vec<ModelTime>,
+}
+
+/// Time that a stage spent in one network.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ModelTime {
+    /// The network.
+    pub network: ModelNetwork,
+    /// Number of inputs: pictures, or prompts of a mask decoder.
+    pub inputs: u64,
+    /// Duration of all calls, seconds, summed over threads. Includes the wait for a free session of
+    /// the network.
+    pub seconds: f32,
+}
+
+/// A network that a parse uses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum ModelNetwork {
+    /// Encodes a picture for the mask decoder.
+    MaskEncoder,
+    /// Computes masks from prompts.
+    MaskDecoder,
+    /// Embeds a picture.
+    PictureEncoder,
+}
+
+impl std::fmt::Display for ModelTime {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (network, inputs) = match self.network {
+            ModelNetwork::MaskEncoder => ("mask encoder", "pictures"),
+            ModelNetwork::MaskDecoder => ("mask decoder", "prompts"),
+            ModelNetwork::PictureEncoder => ("picture encoder", "pictures"),
+        };
+        write!(f, "{network}: {} {inputs}, {:.1} s over all threads", self.inputs, self.seconds)
+    }
 }

@@ -29,8 +29,8 @@ pub enum SceneStatus {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ParseQuality {
-    /// The built-in methods, in seconds. The server's neural networks find and name more: their
-    /// parse follows, or can be requested.
+    /// The built-in methods, in seconds. The server's neural networks find and name more. With
+    /// `serve --parse draft-first` their parse follows; with `draft-only` it can be requested.
     Draft,
     /// Everything that the server is configured to use.
     Full,

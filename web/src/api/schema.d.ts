@@ -1259,17 +1259,23 @@ export interface components {
             frames?: number;
             /**
              * Format: float
-             * @description Crop `l` enlarges the tight box by `l` times this share of its width and height per side.
-             *     Default and paper: 0.1.
+             * @description Each further crop adds this share per side. Default and paper: 0.1.
              * @default 0.10000000149011612
              */
             level_step?: number;
             /**
              * Format: int32
-             * @description Number of crops per view, 1 to 16. Default: 3. Paper: 5.
-             * @default 3
+             * @description Number of crops per view, 1 to 16. Default: 1. Paper: 5.
+             * @default 1
              */
             levels?: number;
+            /**
+             * Format: float
+             * @description The first crop enlarges the tight box by this share of its width and height per side, 0 to
+             *     1. Default: 0.1. Paper: 0.
+             * @default 0.10000000149011612
+             */
+            margin?: number;
             /**
              * Format: float
              * @description Minimum share of the instance's points that a view must show. The best view is always used.
@@ -2825,6 +2831,11 @@ export interface components {
             /** @description Name of the vision-language model at its endpoint. `null` if none is configured. */
             vlm?: string | null;
         };
+        /**
+         * @description A network that a parse uses.
+         * @enum {string}
+         */
+        ModelNetwork: "mask_encoder" | "mask_decoder" | "picture_encoder";
         /** @description Names and versions of the components that produced an answer. */
         Models: {
             /**
@@ -2849,6 +2860,22 @@ export interface components {
              *     built-in reasoner, like `builtin-3`.
              */
             reasoner: string;
+        };
+        /** @description Time that a stage spent in one network. */
+        ModelTime: {
+            /**
+             * Format: int64
+             * @description Number of inputs: pictures, or prompts of a mask decoder.
+             */
+            inputs: number;
+            /** @description The network. */
+            network: components["schemas"]["ModelNetwork"];
+            /**
+             * Format: float
+             * @description Duration of all calls, seconds, summed over threads. Includes the wait for a free session of
+             *     the network.
+             */
+            seconds: number;
         };
         /** @description A moved object. */
         MovedThing: {
@@ -3089,7 +3116,8 @@ export interface components {
              *       "appearance": {
              *         "frames": 40,
              *         "level_step": 0.10000000149011612,
-             *         "levels": 3,
+             *         "levels": 1,
+             *         "margin": 0.10000000149011612,
              *         "min_visible": 0.20000000298023224,
              *         "views": 5
              *       },
@@ -3191,7 +3219,8 @@ export interface components {
              * @default {
              *       "frames": 40,
              *       "level_step": 0.10000000149011612,
-             *       "levels": 3,
+             *       "levels": 1,
+             *       "margin": 0.10000000149011612,
              *       "min_visible": 0.20000000298023224,
              *       "views": 5
              *     }
@@ -3238,6 +3267,15 @@ export interface components {
              *     }
              */
             instances?: components["schemas"]["InstanceSettings"];
+            /**
+             * Format: float
+             * @description Approximate time for masks, names and pictures, minutes, 0.1 to 1440. Fewer frames are used
+             *     if all would take longer, at least 4. The time per frame is measured on the first frames, so
+             *     the number depends on the speed of the machine. A scan that has grown gets the time again
+             *     for each addition. `null`: no limit. Default: `null`. Not in the paper.
+             * @default null
+             */
+            max_minutes?: number | null;
             /**
              * @description Merging of superpoints into regions.
              * @default {
@@ -4112,6 +4150,8 @@ export interface components {
         };
         /** @description Report of one stage of a parse. */
         StageReport: {
+            /** @description Time spent in models. Empty for stages without models, and for what a checkpoint held. */
+            models?: components["schemas"]["ModelTime"][];
             /**
              * Format: int32
              * @description Peak resident memory of the process during the stage, 10^6 bytes. `null` if the system does

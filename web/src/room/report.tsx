@@ -119,14 +119,22 @@ function Stages({ report: { parse } }: { report: SceneReport }) {
           </tr>
         </thead>
         <tbody>
-          {parse.stages.map((stage) => (
+          {parse.stages.flatMap((stage) => [
             <tr key={stage.stage}>
               <th scope="row">{t.stages[stage.stage] ?? stage.stage}</th>
               <td class="right">{stage.reused ? t.report.reused : stage.seconds.toFixed(2)}</td>
               <td class="right">{(stage.produced ?? 0).toLocaleString("en")}</td>
               <td class="right">{stage.peak_memory_mb == null ? "" : `${stage.peak_memory_mb} MB`}</td>
-            </tr>
-          ))}
+            </tr>,
+            ...(stage.models ?? []).map(({ network, inputs, seconds }) => (
+              <tr key={`${stage.stage} ${network}`} class="small">
+                <td>{t.report.networks[network]}</td>
+                <td class="right">{seconds.toFixed(2)}</td>
+                <td class="right">{`${inputs.toLocaleString("en")} ${t.report.inputs[network]}`}</td>
+                <td />
+              </tr>
+            )),
+          ])}
         </tbody>
       </table>
     </section>

@@ -48,6 +48,8 @@ MaskOrder = Literal["ascending_quality", "larger_first"]
 """Order in which overlapping masks are painted."""
 Message = Mapping[str, Any]
 """A JSON-RPC 2.0 message."""
+ModelNetwork = Literal["mask_encoder", "mask_decoder", "picture_encoder"]
+"""A network that a parse uses."""
 NoMatchReason = Literal["absent", "not_recognised", "not_english", "elsewhere", "none_seen", "not_listed"]
 """Why no object was chosen."""
 NodeKind = Literal["thing", "part", "whole", "structure", "zone"]
@@ -204,9 +206,11 @@ class AppearanceSettings(TypedDict, total=False):
     frames: int
     """Number of full frames to encode, spread over the scan, for content outside of instances. At most 1000. Default: 40. Paper: none."""
     level_step: float
-    """Crop `l` enlarges the tight box by `l` times this share of its width and height per side. Default and paper: 0.1."""
+    """Each further crop adds this share per side. Default and paper: 0.1."""
     levels: int
-    """Number of crops per view, 1 to 16. Default: 3. Paper: 5."""
+    """Number of crops per view, 1 to 16. Default: 1. Paper: 5."""
+    margin: float
+    """The first crop enlarges the tight box by this share of its width and height per side, 0 to 1. Default: 0.1. Paper: 0."""
     min_visible: float
     """Minimum share of the instance's points that a view must show. The best view is always used. Default and paper: 0.2."""
     views: int
@@ -1272,6 +1276,17 @@ class ModelList:
 
 
 @dataclass
+class ModelTime:
+    """Time that a stage spent in one network."""
+    network: ModelNetwork
+    """The network."""
+    inputs: int
+    """Number of inputs: pictures, or prompts of a mask decoder."""
+    seconds: float
+    """Duration of all calls, seconds, summed over threads. Includes the wait for a free session of the network."""
+
+
+@dataclass
 class Models:
     """Names and versions of the components that produced an answer."""
     masks: str
@@ -1434,6 +1449,11 @@ class ParsingSettings(TypedDict, total=False):
     """Selection of the frames to process."""
     instances: InstanceSettings
     """Filtering of regions and computation of boxes."""
+    max_minutes: Optional[float]
+    """Approximate time for masks, names and pictures, minutes, 0.1 to 1440. Fewer frames are used if all would take longer, at least 4. The
+    time per frame is measured on the first frames, so the number depends on the speed of the machine. A scan that has grown gets the time
+    again for each addition. `null`: no limit. Default: `null`. Not in the paper.
+    """
     merging: MergeSettings
     """Merging of superpoints into regions."""
     part_merging: PartMergingSettings
@@ -1952,6 +1972,8 @@ class StageReport:
     """
     seconds: float
     """Wall-clock duration, seconds."""
+    models: list[ModelTime] = field(default_factory=list)
+    """Time spent in models. Empty for stages without models, and for what a checkpoint held."""
     peak_memory_mb: Optional[int] = None
     """Peak resident memory of the process during the stage, 10^6 bytes. `null` if the system does not report it."""
     produced: Optional[int] = None

@@ -8,6 +8,7 @@ use camino::Utf8PathBuf;
 use image::{Rgb, RgbImage};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 use tokenizers::Tokenizer;
 
 /// The embedding of a sentence.
@@ -27,6 +28,8 @@ pub struct DualEncoder {
     tokenizer: Tokenizer,
     /// Number of pictures per call.
     batch: usize,
+    /// Seconds per picture, measured when the networks were loaded.
+    picture_s: f32,
     /// Cache of queries. Queries repeat: the same scene gets the same questions, and every phrase
     /// is compared with the same names.
     queries: Mutex<HashMap<String, TextEmbedding>>,
@@ -99,12 +102,23 @@ impl DualEncoder {
             text,
             tokenizer,
             batch: 1,
+            picture_s: 0.0,
             queries: Mutex::default(),
         };
         encoder.compute_text("a red chair next to the table")?;
         encoder.batch =
             if manifest.image.dynamic_batch && encoder.is_independent()? { BATCH } else { 1 };
+        // After the calls above, which allocate memory.
+        let (start, picture) = (Instant::now(), RgbImage::from_pixel(64, 48, Rgb([40, 44, 50])));
+        encoder.embed_batch(&vec![picture; encoder.batch])?;
+        encoder.picture_s = start.elapsed().as_secs_f32() / encoder.batch as f32;
         Ok(encoder)
+    }
+
+    /// Returns the seconds per picture when the model was loaded.
+    #[must_use]
+    pub fn picture_s(&self) -> f32 {
+        self.picture_s
     }
 
     /// Returns the length of an embedding. It is the same for pictures and words.

@@ -7,12 +7,15 @@ use super::network::{Direction, Element, Input, Network, Tensor, Values};
 use super::pixels::{append_planes, resize_to_fit};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
+use std::time::Instant;
 
 /// Encoder and decoder, loaded and checked against their manifest.
 pub struct Segmenter {
     manifest: SegmenterManifest,
     encoder: Box<dyn Network>,
     decoder: Box<dyn Network>,
+    /// Seconds per picture and per prompt, measured when the networks were loaded.
+    measured_s: (f32, f32),
 }
 
 /// The encoded picture, the input of the decoder.
@@ -146,17 +149,35 @@ impl Segmenter {
             Element::F32,
             &[None, Some(d.num_masks)],
         )?;
-        let segmenter = Self { manifest: manifest.clone(), encoder, decoder };
+        let mut segmenter =
+            Self { manifest: manifest.clone(), encoder, decoder, measured_s: (0.0, 0.0) };
         // Full batches in two sessions at once: the memory that a parse needs is allocated now, or
         // its lack is reported.
+        let start = Instant::now();
         let encoded = segmenter.encode(&RgbImage::new(64, 48))?;
+        let encode_s = start.elapsed().as_secs_f32();
         let batch = vec![Prompt::from_inside_points([(32.0, 24.0)]); segmenter.batch_size()];
+        let start = Instant::now();
         let (here, there) = rayon::join(
             || segmenter.decode(&encoded, &batch),
             || segmenter.decode(&encoded, &batch),
         );
         here.and(there)?;
+        let prompt_s = start.elapsed().as_secs_f32() / (2 * batch.len()) as f32;
+        segmenter.measured_s = (encode_s, prompt_s);
         Ok(segmenter)
+    }
+
+    /// Returns the seconds that one picture took when the model was loaded.
+    #[must_use]
+    pub fn picture_s(&self) -> f32 {
+        self.measured_s.0
+    }
+
+    /// Returns the seconds per prompt, with two calls at once, when the model was loaded.
+    #[must_use]
+    pub fn prompt_s(&self) -> f32 {
+        self.measured_s.1
     }
 
     /// Returns the width and height of the output masks.

@@ -9,7 +9,7 @@ pub mod sam;
 use super::ParseError;
 use serde::{Deserialize, Serialize};
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::Frame;
+use uniground_geometry::scene::{Frame, ModelTime};
 
 /// One mask id per pixel of a frame's **depth** image, row-major; 0 = no mask.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -88,6 +88,16 @@ pub trait MaskSource: Send + Sync {
     /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never
     /// fail.
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError>;
+
+    /// Returns the estimated seconds that models take per frame, on all cores.
+    fn model_s_per_frame(&self) -> f32 {
+        0.0
+    }
+
+    /// Returns the time spent in models since the last call.
+    fn take_model_times(&self) -> Vec<ModelTime> {
+        Vec::new()
+    }
 }
 
 /// Several mask sources that all have a vote (paper: Semantic-SAM and SAM).
@@ -106,6 +116,14 @@ impl MaskSource for CombinedMasks<'_> {
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         let each = self.sources.iter().map(|source| source.masks(frame, progress));
         Ok(each.collect::<Result<Vec<_>, _>>()?.concat())
+    }
+
+    fn model_s_per_frame(&self) -> f32 {
+        self.sources.iter().map(|source| source.model_s_per_frame()).sum()
+    }
+
+    fn take_model_times(&self) -> Vec<ModelTime> {
+        self.sources.iter().flat_map(|source| source.take_model_times()).collect()
     }
 }
 

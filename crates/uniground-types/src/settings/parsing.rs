@@ -12,6 +12,12 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ParsingSettings {
+    /// Approximate time for masks, names and pictures, minutes, 0.1 to 1440. Fewer frames are used
+    /// if all would take longer, at least 4. The time per frame is measured on the first frames, so
+    /// the number depends on the speed of the machine. A scan that has grown gets the time again
+    /// for each addition. `null`: no limit. Default: `null`. Not in the paper.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_minutes: Option<f32>,
     /// Selection of the frames to process.
     pub frame_sampling: FrameSamplingSettings,
     /// Segmentation of the cloud into superpoints.
@@ -43,6 +49,7 @@ pub struct ParsingSettings {
 impl Default for ParsingSettings {
     fn default() -> Self {
         Self {
+            max_minutes: None,
             frame_sampling: FrameSamplingSettings::default(),
             superpoints: SuperpointSettings::default(),
             rgbd_masks: RgbdSettings::default(),
@@ -106,6 +113,7 @@ impl ParsingSettings {
     /// Returns the pointer and the expected value.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
         let Self {
+            max_minutes,
             frame_sampling,
             superpoints,
             rgbd_masks,
@@ -122,7 +130,12 @@ impl ParsingSettings {
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 55] = [
+        let rules: [(&str, bool, &str); 57] = [
+            (
+                "/max_minutes",
+                max_minutes.is_none_or(|minutes| (0.1..=1440.0).contains(&minutes)),
+                "0.1 to 1440 minutes, or null",
+            ),
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             (
                 "/frame_sampling/max_frames",
@@ -237,6 +250,7 @@ impl ParsingSettings {
                 (1..=16).contains(&appearance.levels) && share(appearance.level_step),
                 "1 to 16, steps of 0 to 1",
             ),
+            ("/appearance/margin", share(appearance.margin), "0 to 1"),
             ("/appearance/frames", appearance.frames <= 1000, "at most 1000"),
         ];
         rules

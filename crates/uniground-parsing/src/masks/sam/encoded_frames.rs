@@ -1,6 +1,7 @@
 //! A disk cache of encoded pictures for one parse: encoding takes a second, reading back hundredths
 //! of a second.
 
+use crate::model_clock::ModelClock;
 use camino::Utf8Path;
 use image::RgbImage;
 use std::fs;
@@ -9,13 +10,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tempfile::TempDir;
-use uniground_geometry::scene::FrameIndex;
-use uniground_models::neural::{Encoded, ModelError, Segmenter};
+use uniground_geometry::scene::{FrameIndex, ModelNetwork};
+use uniground_models::neural::{Encoded, LowMask, ModelError, Prompt, Segmenter};
 
 /// The encoded frames of one scene. Each is encoded once, as long as the disk quota allows.
 pub struct EncodedFrames {
-    /// Encodes pictures and decodes masks.
-    pub segmenter: Arc<Segmenter>,
+    /// Computes masks. Called through the methods here, which record the time.
+    segmenter: Arc<Segmenter>,
+    /// Time spent in the segmenter.
+    pub clock: ModelClock,
     folder: TempDir,
     bytes_left: AtomicU64,
 }
@@ -32,7 +35,12 @@ impl EncodedFrames {
         max_bytes: u64,
     ) -> io::Result<Self> {
         let folder = place.map_or_else(tempfile::tempdir, tempfile::tempdir_in)?;
-        Ok(Self { segmenter, folder, bytes_left: AtomicU64::new(max_bytes) })
+        Ok(Self {
+            segmenter,
+            clock: ModelClock::default(),
+            folder,
+            bytes_left: AtomicU64::new(max_bytes),
+        })
     }
 
     /// Returns the encoding of a frame's picture for the decoder.
@@ -46,9 +54,36 @@ impl EncodedFrames {
         {
             return Ok(encoded);
         }
-        let encoded = self.segmenter.encode(picture)?;
+        let encoded = self.encode_uncached(picture)?;
         self.store(&file, &encoded);
         Ok(encoded)
+    }
+
+    /// Encodes a picture that is not a whole frame.
+    ///
+    /// # Errors
+    /// [`ModelError`] when the picture cannot be encoded.
+    pub fn encode_uncached(&self, picture: &RgbImage) -> Result<Encoded, ModelError> {
+        self.clock.time(ModelNetwork::MaskEncoder, 1, || self.segmenter.encode(picture))
+    }
+
+    /// Returns the candidate masks of each prompt, as [`Segmenter::decode`] does.
+    ///
+    /// # Errors
+    /// [`ModelError`]: a failed call.
+    pub fn decode(
+        &self,
+        encoded: &Encoded,
+        prompts: &[Prompt],
+    ) -> Result<Vec<Vec<LowMask>>, ModelError> {
+        let decode = || self.segmenter.decode(encoded, prompts);
+        self.clock.time(ModelNetwork::MaskDecoder, prompts.len(), decode)
+    }
+
+    /// Returns the segmenter, for the properties of its masks.
+    #[must_use]
+    pub fn segmenter(&self) -> &Segmenter {
+        &self.segmenter
     }
 
     /// Removes a frame from the cache once it is not needed again.

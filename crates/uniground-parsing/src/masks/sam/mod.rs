@@ -10,13 +10,13 @@ pub use encoded_frames::EncodedFrames;
 
 use super::rgbd::RgbdMasks;
 use super::{IdImage, MaskSource};
-use crate::ParseError;
+use crate::{ParseError, stage_shares};
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use image::imageops;
 use spots::PromptPoint;
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::Frame;
+use uniground_geometry::scene::{Frame, ModelTime};
 use uniground_models::neural::{Encoded, LowMask, Prompt};
 use uniground_types::settings::{MaskOrder, RgbdSettings, SamPrompts, SamSettings};
 
@@ -109,6 +109,16 @@ impl MaskSource for SamMasks<'_> {
         &self.name
     }
 
+    fn model_s_per_frame(&self) -> f32 {
+        let (pictures, prompts) = stage_shares::calls_per_frame(&self.settings);
+        let segmenter = self.frames.segmenter();
+        pictures * segmenter.picture_s() + prompts * segmenter.prompt_s()
+    }
+
+    fn take_model_times(&self) -> Vec<ModelTime> {
+        self.frames.clock.take()
+    }
+
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         let mut candidates = Vec::new();
         let (width, height) = frame.color.dimensions();
@@ -128,7 +138,7 @@ impl MaskSource for SamMasks<'_> {
             top: 0,
             width,
             height,
-            scale: self.frames.segmenter.low_scale(&encoded),
+            scale: self.frames.segmenter().low_scale(&encoded),
         };
         self.prompt_points(&encoded, whole, wanted, (width, height), &mut candidates, progress)?;
         drop(encoded);
@@ -138,13 +148,13 @@ impl MaskSource for SamMasks<'_> {
             let (w, h) = (reach(width), reach(height));
             for (left, top) in [(0, 0), (width - w, 0), (0, height - h), (width - w, height - h)] {
                 let quarter = imageops::crop_imm(&frame.color, left, top, w, h).to_image();
-                let encoded = self.frames.segmenter.encode(&quarter)?;
+                let encoded = self.frames.encode_uncached(&quarter)?;
                 let window = CropWindow {
                     left,
                     top,
                     width: w,
                     height: h,
-                    scale: self.frames.segmenter.low_scale(&encoded),
+                    scale: self.frames.segmenter().low_scale(&encoded),
                 };
                 let wanted = spots::grid_points((w, h), points.div_ceil(2), true);
                 self.prompt_points(
@@ -159,7 +169,7 @@ impl MaskSource for SamMasks<'_> {
         }
         Ok(paint::paint(
             &self.suppress_overlaps(candidates),
-            &self.frames.segmenter,
+            self.frames.segmenter(),
             &self.settings,
             frame,
         ))
@@ -178,7 +188,7 @@ impl SamMasks<'_> {
         candidates: &mut Vec<MaskCandidate>,
         progress: &Progress,
     ) -> Result<(), ParseError> {
-        let segmenter = &self.frames.segmenter;
+        let segmenter = self.frames.segmenter();
         let lookup = cell_lookup(window, picture, segmenter.mask_size());
         let mut wanted = wanted.into_iter();
         loop {
@@ -193,7 +203,7 @@ impl SamMasks<'_> {
             if batch.is_empty() {
                 return Ok(());
             }
-            let masks = segmenter.decode(encoded, &batch)?;
+            let masks = self.frames.decode(encoded, &batch)?;
             candidates.extend(
                 masks.iter().flatten().filter_map(|mask| self.candidate(mask, window, &lookup)),
             );
@@ -211,7 +221,7 @@ impl SamMasks<'_> {
         if mask.predicted_iou < settings.min_predicted_iou {
             return None;
         }
-        let threshold = self.frames.segmenter.threshold();
+        let threshold = self.frames.segmenter().threshold();
         let above = |level: f32| mask.logits.iter().filter(|logit| **logit > level).count();
         let stability = above(threshold + settings.stability_margin) as f32
             / above(threshold - settings.stability_margin).max(1) as f32;
