@@ -12,7 +12,7 @@ use uniground_evaluation::systems::ModelLoader;
 /// Warning about the speed of a segmentation model on the CPU. The built-in masks take about 0.1 s
 /// per frame (docs/MODELS.md).
 const SEGMENTER_COST: &str =
-    "SAM 2 tiny takes about 6 s per frame on two cores; --masks builtin is fast";
+    "SAM 2 tiny takes about 5 s per frame on two cores; --masks builtin is fast";
 
 /// The loaded models and the reasons for the choice.
 #[derive(Debug)]

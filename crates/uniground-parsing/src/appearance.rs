@@ -210,7 +210,7 @@ fn crops(
     settings: &AppearanceSettings,
 ) -> impl Iterator<Item = RgbImage> {
     (0..settings.levels).map(move |level| {
-        let share = settings.margin + settings.level_step * level as f32;
+        let share = settings.level_step * level as f32;
         let grown = |length: u32| (length as f32 * share).round() as u32;
         let (mx, my) = (grown(right - left), grown(bottom - top));
         let (x, y) = (left.saturating_sub(mx), top.saturating_sub(my));
@@ -281,13 +281,10 @@ mod tests {
     fn crops_grow_per_level_and_stay_inside_the_picture() {
         let picture = RgbImage::new(100, 80);
         let settings =
-            AppearanceSettings { levels: 3, margin: 0.0, ..AppearanceSettings::default() };
-        let sizes = |settings: &AppearanceSettings| -> Vec<_> {
-            crops(&picture, [10, 20, 50, 40], settings).map(|c| c.dimensions()).collect()
-        };
-        assert_eq!(sizes(&settings), [(40, 20), (48, 24), (56, 28)]);
-        let wider = AppearanceSettings { levels: 1, margin: 0.1, ..settings };
-        assert_eq!(sizes(&wider), [(48, 24)]);
+            AppearanceSettings { levels: 3, level_step: 0.1, ..AppearanceSettings::default() };
+        let sizes: Vec<_> =
+            crops(&picture, [10, 20, 50, 40], &settings).map(|c| c.dimensions()).collect();
+        assert_eq!(sizes, [(40, 20), (48, 24), (56, 28)]);
         assert_eq!(
             crops(&picture, [0, 0, 100, 80], &settings).last().unwrap().dimensions(),
             (100, 80)

@@ -43,14 +43,10 @@ pub struct AppearanceSettings {
     /// Minimum share of the instance's points that a view must show. The best view is always used.
     /// Default and paper: 0.2.
     pub min_visible: f32,
-    /// Number of crops per view, 1 to 16. Default: 1. Paper: 5.
+    /// Number of crops per view, 1 to 16. Default: 2. Paper: 5.
     pub levels: u32,
-    /// The first crop enlarges the tight box by this share of its width and height per side, 0 to
-    /// 1. Default: 0.1. Paper: 0.
-    // Parses of versions without this setting had no margin.
-    #[serde(default)]
-    pub margin: f32,
-    /// Each further crop adds this share per side. Default and paper: 0.1.
+    /// Crop `l` enlarges the tight box by `l` times this share of its width and height per side.
+    /// Default: 0.2. Paper: 0.1.
     pub level_step: f32,
     /// Number of full frames to encode, spread over the scan, for content outside of instances. At
     /// most 1000. Default: 40. Paper: none.
@@ -59,14 +55,7 @@ pub struct AppearanceSettings {
 
 impl Default for AppearanceSettings {
     fn default() -> Self {
-        Self {
-            views: 5,
-            min_visible: 0.2,
-            levels: 1,
-            margin: 0.1,
-            level_step: 0.1,
-            frames: 40,
-        }
+        Self { views: 5, min_visible: 0.2, levels: 2, level_step: 0.2, frames: 40 }
     }
 }
 
@@ -74,6 +63,6 @@ impl AppearanceSettings {
     /// Returns the settings of the paper.
     #[must_use]
     pub fn paper() -> Self {
-        Self { views: 10, levels: 5, margin: 0.0, frames: 0, ..Self::default() }
+        Self { views: 10, levels: 5, level_step: 0.1, frames: 0, ..Self::default() }
     }
 }

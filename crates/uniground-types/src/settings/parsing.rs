@@ -130,7 +130,7 @@ impl ParsingSettings {
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 57] = [
+        let rules: [(&str, bool, &str); 56] = [
             (
                 "/max_minutes",
                 max_minutes.is_none_or(|minutes| (0.1..=1440.0).contains(&minutes)),
@@ -250,7 +250,6 @@ impl ParsingSettings {
                 (1..=16).contains(&appearance.levels) && share(appearance.level_step),
                 "1 to 16, steps of 0 to 1",
             ),
-            ("/appearance/margin", share(appearance.margin), "0 to 1"),
             ("/appearance/frames", appearance.frames <= 1000, "at most 1000"),
         ];
         rules
