@@ -450,3 +450,23 @@ pub fn rtabmap(out: &Out) {
         ),
     );
 }
+
+/// nerfstudio, as programs on Windows write it: backslashes, and a byte order mark.
+pub fn nerfstudio_on_windows(out: &Out) {
+    nerfstudio(out);
+    let file = out.0.join("transforms.json");
+    let text = fs::read_to_string(&file).unwrap().replace('/', "\\\\");
+    fs::write(file, format!("\u{feff}{text}")).unwrap();
+}
+
+/// A folder beside documents, with files that systems and editors add.
+pub fn plain_beside_documents(out: &Out) {
+    let folder = out.0.join("my room");
+    plain(&Out(&folder));
+    let intrinsics = folder.join("intrinsic.txt");
+    let text = fs::read_to_string(&intrinsics).unwrap();
+    fs::write(intrinsics, format!("\u{feff}{text}")).unwrap();
+    for name in ["README.txt", "desktop.ini", "my room/Thumbs.db", "my room/color/Thumbs.db"] {
+        out.put(name, "made by somebody");
+    }
+}

@@ -59,14 +59,7 @@ pub struct AppearanceSettings {
 
 impl Default for AppearanceSettings {
     fn default() -> Self {
-        Self {
-            views: 5,
-            min_visible: 0.2,
-            levels: 1,
-            margin: 0.1,
-            level_step: 0.1,
-            frames: 40,
-        }
+        Self { views: 5, min_visible: 0.2, levels: 1, margin: 0.1, level_step: 0.1, frames: 40 }
     }
 }
 
