@@ -32,12 +32,20 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
                 detail,
             ));
         }
-        let bytes = to_bytes(request.into_body(), MAX_JSON_BYTES).await.map_err(|_| {
-            ProblemResponse::new(
-                StatusCode::PAYLOAD_TOO_LARGE,
-                "body_too_large",
-                format!("a JSON body must have at most {MAX_JSON_BYTES} bytes"),
-            )
+        let bytes = to_bytes(request.into_body(), MAX_JSON_BYTES).await.map_err(|error| {
+            // The limit, or a body that cannot be decompressed.
+            match error.to_string().contains("limit") {
+                true => ProblemResponse::new(
+                    StatusCode::PAYLOAD_TOO_LARGE,
+                    "body_too_large",
+                    format!("a JSON body must have at most {MAX_JSON_BYTES} bytes"),
+                ),
+                false => ProblemResponse::new(
+                    StatusCode::BAD_REQUEST,
+                    "malformed_json",
+                    format!("the body could not be read: {error}"),
+                ),
+            }
         })?;
         if contains_nul(&bytes) {
             return Err(ProblemResponse::invalid(

@@ -8,6 +8,7 @@ mod batches;
 mod body_rate;
 mod caching;
 mod connections;
+mod content_encoding;
 mod corrections;
 mod description;
 mod export;
@@ -59,6 +60,7 @@ use tower_http::CompressionLevel;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
+use tower_http::decompression::RequestDecompressionLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::{DefaultOnResponse, TraceLayer};
@@ -226,6 +228,8 @@ pub fn worker_router(app: App) -> Router {
 /// Adds all layers to the routes. `open` routes need no key.
 fn with_layers(app: App, routes: Router<App>, open: Router) -> Router {
     routes
+        .layer(RequestDecompressionLayer::new().pass_through_unaccepted(true))
+        .layer(middleware::from_fn(content_encoding::check))
         // Only the handlers of these routes read bodies.
         .layer(middleware::from_fn(body_rate::limit))
         .layer(middleware::from_fn(caching::add_etag))

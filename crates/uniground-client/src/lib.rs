@@ -27,6 +27,7 @@ use futures::StreamExt;
 use reply::{checked, json};
 use reqwest::{Method, RequestBuilder, Url};
 use serde::Serialize;
+use std::net::IpAddr;
 pub use uniground_types as types;
 use uniground_types::answer::{Answer, AnswerList, Shortlisted};
 use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
@@ -50,6 +51,25 @@ pub fn install_crypto_provider() {
     }
 }
 
+/// Returns a builder of an HTTP client for an address. Proxies of the environment are not used for
+/// addresses of this machine: they could not reach it.
+#[must_use]
+pub fn http_client(address: &str) -> reqwest::ClientBuilder {
+    let builder = reqwest::Client::builder();
+    if is_local(address) { builder.no_proxy() } else { builder }
+}
+
+/// Returns whether an address is one of this machine.
+#[must_use]
+pub fn is_local(address: &str) -> bool {
+    let Some(host) = Url::parse(address).ok().and_then(|url| url.host_str().map(str::to_owned))
+    else {
+        return false;
+    };
+    let ip = host.trim_start_matches('[').trim_end_matches(']').parse::<IpAddr>();
+    host == "localhost" || host.ends_with(".localhost") || ip.is_ok_and(|ip| ip.is_loopback())
+}
+
 /// A client of one server, with an optional API key.
 #[derive(Debug, Clone)]
 pub struct Client {
@@ -69,7 +89,8 @@ impl Client {
             .filter(|url| !url.cannot_be_a_base())
             .ok_or_else(|| ClientError::BadAddress(server.into()))?;
         install_crypto_provider();
-        Ok(Self { http: reqwest::Client::new(), base, api_key })
+        let http = http_client(server).build()?;
+        Ok(Self { http, base, api_key })
     }
 
     /// Uploads an archive and starts parsing it.
@@ -580,6 +601,29 @@ impl Client {
         match &self.api_key {
             Some(key) => request.bearer_auth(key),
             None => request,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_of_this_machine_are_recognized() {
+        for local in [
+            "http://127.0.0.1:8080",
+            "http://localhost/v1",
+            "http://[::1]:80",
+            "http://a.localhost",
+            "http://127.9.9.9",
+        ] {
+            assert!(is_local(local), "{local}");
+        }
+        for other in
+            ["http://10.0.0.1", "https://example.com", "http://localhost.example.com", "nonsense"]
+        {
+            assert!(!is_local(other), "{other}");
         }
     }
 }

@@ -60,7 +60,10 @@ impl<R: Seek> Seek for LimitedReader<R> {
     }
 }
 
-/// Reads a text file of at most `most` bytes.
+/// Some editors put this before UTF-8 text.
+pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// Reads a text file of at most `most` bytes, without a byte order mark.
 pub(super) fn read_text(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -72,7 +75,7 @@ pub(super) fn read_text(
         .map_err(|source| IngestError::reading(file, source))?;
     match text.len() as u64 > most {
         true => Err(IngestError::malformed(file, format!("it is longer than {most} bytes"))),
-        false => Ok(text),
+        false => Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text)),
     }
 }
 
@@ -100,6 +103,14 @@ pub(super) fn read_line(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn byte_order_mark_is_no_part_of_a_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join("marked.txt"), b"\xef\xbb\xbf500 500").unwrap();
+        assert_eq!(read_text(root, Utf8Path::new("marked.txt"), 100).unwrap(), "500 500");
+    }
 
     #[test]
     fn input_beyond_the_limit_is_an_error() {

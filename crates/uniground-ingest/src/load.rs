@@ -164,6 +164,7 @@ fn read_own_cloud(
         CoordinateOrigin::At(scan.origin)
     };
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
+    warnings.extend(loaded.guesses.iter().map(|guess| format!("{file}: {guess}")));
     let LoadedCloud { dropped, without_color, has_color, thinned, .. } = loaded;
     if without_color > 0 {
         warnings.push(format!(

@@ -18,7 +18,7 @@ pub struct ScanFolder {
 }
 
 impl ScanFolder {
-    /// Opens a scan: a folder is used unchanged, an archive (`.zip`, `.tar`, `.tar.zst`, `.r3d`) or
+    /// Opens a scan: a folder is used unchanged, an archive (`.zip`, `.tar`, `.tar.gz`, `.tar.zst`, `.r3d`) or
     /// a `.sens` file is unpacked, and a cloud or a mesh becomes a scan without frames.
     ///
     /// # Errors
@@ -163,8 +163,14 @@ pub fn describe_content(head: &[u8]) -> &'static str {
         [b'S', b'Q', b'L', b'i', b't', b'e', ..] => {
             "this is a database: if it is RTAB-Map's, run `rtabmap-export --images --poses_camera`"
         }
+        [b'B', b'Z', b'h', ..]
+        | [0xfd, b'7', b'z', b'X', b'Z', ..]
+        | [b'7', b'z', 0xbc, 0xaf, ..]
+        | [b'R', b'a', b'r', b'!', ..] => {
+            "this archive is compressed with bzip2, xz, 7-Zip or RAR: pack the scan as .zip, .tar or .tar.gz"
+        }
         _ => {
-            "this is no scan: expected an archive (.zip, .tar, .tar.zst, .r3d), a .sens file, a cloud or a mesh"
+            "no scan was recognized: expected an archive (.zip, .tar, .tar.gz, .tar.zst, .r3d), a .sens file, a cloud or a mesh"
         }
     }
 }

@@ -38,7 +38,7 @@ impl ChatClient {
     /// if no problem is known. Requests only the list of models from hosted servers.
     pub async fn describe_limits(&self) -> Vec<String> {
         let Some(listed) =
-            self.fetch_json::<ModelListing>(self.http.get(self.address("models"))).await
+            self.fetch_json::<ModelListing>(self.http.get(self.endpoint.address("models"))).await
         else {
             return Vec::new();
         };
@@ -84,7 +84,7 @@ impl ChatClient {
         let content: Vec<Value> = pictures.chain([json!({"type": "text", "text": "?"})]).collect();
         let body = json!({"model": self.endpoint.model, "max_tokens": 1, "messages": [{"role": "user", "content": content}]});
         let response = self
-            .authorized(self.http.post(self.address("chat/completions")).json(&body))
+            .authorized(self.http.post(self.endpoint.address("chat/completions")).json(&body))
             .send()
             .await
             .ok()?;
@@ -117,7 +117,8 @@ impl ChatClient {
             name: String,
             context_length: Option<u64>,
         }
-        let base = self.endpoint.base_url.trim_end_matches('/');
+        let models = self.endpoint.address("models");
+        let base = models.split('?').next().unwrap_or_default().trim_end_matches("/models");
         let root = base.strip_suffix("/v1").unwrap_or(base);
         let model = &self.endpoint.model;
         let shown: Option<ModelDetails> = self
@@ -136,10 +137,6 @@ impl ChatClient {
         let running: RunningModels =
             self.fetch_json(self.http.get(format!("{root}/api/ps"))).await?;
         running.models.into_iter().find(|running| running.name == *model)?.context_length
-    }
-
-    fn address(&self, path: &str) -> String {
-        format!("{}/{path}", self.endpoint.base_url.trim_end_matches('/'))
     }
 
     fn authorized(&self, request: reqwest::RequestBuilder) -> reqwest::RequestBuilder {

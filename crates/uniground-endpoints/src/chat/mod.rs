@@ -1,24 +1,25 @@
 //! Client for vision-language models behind any OpenAI-compatible chat endpoint, with recording and
 //! replay.
 
+mod completion;
 mod limits;
 mod replay_cache;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use completion::{Completion, NoReply};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 pub use replay_cache::ReplayCache;
-use reqwest::Response;
 use reqwest::header::RETRY_AFTER;
 use reqwest::redirect;
-use serde::Deserialize;
+use reqwest::{Response, StatusCode, Url};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
 use tokio::time::sleep;
-use uniground_client::install_crypto_provider;
+use uniground_client::{http_client, install_crypto_provider};
 use uniground_models::chat::{
     ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, Prices, Tokens,
 };
@@ -28,7 +29,8 @@ use uniground_telemetry::trace_context;
 /// A chat endpoint, its model and its prices.
 #[derive(Clone)]
 pub struct Endpoint {
-    /// Like `https://host/v1`; `/chat/completions` is added.
+    /// Like `https://host/v1`; `/chat/completions` is added unless it is there. A query such as
+    /// `?api-version=1` is kept.
     pub base_url: String,
     pub model: String,
     /// Never logged, never recorded.
@@ -36,6 +38,20 @@ pub struct Endpoint {
     pub prices: Prices,
     /// Maximum number of concurrent requests; further ones wait.
     pub concurrency: usize,
+}
+
+impl Endpoint {
+    /// Returns the address of a route such as `models`.
+    fn address(&self, route: &str) -> String {
+        let Ok(mut url) = Url::parse(&self.base_url) else {
+            return format!("{}/{route}", self.base_url.trim_end_matches('/'));
+        };
+        let base = url.path().trim_end_matches('/');
+        let base = base.strip_suffix("/chat/completions").unwrap_or(base);
+        let path = format!("{base}/{route}");
+        url.set_path(&path);
+        url.into()
+    }
 }
 
 impl std::fmt::Debug for Endpoint {
@@ -76,54 +92,6 @@ pub struct ChatClient {
     patience: RetryPolicy,
     replay_cache: ReplayCache,
     permits: Semaphore,
-}
-
-#[derive(Deserialize)]
-struct Completion {
-    choices: Vec<Choice>,
-    usage: Option<Usage>,
-}
-
-#[derive(Deserialize)]
-struct Choice {
-    message: Message,
-}
-
-#[derive(Deserialize)]
-struct Message {
-    content: Option<Content>,
-    /// Some servers return the reason here when the model refuses to answer.
-    refusal: Option<String>,
-}
-
-/// Most servers answer with a text, some with a list of parts.
-#[derive(Deserialize)]
-#[serde(untagged)]
-enum Content {
-    Text(String),
-    Parts(Vec<ContentPart>),
-}
-
-#[derive(Deserialize)]
-struct ContentPart {
-    #[serde(default)]
-    text: String,
-}
-
-impl Message {
-    fn text(self) -> Option<String> {
-        let said = self.content.map(|content| match content {
-            Content::Text(text) => text,
-            Content::Parts(parts) => parts.into_iter().map(|part| part.text).collect(),
-        });
-        said.filter(|text| !text.is_empty()).or(self.refusal)
-    }
-}
-
-#[derive(Default, Deserialize)]
-struct Usage {
-    prompt_tokens: Option<u64>,
-    completion_tokens: Option<u64>,
 }
 
 /// A failed attempt.
@@ -195,7 +163,7 @@ impl ChatClient {
                 attempt.stop()
             }
         });
-        let http = reqwest::Client::builder().redirect(redirect).build()?;
+        let http = http_client(&endpoint.base_url).redirect(redirect).build()?;
         Ok(Self { http, endpoint, patience, replay_cache, permits })
     }
 
@@ -205,8 +173,7 @@ impl ChatClient {
     /// # Errors
     /// Why it cannot be reached.
     pub async fn check_reachable(&self) -> Result<(), reqwest::Error> {
-        let url = format!("{}/models", self.endpoint.base_url.trim_end_matches('/'));
-        let request = self.http.get(url).timeout(CHECK_TIMEOUT);
+        let request = self.http.get(self.endpoint.address("models")).timeout(CHECK_TIMEOUT);
         let request =
             self.endpoint.api_key.iter().fold(request, reqwest::RequestBuilder::bearer_auth);
         request.send().await.map(drop).map_err(reqwest::Error::without_url)
@@ -222,15 +189,8 @@ impl ChatClient {
         loop {
             attempts += 1;
             let Attempt { error, again, wait, may_be_billed } = match self.send(&body).await {
-                Ok(Completion { choices, usage }) => {
+                Ok(Completion { text, prompt_tokens, completion_tokens }) => {
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
-                    // An empty text is a valid reply.
-                    let text = choices
-                        .into_iter()
-                        .next()
-                        .and_then(|choice| choice.message.text())
-                        .unwrap_or_default();
-                    let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
                     let prompt_tokens = plausible_token_count(
                         prompt_tokens,
                         Tokens::estimate(request).total(),
@@ -282,10 +242,9 @@ impl ChatClient {
     }
 
     async fn send(&self, body: &Value) -> Result<Completion, Attempt> {
-        let url = format!("{}/chat/completions", self.endpoint.base_url.trim_end_matches('/'));
         let mut request = self
             .http
-            .post(url)
+            .post(self.endpoint.address("chat/completions"))
             .headers(trace_context::propagation_headers())
             .timeout(self.patience.timeout)
             .json(body);
@@ -309,7 +268,6 @@ impl ChatClient {
             Attempt::from_unreadable(format!("it is longer than {MAX_REPLY_BYTES} bytes"), false)
         })?;
         if !status.is_success() {
-            let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
             let error = ChatError::Refused {
                 status: status.as_u16(),
                 reason: status.canonical_reason().unwrap_or("(nonstandard status)"),
@@ -318,17 +276,27 @@ impl ChatClient {
             // The model may have run before a server error, so it may be billed.
             return Err(Attempt {
                 error,
-                again,
+                again: is_transient(status),
                 wait,
                 may_be_billed: status.is_server_error() || status.as_u16() == 408,
             });
         }
-        let completion: Completion = serde_json::from_str(&text)
-            .map_err(|error| Attempt::from_unreadable(error.to_string(), true))?;
-        if completion.choices.is_empty() {
-            Err(Attempt::from_unreadable("it has no choices".into(), true))
-        } else {
-            Ok(completion)
+        completion::read(&text).map_err(|NoReply { error, again }| Attempt {
+            error: self.redact_keys_of(error),
+            again,
+            wait: None,
+            may_be_billed: true,
+        })
+    }
+
+    fn redact_keys_of(&self, error: ChatError) -> ChatError {
+        match error {
+            ChatError::Refused { status, reason, detail } => {
+                ChatError::Refused { status, reason, detail: self.redact_key(&detail) }
+            }
+            ChatError::NoAnswer(why) => ChatError::NoAnswer(self.redact_key(&why)),
+            ChatError::Undecodable(why) => ChatError::Undecodable(self.redact_key(&why)),
+            other => other,
         }
     }
 
@@ -419,6 +387,11 @@ async fn read_limited(mut response: Response) -> Result<Option<String>, reqwest:
 /// Returns the delay that a server asks for in seconds. Dates are not supported.
 fn retry_after(response: &Response) -> Option<Duration> {
     response.headers().get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
+}
+
+/// Returns whether a request that got this status may succeed later.
+fn is_transient(status: StatusCode) -> bool {
+    matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error()
 }
 
 /// Returns the message within an error body, shortened.

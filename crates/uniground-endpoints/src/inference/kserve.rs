@@ -13,7 +13,7 @@ use std::io::Read;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
-use uniground_client::install_crypto_provider;
+use uniground_client::{install_crypto_provider, is_local};
 use uniground_models::neural::bundle::Bundle;
 use uniground_models::neural::network::{
     Element, Input, Network, Port, Signature, Tensor, Values, check_finite,
@@ -75,9 +75,10 @@ impl RemoteServer {
     pub fn new(address: &str, timeout: Duration) -> Result<Self, ModelError> {
         install_crypto_provider();
         let address = address.trim_end_matches('/').to_owned();
-        let client =
-            Client::builder().timeout(timeout).connect_timeout(timeout.min(MAX_BACKOFF)).build();
-        let client = client
+        let builder = Client::builder().timeout(timeout).connect_timeout(timeout.min(MAX_BACKOFF));
+        let builder = if is_local(&address) { builder.no_proxy() } else { builder };
+        let client = builder
+            .build()
             .map_err(|e| ModelError::Remote { network: address.clone(), why: with_causes(&e) })?;
         Ok(Self { address, client })
     }

@@ -2,7 +2,7 @@
 
 use reqwest::Client;
 use std::time::Duration;
-use uniground_client::install_crypto_provider;
+use uniground_client::{http_client, install_crypto_provider};
 use uniground_models::with_causes;
 
 /// Timeout of the probe.
@@ -22,7 +22,7 @@ impl Probe {
     /// The HTTP client cannot be created.
     pub fn new(address: &str) -> Result<Self, reqwest::Error> {
         install_crypto_provider();
-        let client = Client::builder().timeout(TIMEOUT).build()?;
+        let client = http_client(address).timeout(TIMEOUT).build()?;
         Ok(Self { url: format!("{}/v2/health/ready", address.trim_end_matches('/')), client })
     }
 

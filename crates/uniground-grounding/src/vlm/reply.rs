@@ -11,6 +11,7 @@ mod names;
 use names::names;
 pub use names::names_in;
 use std::collections::BTreeMap;
+use uniground_models::chat::after_thoughts;
 
 /// What a reply says about the requested object.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -229,23 +230,7 @@ fn normalize_script(text: &str) -> String {
 
 /// Returns the text after the model's thinking; empty if the reply broke off within it.
 fn without_thoughts(text: &str) -> &str {
-    let lower = text.to_ascii_lowercase();
-    let end = ["</think>", "</thinking>", "</thought>"]
-        .into_iter()
-        .filter_map(|tag| lower.rfind(tag).map(|at| at + tag.len()))
-        .max();
-    if let Some(end) = end {
-        return without_thoughts_begun(&text[end..]);
-    }
-    without_thoughts_begun(text)
-}
-
-/// Drops a thought that never ends.
-fn without_thoughts_begun(text: &str) -> &str {
-    let lower = text.to_ascii_lowercase();
-    let start =
-        ["<think>", "<thinking>", "<thought>"].into_iter().filter_map(|tag| lower.find(tag)).min();
-    &text[..start.unwrap_or(text.len())]
+    after_thoughts(text).unwrap_or_default()
 }
 
 fn join_choices(before: Choice, now: Choice) -> Choice {

@@ -61,6 +61,10 @@ pub(super) fn walk(
         ArchiveKind::Tar => {
             walk_tar(file, kind, limits.max_unpacked_bytes(packed_bytes), limits, visitor)
         }
+        ArchiveKind::TarGz => {
+            let decoder = flate2::read::MultiGzDecoder::new(file);
+            walk_tar(decoder, kind, limits.max_unpacked_bytes(packed_bytes), limits, visitor)
+        }
         ArchiveKind::TarZst => {
             let mut decoder = zstd::Decoder::new(file).map_err(|e| kind.unreadable(e))?;
             decoder.window_log_max(MAX_WINDOW_LOG).map_err(|e| kind.unreadable(e))?;

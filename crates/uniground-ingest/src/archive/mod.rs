@@ -16,6 +16,8 @@ pub enum ArchiveKind {
     Zip,
     /// `.tar`, not compressed.
     Tar,
+    /// `.tar.gz` or `.tgz`: a tar compressed with gzip.
+    TarGz,
     /// `.tar.zst` or `.tzst`: a tar compressed with Zstandard.
     TarZst,
 }
@@ -29,6 +31,8 @@ impl ArchiveKind {
             (".zip", Self::Zip),
             (".r3d", Self::Zip),
             (".tar", Self::Tar),
+            (".tar.gz", Self::TarGz),
+            (".tgz", Self::TarGz),
             (".tar.zst", Self::TarZst),
             (".tzst", Self::TarZst),
         ]
@@ -42,6 +46,7 @@ impl ArchiveKind {
         match head {
             [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Some(Self::Zip),
             [0x28, 0xb5, 0x2f, 0xfd, ..] => Some(Self::TarZst),
+            [0x1f, 0x8b, ..] => Some(Self::TarGz),
             head if head.get(257..262) == Some(b"ustar") => Some(Self::Tar),
             _ => None,
         }
@@ -53,6 +58,7 @@ impl ArchiveKind {
         match self {
             Self::Zip => "application/zip",
             Self::Tar => "application/x-tar",
+            Self::TarGz => "application/gzip",
             Self::TarZst => "application/zstd",
         }
     }
@@ -61,6 +67,7 @@ impl ArchiveKind {
         match self {
             Self::Zip => "zip",
             Self::Tar => "tar",
+            Self::TarGz => "tar.gz",
             Self::TarZst => "tar.zst",
         }
     }
@@ -186,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn zip_tar_and_tar_zst_unpack_to_the_same_files() {
+    fn archives_of_every_kind_unpack_to_the_same_files() {
         let mut tar = tar::Builder::new(Vec::new());
         for name in ["a.txt", "b/c.txt"] {
             let mut header = tar::Header::new_gnu();
@@ -195,10 +202,20 @@ mod tests {
         }
         let tar = tar.into_inner().unwrap();
         let zst = zstd::encode_all(&tar[..], 1).unwrap();
+        let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        gz.write_all(&tar).unwrap();
+        let gz = gz.finish().unwrap();
         let zip = zip_of(&[("a.txt", b"hi"), ("b/c.txt", b"hi")]);
-        for (bytes, kind) in
-            [(zip, ArchiveKind::Zip), (tar, ArchiveKind::Tar), (zst, ArchiveKind::TarZst)]
-        {
+        // As some programs on Windows write it.
+        let backslashes = zip_of(&[("a.txt", b"hi"), ("b\\c.txt", b"hi")]);
+        for (bytes, kind) in [
+            (zip, ArchiveKind::Zip),
+            (backslashes, ArchiveKind::Zip),
+            (tar, ArchiveKind::Tar),
+            (gz, ArchiveKind::TarGz),
+            (zst, ArchiveKind::TarZst),
+        ] {
+            assert_eq!(ArchiveKind::from_head(&bytes), Some(kind));
             assert_eq!(
                 unpack_bytes(&bytes, kind, &UnpackLimits::default()).unwrap(),
                 ["a.txt", "b"]
@@ -237,7 +254,9 @@ mod tests {
 
     #[test]
     fn entries_outside_the_folder_are_refused() {
-        for name in ["../evil", "a/../../evil", "/etc/passwd", "a\\..\\evil", "a\nb"] {
+        for name in
+            ["../evil", "a/../../evil", "/etc/passwd", "a\\..\\evil", "..\\evil", "\\evil", "a\nb"]
+        {
             let refused =
                 unpack_bytes(&zip_of(&[(name, b"x")]), ArchiveKind::Zip, &UnpackLimits::default());
             assert!(matches!(refused, Err(IngestError::UnsafeEntry { .. })), "{name}: {refused:?}");

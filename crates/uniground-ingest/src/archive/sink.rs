@@ -116,16 +116,14 @@ fn cannot_store(name: &str, source: io::Error) -> IngestError {
 }
 
 /// Returns the entry's path if it is relative, stays inside the archive and does not collide with
-/// the server's own files.
+/// the server's own files. Backslashes separate folders, as in archives from Windows.
 pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
-    if name.contains(|c: char| c == '\\' || c.is_control()) {
-        return Err(IngestError::unsafe_entry(
-            name,
-            "has a backslash or a control character in its name",
-        ));
+    if name.contains(char::is_control) {
+        return Err(IngestError::unsafe_entry(name, "has a control character in its name"));
     }
+    let slashed = name.replace('\\', "/");
     let mut path = Utf8PathBuf::new();
-    for component in Utf8Path::new(name).components() {
+    for component in Utf8Path::new(&slashed).components() {
         match component {
             Utf8Component::Normal(part) => path.push(part),
             Utf8Component::CurDir => {}

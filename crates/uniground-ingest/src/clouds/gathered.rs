@@ -20,6 +20,8 @@ pub struct LoadedCloud {
     pub has_color: bool,
     /// The cloud was thinned out: one of this many points was kept.
     pub thinned: usize,
+    /// What was guessed about the file, one sentence each.
+    pub guesses: Vec<String>,
 }
 
 /// Limits on the number of points that a file announces and that are kept.
@@ -49,7 +51,47 @@ pub(super) struct CloudBuilder {
     loaded: LoadedCloud,
     bounds: CloudBounds,
     origin: Option<[f64; 3]>,
+    /// The range of the color channels so far.
+    range: ColorRange,
     seen: usize,
+}
+
+/// The range of color channels. Files do not always keep to the one that their types suggest:
+/// floats up to 255 and 16-bit numbers up to 255 both occur. So it is told from the values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum ColorRange {
+    /// 0 to 1.
+    Unit,
+    /// 0 to 255.
+    Bytes,
+    /// 0 to 65,535.
+    Words,
+}
+
+impl ColorRange {
+    fn most(self) -> f64 {
+        match self {
+            Self::Unit => 1.0,
+            Self::Bytes => 255.0,
+            Self::Words => 65_535.0,
+        }
+    }
+
+    /// Returns the range of a channel this large, if it is a wider one. Values slightly above the
+    /// end are rounding errors.
+    fn widened(self, channel: f64) -> Option<Self> {
+        let needed = match channel {
+            v if v < 2.0 => Self::Unit,
+            v if v < 256.0 => Self::Bytes,
+            _ => Self::Words,
+        };
+        (needed > self).then_some(needed)
+    }
+
+    /// Returns the level of a channel, 0 to 255. Values outside of the range saturate.
+    fn to_level(self, channel: f64) -> u8 {
+        (channel * (255.0 / self.most())).round() as u8
+    }
 }
 
 impl CloudBuilder {
@@ -62,12 +104,13 @@ impl CloudBuilder {
             without_color: 0,
             has_color: false,
             thinned: 1,
+            guesses: Vec::new(),
         };
         let origin = match origin {
             CoordinateOrigin::Free => None,
             CoordinateOrigin::At(at) => Some(at),
         };
-        Self { loaded, bounds: *bounds, origin, seen: 0 }
+        Self { loaded, bounds: *bounds, origin, range: ColorRange::Unit, seen: 0 }
     }
 
     /// Sets the expected number of points and allocates memory for those that are kept.
@@ -112,11 +155,45 @@ impl CloudBuilder {
         self.loaded.cloud.colors.push(color);
     }
 
-    /// Adds a point whose color is not a number.
-    pub fn push_without_valid_color(&mut self, position: [f64; 3], color: [u8; 3]) {
+    /// Sets the narrowest range that the color channels can have.
+    pub fn set_color_range(&mut self, range: ColorRange) {
+        self.range = range;
+    }
+
+    /// Adds a point with its color channels as they are in the file. Channels that are not numbers
+    /// become gray.
+    #[inline]
+    pub fn push_channels(&mut self, position: [f64; 3], channels: [f64; 3]) {
+        let largest = channels.into_iter().fold(0.0, f64::max);
+        if let Some(wider) = self.range.widened(largest) {
+            self.widen_range(wider);
+        }
+        let level = |v: f64| if v.is_nan() { GREY[0] } else { self.range.to_level(v) };
         let before = self.loaded.cloud.len();
-        self.push(position, color);
-        self.loaded.without_color += self.loaded.cloud.len() - before;
+        self.push(position, channels.map(level));
+        if channels.iter().any(|v| v.is_nan()) {
+            self.loaded.without_color += self.loaded.cloud.len() - before;
+        }
+    }
+
+    /// Converts the colors so far, whose channels all fit into the narrower range.
+    #[cold]
+    fn widen_range(&mut self, wider: ColorRange) {
+        let scale = self.range.most() / wider.most();
+        for color in &mut self.loaded.cloud.colors {
+            *color = color.map(|level| (f64::from(level) * scale).round() as u8);
+        }
+        self.range = wider;
+    }
+
+    /// Records what was guessed about the file, as a sentence for its user.
+    pub fn add_guess(&mut self, guess: String) {
+        self.loaded.guesses.push(guess);
+    }
+
+    /// Returns whether the file contains color.
+    pub fn has_color(&self) -> bool {
+        self.loaded.has_color
     }
 
     /// Returns the number of points kept so far.

@@ -14,6 +14,7 @@ mod text;
 mod texture;
 
 use super::IngestError;
+use super::limited_reader::BYTE_ORDER_MARK;
 use camino::Utf8Path;
 use gathered::CloudBuilder;
 pub(super) use gathered::{CloudBounds, CoordinateOrigin, LoadedCloud};
@@ -50,6 +51,7 @@ impl CloudKind {
 
     /// Detects the format by the first bytes. If those are only numbers, the extension decides.
     pub fn from_head(head: &[u8], extension: &str) -> Option<Self> {
+        let head = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head);
         if head.starts_with(b"ply") {
             return Some(Self::Ply);
         }

@@ -8,11 +8,12 @@ mod faces;
 mod rows;
 
 use super::CloudBuilder;
-use super::gathered::{CloudBounds, GREY};
+use super::gathered::{CloudBounds, ColorRange, GREY};
 use crate::IngestError;
+use crate::limited_reader::BYTE_ORDER_MARK;
 use camino::Utf8Path;
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, PropertyType, ScalarType};
+use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, PropertyDef, PropertyType, ScalarType};
 use rows::PlyRows;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
@@ -58,6 +59,14 @@ pub fn read(
         gathered.set_has_color(
             ["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)),
         );
+        let is_float = |property: &PropertyDef| {
+            matches!(
+                property.data_type,
+                PropertyType::Scalar(ScalarType::Float | ScalarType::Double)
+            )
+        };
+        let floats = element.properties.get("red").is_some_and(is_float);
+        gathered.set_color_range(if floats { ColorRange::Unit } else { ColorRange::Bytes });
         let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
         if !["x", "y", "z"].iter().any(in_doubles) {
             gathered.set_single_precision();
@@ -121,12 +130,12 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), I
     Ok((header, source))
 }
 
-/// Reads the lines up to and including `end_header`.
+/// Reads the lines up to and including `end_header`, without comments: they can be in any encoding.
 fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
-    let mut text = Vec::new();
+    let (mut text, mut skipped) = (Vec::new(), 0);
     loop {
         let line_start = text.len();
-        let most = (MAX_HEADER_BYTES - text.len()) as u64;
+        let most = MAX_HEADER_BYTES.saturating_sub(text.len() + skipped) as u64;
         if source.take(most).read_until(b'\n', &mut text)? == 0 {
             let reason = if most == 0 {
                 "its header has no end_header"
@@ -138,7 +147,14 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
         match text[line_start..].trim_ascii() {
             b"end_header" => return Ok(text),
             line if line_start == 0 && line != b"ply" => {
-                return Err(io::Error::other("it does not begin with \"ply\""));
+                let Some(b"ply") = line.strip_prefix(BYTE_ORDER_MARK) else {
+                    return Err(io::Error::other("it does not begin with \"ply\""));
+                };
+                text.drain(..BYTE_ORDER_MARK.len());
+            }
+            line if line.starts_with(b"comment") || line.starts_with(b"obj_info") => {
+                skipped += text.len() - line_start;
+                text.truncate(line_start);
             }
             _ => {}
         }
@@ -147,20 +163,19 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
 
 impl Vertex {
     fn push_to(&self, gathered: &mut CloudBuilder) {
-        match self.nan_color {
-            false => gathered.push(self.position, self.color),
-            true => gathered.push_without_valid_color(self.position, self.color),
+        match gathered.has_color() {
+            false => gathered.push(self.position, GREY),
+            true => gathered.push_channels(self.position, self.channels),
         }
     }
 }
 
-/// One vertex. Missing color channels stay mid-gray.
+/// One vertex.
 #[derive(Clone, Copy)]
 struct Vertex {
     position: [f64; 3],
-    color: [u8; 3],
-    /// Whether a color channel was NaN.
-    nan_color: bool,
+    /// Red, green and blue as they are in the file.
+    channels: [f64; 3],
 }
 
 /// A property that is used.
@@ -181,25 +196,14 @@ impl Field {
 
 impl Vertex {
     fn new() -> Self {
-        Self { position: [f64::NAN; 3], color: GREY, nan_color: false }
+        Self { position: [f64::NAN; 3], channels: [f64::NAN; 3] }
     }
 
-    /// Sets a color channel. Bytes are used unchanged, 16-bit values are divided by 257, floats are
-    /// in `0..=1`.
     #[inline]
-    fn set(&mut self, field: Field, value: f64, scalar: &ScalarType) {
+    fn set(&mut self, field: Field, value: f64) {
         match field {
             Field::Coordinate(axis) => self.position[axis] = value,
-            Field::Channel(_) if value.is_nan() => self.nan_color = true,
-            Field::Channel(channel) => {
-                let level = match scalar {
-                    ScalarType::UShort | ScalarType::Short => (value * (1.0 / 257.0)).round(),
-                    ScalarType::Float | ScalarType::Double => (value * 255.0).round(),
-                    _ => value,
-                };
-                // Out-of-range channels saturate: `as` clamps.
-                self.color[channel] = level as u8;
-            }
+            Field::Channel(channel) => self.channels[channel] = value,
         }
     }
 }
@@ -291,6 +295,38 @@ mod tests {
         let loaded = read_bytes(&bytes).unwrap();
         assert_eq!((loaded.cloud.len(), loaded.without_color), (2, 1));
         assert_eq!(loaded.cloud.colors, [[128, 128, 255], [0; 3]]);
+    }
+
+    #[test]
+    fn range_of_color_channels_is_told_from_the_values() {
+        let colors = |kind: &str, rows: &str| {
+            let properties = ["red", "green", "blue"].map(|c| format!("property {kind} {c}\n"));
+            let xyz = "property float x\nproperty float y\nproperty float z\n";
+            let count = rows.lines().count();
+            let mut bytes = header("ascii", count, &format!("{xyz}{}", properties.concat()));
+            bytes.extend(rows.bytes());
+            read_bytes(&bytes).unwrap().cloud.colors
+        };
+        let (unit, bytes) = ("1 2 3 0 0.4 1\n", "1 2 3 0 1 1\n1 2 3 4 102 255\n");
+        assert_eq!(colors("float", unit), [[0, 102, 255]]);
+        assert_eq!(colors("float", bytes), [[0, 1, 1], [4, 102, 255]]);
+        assert_eq!(colors("ushort", bytes), [[0, 1, 1], [4, 102, 255]]);
+        let words = "1 2 3 0 100 200\n1 2 3 257 25700 65535\n";
+        assert_eq!(colors("ushort", words), [[0, 0, 1], [1, 100, 255]]);
+        assert_eq!(colors("double", words), [[0, 0, 1], [1, 100, 255]]);
+    }
+
+    #[test]
+    fn comments_in_any_encoding_and_byte_order_marks_are_skipped() {
+        let rows = [&header("ascii", 1, XYZ_RGB)[..], b"1 2 3 10 20 30\n"].concat();
+        let commented = |comment: &[u8]| [b"ply\n", comment, b"\n", &rows[4..]].concat();
+        for bytes in [
+            commented(b"comment caf\xe9"),
+            commented(b"obj_info \xb7\xbf\xbc\xe4"),
+            [b"\xef\xbb\xbf", &rows[..]].concat(),
+        ] {
+            assert_eq!(read_bytes(&bytes).unwrap().cloud.colors, [[10, 20, 30]]);
+        }
     }
 
     /// Lists among the vertices, and faces before them, are skipped in all encodings.

@@ -2,43 +2,36 @@
 //! the number of columns and their values.
 
 use super::CloudBuilder;
-use super::gathered::GREY;
+use super::gathered::{ColorRange, GREY};
 use crate::IngestError;
-use crate::limited_reader::read_line;
+use crate::limited_reader::{BYTE_ORDER_MARK, read_line};
 use camino::Utf8Path;
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 
 const MAX_LINE_BYTES: u64 = 4 << 10;
 /// Number of lines that are used to detect the columns.
-const LOOKED_AT: usize = 200;
+const LOOKED_AT: usize = 1000;
 /// Maximum number of columns of a line that are examined.
 const MAX_COLUMNS: usize = 32;
 
-/// How colors are written.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum ColorScale {
-    /// `0..=255`.
-    Bytes,
-    /// `0..=1`.
-    Shares,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Columns {
     /// The columns of x, y and z.
     position: [usize; 3],
-    color: Option<([usize; 3], ColorScale)>,
+    /// The columns of red, green and blue, and the range of their first values.
+    color: Option<([usize; 3], ColorRange)>,
+    /// What was guessed, for the file's user.
+    guess: Option<String>,
 }
 
 /// Returns whether a file begins with lines of at least three numbers, after at most a heading or a
 /// count.
 pub(super) fn can_read(head: &[u8]) -> bool {
-    let Ok(text) = std::str::from_utf8(
-        &head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)],
-    ) else {
-        return false;
-    };
+    let end = head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1);
+    // Headings can be in any encoding.
+    let text = String::from_utf8_lossy(&head[..end]);
     let mut lines = text.lines().filter(|line| !line.trim().is_empty()).take(12).peekable();
     if lines.peek().is_none() {
         return false;
@@ -53,12 +46,37 @@ pub(super) fn can_read(head: &[u8]) -> bool {
     rows > 0 && others <= 3
 }
 
+/// Returns a line with points in place of decimal commas. A comma is one if semicolons, or spaces
+/// around every number, separate the columns.
+fn with_decimal_points(line: &str) -> Cow<'_, str> {
+    let is_decimal = |word: &str| {
+        word.split_once(',').is_some_and(|(whole, part)| {
+            let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+            digits(whole.trim_start_matches(['-', '+']))
+                && part.starts_with(|c: char| c.is_ascii_digit())
+                && !part.contains(',')
+        })
+    };
+    if !line.contains(',') {
+        return line.into();
+    }
+    let decimal = if line.contains(';') {
+        line.split(';').map(str::trim).filter(|word| word.contains(',')).all(is_decimal)
+    } else {
+        line.split_ascii_whitespace().count() >= 3 && line.split_ascii_whitespace().all(is_decimal)
+    };
+    if decimal { line.replace(',', ".").into() } else { line.into() }
+}
+
 fn split_words(line: &str) -> impl Iterator<Item = &str> {
-    line.split([' ', '\t', ',', ';', '\r']).filter(|word| !word.is_empty()).take(MAX_COLUMNS)
+    line.split([' ', '\t', ',', ';', '\r'])
+        .map(|word| word.trim_matches('"'))
+        .filter(|word| !word.is_empty())
+        .take(MAX_COLUMNS)
 }
 
 fn parse_numbers(line: &str) -> Option<Vec<f64>> {
-    split_words(line).map(|word| word.parse().ok()).collect()
+    split_words(&with_decimal_points(line)).map(|word| word.parse().ok()).collect()
 }
 
 pub(super) fn read(
@@ -69,6 +87,8 @@ pub(super) fn read(
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let columns = detect_columns(root, file)?;
     gathered.set_has_color(columns.color.is_some());
+    columns.color.iter().for_each(|(_, range)| gathered.set_color_range(*range));
+    columns.guess.into_iter().for_each(|guess| gathered.add_guess(guess));
     let mut source = open(root, file)?;
     let mut line = Vec::new();
     let (mut number, mut skipped) = (0_usize, 0_usize);
@@ -77,10 +97,10 @@ pub(super) fn read(
     {
         number += 1;
         let mut values = [f64::NAN; MAX_COLUMNS];
-        let text = std::str::from_utf8(&line)
-            .map_err(|_| malformed(format!("line {number}: not text")))?;
+        let text = String::from_utf8_lossy(line.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&line));
+        let text = with_decimal_points(&text);
         let (mut found, mut readable) = (0, true);
-        for (value, word) in values.iter_mut().zip(split_words(text)) {
+        for (value, word) in values.iter_mut().zip(split_words(&text)) {
             match word.parse() {
                 Ok(v) => *value = v,
                 Err(_) => readable = false,
@@ -97,13 +117,11 @@ pub(super) fn read(
             }
             continue;
         }
-        let color = columns.color.map_or(GREY, |(at, scale)| {
-            at.map(|i| match scale {
-                ColorScale::Bytes => values[i].round() as u8,
-                ColorScale::Shares => (values[i] * 255.0).round() as u8,
-            })
-        });
-        gathered.push(columns.position.map(|i| values[i]), color);
+        let position = columns.position.map(|i| values[i]);
+        match columns.color {
+            Some((at, _)) => gathered.push_channels(position, at.map(|i| values[i])),
+            None => gathered.push(position, GREY),
+        }
         if number.is_multiple_of(1 << 16) {
             gathered.thin_if_full(file)?;
         }
@@ -135,23 +153,16 @@ fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestErr
     if rows.is_empty() {
         return Err(IngestError::malformed(file, "it has no lines of three or more numbers"));
     }
-    let scale = |at: [usize; 3]| {
+    let range = |at: [usize; 3]| {
         let shares = rows
             .iter()
             .all(|row| at.iter().all(|i| row.get(*i).is_none_or(|v| (0.0..=1.0).contains(v))));
-        if shares { ColorScale::Shares } else { ColorScale::Bytes }
+        if shares { ColorRange::Unit } else { ColorRange::Bytes }
     };
     if let Some((position, color)) = heading {
-        return Ok(Columns { position, color: color.map(|at| (at, scale(at))) });
+        return Ok(Columns { position, color: color.map(|at| (at, range(at))), guess: None });
     }
     let count = rows.iter().map(Vec::len).min().unwrap_or(3);
-    // `x y z intensity r g b` (PTS), `x y z r g b`, or normals instead of colors.
-    let candidates: &[usize] = match count {
-        6 => &[3],
-        7 => &[4, 3],
-        n if n >= 9 => &[3, 6],
-        _ => &[],
-    };
     let is_color = |first: &usize| {
         let triples = || rows.iter().map(|row| [row[*first], row[first + 1], row[first + 2]]);
         let bytes = triples().flatten().all(|v| (0.0..=255.0).contains(&v) && v.fract() == 0.0);
@@ -159,16 +170,48 @@ fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestErr
         let unit = triples().all(|t| (t.iter().map(|v| v * v).sum::<f64>() - 1.0).abs() < 0.02);
         (bytes || shares) && !unit
     };
-    let first = candidates.iter().find(|first| is_color(first));
+    // `x y z intensity r g b` is PTS. Elsewhere normals or labels can stand before or after the
+    // color.
+    let expected = if count == 7 && file.extension() == Some("pts") { 4 } else { 3 };
+    let candidates: Vec<usize> = (3..(count + 1).saturating_sub(3)).filter(is_color).collect();
+    let score = |first: usize| {
+        // The channels of a color rise and fall together; labels do not.
+        let likeness =
+            correlation(&rows, first, first + 1) + correlation(&rows, first + 1, first + 2);
+        likeness + if first == expected { 0.5 } else { 0.0 }
+    };
+    let best = candidates.iter().rev().copied().max_by(|a, b| score(*a).total_cmp(&score(*b)));
+    let guess = best.filter(|_| candidates.len() > 1).map(|first| {
+        format!(
+            "columns {} to {} are read as the color, which others could be too: a heading such as \"x y z r g b label\" settles it",
+            first + 1,
+            first + 3
+        )
+    });
     Ok(Columns {
         position: [0, 1, 2],
-        color: first.map(|f| [*f, f + 1, f + 2]).map(|at| (at, scale(at))),
+        color: best.map(|f| [f, f + 1, f + 2]).map(|at| (at, range(at))),
+        guess,
     })
+}
+
+/// Returns the correlation of two columns, -1 to 1; 0 if one of them is constant.
+fn correlation(rows: &[Vec<f64>], a: usize, b: usize) -> f64 {
+    let mean = |at: usize| rows.iter().map(|row| row[at]).sum::<f64>() / rows.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let (mut both, mut of_a, mut of_b) = (0.0, 0.0, 0.0);
+    for row in rows {
+        let (a, b) = (row[a] - mean_a, row[b] - mean_b);
+        both += a * b;
+        of_a += a * a;
+        of_b += b * b;
+    }
+    if of_a > 0.0 && of_b > 0.0 { both / (of_a * of_b).sqrt() } else { 0.0 }
 }
 
 /// Finds columns by the names that CloudCompare and most tables use.
 fn columns_from_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
-    let line = line.trim_start_matches(['#', '/', '\u{feff}']).to_ascii_lowercase();
+    let line = line.trim_start_matches(['#', '/']).to_ascii_lowercase();
     let names: Vec<&str> = split_words(&line).map(|word| word.trim_matches('"')).collect();
     let of = |wanted: [&[&str]; 3]| -> Option<[usize; 3]> {
         let at: Vec<usize> = wanted
@@ -200,7 +243,10 @@ impl<R: BufRead> TakeLines for R {
 impl<R: BufRead> BoundedLines<R> {
     fn next_line(&mut self, file: &Utf8Path) -> Result<Option<String>, IngestError> {
         match read_line(&mut self.source, &mut self.line, MAX_LINE_BYTES) {
-            Ok(true) => Ok(Some(String::from_utf8_lossy(&self.line).into_owned())),
+            Ok(true) => {
+                let line = self.line.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&self.line);
+                Ok(Some(String::from_utf8_lossy(line).into_owned()))
+            }
             Ok(false) => Ok(None),
             Err(e) => Err(IngestError::malformed(file, e)),
         }
@@ -245,6 +291,54 @@ mod tests {
                 "{text}"
             );
         }
+    }
+
+    #[test]
+    fn decimal_commas_byte_order_marks_and_foreign_headings_are_read() {
+        let (p, c) = (Point3::new(1.5, -2.0, 3.25), [10, 20, 255]);
+        for text in [
+            &b"x;y;z;r;g;b\n1,5;-2,0;3,25;10;20;255\n"[..],
+            b"1,5;-2;3,25;10;20;255\n",
+            b"1,5\t-2,0\t3,25\t10,0\t20,0\t255,0\n",
+            b"\xef\xbb\xbf1.5 -2 3.25 10 20 255\n",
+            b"# gr\xfc\xdfe\n1.5 -2 3.25 10 20 255\n",
+            b"\"x\",\"y\",\"z\",\"r\",\"g\",\"b\"\n\"1.5\",\"-2\",\"3.25\",10,20,255\n",
+        ] {
+            let loaded = read_text("a.csv", text).unwrap();
+            let shown = String::from_utf8_lossy(text);
+            assert_eq!(
+                (loaded.cloud.positions, loaded.cloud.colors),
+                (vec![p], vec![c]),
+                "{shown}"
+            );
+        }
+        let commas = read_text("a.csv", b"1,5,7\n2,6,8\n").unwrap();
+        assert_eq!(commas.cloud.positions[0], Point3::new(1.0, 5.0, 7.0));
+    }
+
+    /// Brightness varies, so the channels of the color rise and fall together.
+    #[test]
+    fn labels_beside_the_color_are_told_from_it() {
+        let row = |i: u32| {
+            let light = i * 37 % 200;
+            let [r, g, b] = [light + 20, light + 10, light];
+            let (label, instance) = (i / 7 % 13, i * 31 % 97);
+            (format!("{i} 1 2"), format!("{r} {g} {b}"), format!("{label} {instance}"), [r, g, b])
+        };
+        let colors = |name: &str, line: &dyn Fn(u32) -> String| {
+            let text: String = (0..300).map(|i| line(i) + "\n").collect();
+            let loaded = read_text(name, text.as_bytes()).unwrap();
+            assert_eq!(loaded.guesses.len(), 1, "{:?}", loaded.guesses);
+            loaded.cloud.colors
+        };
+        let expected: Vec<[u8; 3]> = (0..300).map(|i| row(i).3.map(|v| v as u8)).collect();
+        let after = |i| format!("{} {} {}", row(i).0, row(i).1, row(i).2);
+        let one_after = |i: u32| format!("{} {} {}", row(i).0, row(i).1, i / 7 % 13);
+        let before = |i: u32| format!("{} {} {}", row(i).0, i * 31 % 97, row(i).1);
+        assert_eq!(colors("labels.txt", &after), expected);
+        assert_eq!(colors("label.txt", &one_after), expected);
+        assert_eq!(colors("intensity.txt", &before), expected);
+        assert_eq!(colors("intensity.pts", &before), expected);
     }
 
     #[test]

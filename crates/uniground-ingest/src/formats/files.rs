@@ -4,6 +4,7 @@ use super::check_frames;
 use crate::IngestError;
 use crate::clouds::CloudKind;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
+use serde::{Deserialize, Deserializer};
 use std::fs;
 
 /// A folder of a scan: its entries, without hidden files and files that operating systems create.
@@ -13,6 +14,10 @@ pub(super) struct FolderListing {
     names: Vec<String>,
 }
 
+/// Files and folders that operating systems add, in lower case.
+const OF_SYSTEMS: [&str; 4] = ["__macosx", "desktop.ini", "thumbs.db", "icon\r"];
+/// Extensions of files that describe a scan for people.
+const DOCUMENTS: [&str; 7] = ["txt", "md", "pdf", "html", "rtf", "docx", "log"];
 /// Supported extensions of color pictures.
 pub(super) const PICTURES: &[&str] = &["jpg", "jpeg", "png"];
 /// Supported extensions of depth pictures.
@@ -50,10 +55,15 @@ impl FolderListing {
         names.iter().find(|name| self.has_file(name)).map(Utf8PathBuf::from)
     }
 
-    /// Returns the folder's only entry, if that is a folder.
+    /// Returns the only folder in this one, if all files beside it are documents.
     pub fn only_folder(&self) -> Option<&str> {
-        match &self.names[..] {
-            [only] if self.has_folder(only) => Some(only),
+        let (folders, files): (Vec<&str>, Vec<&str>) =
+            self.names.iter().map(String::as_str).partition(|name| self.has_folder(name));
+        let is_document = |name: &&str| {
+            extension_of(name).is_none_or(|ending| DOCUMENTS.contains(&ending.as_str()))
+        };
+        match folders[..] {
+            [only] if files.iter().all(is_document) => Some(only),
             _ => None,
         }
     }
@@ -163,19 +173,33 @@ fn extension_of(name: &str) -> Option<String> {
     Utf8Path::new(name).extension().map(str::to_ascii_lowercase)
 }
 
-/// Returns the names in a folder, sorted, without hidden files and `__MACOSX`.
+/// Returns the names in a folder, sorted, without hidden files and those of operating systems.
 fn list_names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
     let io =
         |source| IngestError::Io { file: folder.file_name().unwrap_or("archive").into(), source };
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(io)? {
         let name = entry.map_err(io)?.file_name().to_string_lossy().into_owned();
-        if !name.starts_with('.') && name != "__MACOSX" {
+        if !name.starts_with('.') && !OF_SYSTEMS.contains(&name.to_ascii_lowercase().as_str()) {
             names.push(name);
         }
     }
     names.sort();
     Ok(names)
+}
+
+/// Reads a path from a manifest. Programs on Windows write backslashes.
+pub(super) fn deserialize_path<'de, D: Deserializer<'de>>(
+    from: D,
+) -> Result<Utf8PathBuf, D::Error> {
+    Ok(String::deserialize(from)?.replace('\\', "/").into())
+}
+
+/// Reads an optional path from a manifest, as [`deserialize_path`].
+pub(super) fn deserialize_optional_path<'de, D: Deserializer<'de>>(
+    from: D,
+) -> Result<Option<Utf8PathBuf>, D::Error> {
+    Ok(Option::<String>::deserialize(from)?.map(|path| path.replace('\\', "/").into()))
 }
 
 /// Checks that a manifest only names files of its own archive.

@@ -2,7 +2,7 @@
 //! with lens distortion. Depth is optional in this format and required here. Without it, only the
 //! cloud that the file names is read.
 
-use super::files::{FolderListing, check_inside};
+use super::files::{FolderListing, check_inside, deserialize_optional_path, deserialize_path};
 use super::numbers::matrix_from_values;
 use super::{entry_path, incomplete};
 use crate::IngestError;
@@ -24,6 +24,7 @@ struct Transforms {
     camera: Camera,
     /// Meters per unit of depth (instant-ngp).
     integer_depth_scale: Option<f32>,
+    #[serde(default, deserialize_with = "deserialize_optional_path")]
     ply_file_path: Option<Utf8PathBuf>,
     #[serde(default, deserialize_with = "super::listed::deserialize_frames")]
     frames: Vec<Frame>,
@@ -31,8 +32,9 @@ struct Transforms {
 
 #[derive(Deserialize)]
 struct Frame {
+    #[serde(deserialize_with = "deserialize_path")]
     file_path: Utf8PathBuf,
-    #[serde(alias = "depth_path")]
+    #[serde(default, alias = "depth_path", deserialize_with = "deserialize_optional_path")]
     depth_file_path: Option<Utf8PathBuf>,
     transform_matrix: Vec<Vec<f64>>,
     #[serde(flatten)]

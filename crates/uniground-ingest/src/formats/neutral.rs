@@ -1,7 +1,7 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{FolderListing, check_inside};
+use super::files::{FolderListing, check_inside, deserialize_optional_path, deserialize_path};
 use super::numbers::read_pose;
 use crate::IngestError;
 use crate::limited_reader::read_text;
@@ -29,6 +29,7 @@ struct Manifest {
     format: String,
     name: Option<String>,
     up: Option<UpAxis>,
+    #[serde(default, deserialize_with = "deserialize_optional_path")]
     cloud: Option<Utf8PathBuf>,
     intrinsics: Option<Intrinsics>,
     depth_intrinsics: Option<Intrinsics>,
@@ -53,12 +54,16 @@ struct Manifest {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ManifestFrame {
+    #[serde(deserialize_with = "deserialize_path")]
     color: Utf8PathBuf,
+    #[serde(deserialize_with = "deserialize_path")]
     depth: Utf8PathBuf,
+    #[serde(deserialize_with = "deserialize_path")]
     pose: Utf8PathBuf,
     /// Values of one frame's camera that differ from the scan's.
     intrinsics: Option<Intrinsics>,
     depth_intrinsics: Option<Intrinsics>,
+    #[serde(default, deserialize_with = "deserialize_optional_path")]
     confidence: Option<Utf8PathBuf>,
 }
 

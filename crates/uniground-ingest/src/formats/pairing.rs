@@ -30,13 +30,18 @@ pub(super) fn parse_seconds(file: &Utf8Path) -> Option<f64> {
     let stem = file.file_stem()?;
     let text = stem.trim_matches(|c: char| !c.is_ascii_digit());
     let text = text.rsplit(['_', '-']).next()?;
-    let value: f64 = text.parse().ok()?;
-    Some(match value {
-        v if v > 1e17 => v * 1e-9,
-        v if v > 1e14 => v * 1e-6,
-        v if v > 1e11 => v * 1e-3,
-        v => v,
-    })
+    text.parse().ok().map(to_seconds)
+}
+
+/// Converts a time since 1970 to seconds. Its size tells whether it is in nanoseconds, microseconds,
+/// milliseconds or seconds.
+pub(super) fn to_seconds(time: f64) -> f64 {
+    match time {
+        t if t > 1e17 => t * 1e-9,
+        t if t > 1e14 => t * 1e-6,
+        t if t > 1e11 => t * 1e-3,
+        t => t,
+    }
 }
 
 /// Returns the name without the parts that state its role.

@@ -8,9 +8,10 @@ use super::{incomplete, pairing};
 use crate::IngestError;
 use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan};
-use camino::Utf8Path;
+use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
 use uniground_geometry::up_axis::UpAxis;
 
@@ -57,47 +58,83 @@ pub(super) fn can_read(folder: &FolderListing) -> bool {
     folder.has_folder("keyframes")
 }
 
+/// Pictures of a scan, each with the camera that belongs to it.
+struct Keyframes {
+    color: Vec<Utf8PathBuf>,
+    cameras: Vec<Utf8PathBuf>,
+}
+
+impl Keyframes {
+    fn list(folder: &FolderListing, images: &str, cameras: &str) -> Result<Self, IngestError> {
+        Ok(Self {
+            color: folder.files(&format!("keyframes/{images}"), PICTURES)?,
+            cameras: folder.files(&format!("keyframes/{cameras}"), &["json"])?,
+        })
+    }
+
+    /// Returns the pictures with their cameras, by the name that belongs to a frame.
+    fn by_name(&self) -> BTreeMap<String, (&Utf8PathBuf, Option<&Utf8PathBuf>)> {
+        let camera_of = pairing::match_files(&self.color, &self.cameras);
+        let name = |file: &Utf8PathBuf| file.file_stem().unwrap_or_default().to_owned();
+        let pairs = self.color.iter().zip(camera_of);
+        pairs.map(|(file, at)| (name(file), (file, at.map(|at| &self.cameras[at])))).collect()
+    }
+}
+
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let keyframes = FolderListing::open(&folder.root.join("keyframes"))?;
-    let corrected =
-        keyframes.has_folder("corrected_cameras") && keyframes.has_folder("corrected_images");
-    let (images, cameras) =
-        if corrected { ("corrected_images", "corrected_cameras") } else { ("images", "cameras") };
-    for name in [images, cameras, "depth"] {
-        if !keyframes.has_folder(name) {
-            let why = if name == "depth" { ": only phones with LiDAR write it" } else { "" };
-            return Err(incomplete(LOOKS_LIKE, format!("keyframes/{name}/ is missing{why}")));
-        }
+    let has = |name: &str| keyframes.has_folder(name);
+    let is_corrected = has("corrected_cameras") && has("corrected_images");
+    let is_original = has("cameras") && has("images");
+    if !has("depth") {
+        let why = "keyframes/depth/ is missing: only phones with LiDAR write it";
+        return Err(incomplete(LOOKS_LIKE, why));
     }
-    let list = |name: &str, endings: &[&str]| match keyframes.has_folder(name) {
-        true => folder.files(&format!("keyframes/{name}"), endings),
-        false => Ok(Vec::new()),
+    if let Some(name) = ["images", "cameras"].into_iter().find(|name| !is_corrected && !has(name)) {
+        return Err(incomplete(LOOKS_LIKE, format!("keyframes/{name}/ is missing")));
+    }
+    let list = |images, cameras, is_there: bool| match is_there {
+        true => Keyframes::list(folder, images, cameras),
+        false => Ok(Keyframes { color: Vec::new(), cameras: Vec::new() }),
     };
-    let (color, cameras, depth, confidence) = (
-        list(images, PICTURES)?,
-        list(cameras, &["json"])?,
-        list("depth", DEPTHS)?,
-        list("confidence", &["png"])?,
-    );
-    let (camera_of, depth_of, confidence_of) = (
-        pairing::match_files(&color, &cameras),
-        pairing::match_files(&color, &depth),
-        pairing::match_files(&color, &confidence),
-    );
+    let corrected = list("corrected_images", "corrected_cameras", is_corrected)?;
+    let original = list("images", "cameras", is_original)?;
+    let depth = folder.files("keyframes/depth", DEPTHS)?;
+    let confidence = match has("confidence") {
+        true => folder.files("keyframes/confidence", &["png"])?,
+        false => Vec::new(),
+    };
+    // Polycam's optimization can leave frames out: these keep their own cameras.
+    let mut frames = original.by_name();
+    let (all, improved) = (frames.len(), corrected.by_name());
+    frames.extend(improved.iter().map(|(name, pair)| (name.clone(), *pair)));
     let mut scan = Scan::new(&folder.root, "polycam");
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
-    for (i, picture) in color.iter().enumerate() {
-        let (Some(camera_at), Some(depth_at)) = (camera_of[i], depth_of[i]) else {
+    if !improved.is_empty() && improved.len() < frames.len() {
+        scan.warnings.push(format!(
+            "{} of {} frames have no corrected camera; their original cameras are used",
+            frames.len() - improved.len(),
+            all.max(frames.len())
+        ));
+    }
+    let mut frames: Vec<_> = frames.into_values().collect();
+    frames.sort_by_cached_key(|(picture, _)| {
+        pairing::natural_sort_key(Utf8Path::new(picture.file_name().unwrap_or_default()))
+    });
+    let color: Vec<Utf8PathBuf> = frames.iter().map(|(picture, _)| (*picture).clone()).collect();
+    let depth_of = pairing::match_files(&color, &depth);
+    let confidence_of = pairing::match_files(&color, &confidence);
+    for (i, (picture, camera)) in frames.into_iter().enumerate() {
+        let (Some(file), Some(depth_at)) = (camera, depth_of[i]) else {
             scan.damage.record(IngestError::FrameCountMismatch {
                 color: color.len(),
                 depth: depth.len(),
-                pose: cameras.len(),
+                pose: corrected.cameras.len().max(original.cameras.len()),
                 first: picture.clone(),
             })?;
             continue;
         };
-        let file = &cameras[camera_at];
         let frame = read_camera(&folder.root, file).map(|camera| RawFrame {
             index: FrameIndex(0),
             color: picture.clone(),
@@ -117,7 +154,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         scan.add(frame)?;
     }
     match color.is_empty() {
-        true => Err(incomplete(LOOKS_LIKE, format!("keyframes/{images}/ is empty"))),
+        true => Err(incomplete(LOOKS_LIKE, "keyframes/images/ is empty")),
         false => Ok(scan),
     }
 }

@@ -2,6 +2,7 @@
 //! quaternion), or Open3D's log with five lines per pose.
 
 use super::numbers::{matrix_from_values, parse, pose_from_quaternion};
+use super::pairing::to_seconds;
 use crate::limited_reader::read_text;
 use crate::{IngestError, MAX_FRAMES};
 use camino::Utf8Path;
@@ -70,7 +71,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         8 | 9 => {
             let timed = |row: &Vec<f64>| match row[..] {
                 [t, x, y, z, qx, qy, qz, qw, ..] => {
-                    Ok((t, pose_from_quaternion([x, y, z], [qx, qy, qz, qw])))
+                    Ok((to_seconds(t), pose_from_quaternion([x, y, z], [qx, qy, qz, qw])))
                 }
                 _ => Err(strange(row.len())),
             };

@@ -58,7 +58,7 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
 type Write = fn(&Out);
 
 /// Description, writer, and the format that must be recognized.
-const LAYOUTS: [(&str, Write, &str); 18] = [
+const LAYOUTS: [(&str, Write, &str); 22] = [
     ("plain", writers::plain, "color-depth-pose"),
     ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
     ("plain, depth as EXR", writers::plain_exr, "color-depth-pose"),
@@ -77,6 +77,10 @@ const LAYOUTS: [(&str, Write, &str); 18] = [
     ("3D Scanner App", writers::scanner_app, "3d-scanner-app"),
     ("Open3D log", writers::open3d, "open3d-log"),
     ("RTAB-Map", writers::rtabmap, "rtabmap"),
+    ("nerfstudio on Windows", writers::nerfstudio_on_windows, "nerfstudio"),
+    ("Polycam, partly corrected", writers::polycam_partly_corrected, "polycam"),
+    ("TUM RGB-D, nanoseconds", writers::tum_nanoseconds, "tum-rgbd"),
+    ("plain beside documents", writers::plain_beside_documents, "color-depth-pose"),
 ];
 
 #[test]

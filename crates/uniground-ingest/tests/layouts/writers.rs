@@ -450,3 +450,59 @@ pub fn rtabmap(out: &Out) {
         ),
     );
 }
+
+/// nerfstudio, as programs on Windows write it: backslashes, and a byte order mark.
+pub fn nerfstudio_on_windows(out: &Out) {
+    nerfstudio(out);
+    let file = out.0.join("transforms.json");
+    let text = fs::read_to_string(&file).unwrap().replace('/', "\\\\");
+    fs::write(file, format!("\u{feff}{text}")).unwrap();
+}
+
+/// A folder beside documents, with files that systems and editors add.
+pub fn plain_beside_documents(out: &Out) {
+    let folder = out.0.join("my room");
+    plain(&Out(&folder));
+    let intrinsics = folder.join("intrinsic.txt");
+    let text = fs::read_to_string(&intrinsics).unwrap();
+    fs::write(intrinsics, format!("\u{feff}{text}")).unwrap();
+    for name in ["README.txt", "desktop.ini", "my room/Thumbs.db", "my room/color/Thumbs.db"] {
+        out.put(name, "made by somebody");
+    }
+}
+
+/// Polycam data of which its optimization corrected all frames but two.
+pub fn polycam_partly_corrected(out: &Out) {
+    polycam(out);
+    for (corrected, original) in [("corrected_images", "images"), ("corrected_cameras", "cameras")]
+    {
+        let corrected = out.0.join("keyframes").join(corrected);
+        let mut names: Vec<_> =
+            corrected.read_dir_utf8().unwrap().map(|entry| entry.unwrap()).collect();
+        names.sort_by_key(|entry| entry.file_name().to_owned());
+        for (i, entry) in names.iter().enumerate() {
+            let bytes = fs::read(entry.path()).unwrap();
+            out.put(&format!("keyframes/{original}/{}", entry.file_name()), bytes);
+            if i < 2 {
+                fs::remove_file(entry.path()).unwrap();
+            }
+        }
+    }
+}
+
+/// TUM's layout with the times of the poses in nanoseconds.
+pub fn tum_nanoseconds(out: &Out) {
+    tum(out);
+    let file = out.0.join("groundtruth.txt");
+    let text: String = fs::read_to_string(&file)
+        .unwrap()
+        .lines()
+        .map(|line| match line.split_once(' ') {
+            Some((time, rest)) if !line.starts_with('#') => {
+                format!("{:.0} {rest}\n", time.parse::<f64>().unwrap() * 1e9)
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    fs::write(file, text).unwrap();
+}

@@ -4,6 +4,7 @@
 
 mod budget;
 mod session;
+mod thoughts;
 mod tokens;
 
 pub use budget::{Budget, OverBudget};
@@ -12,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 pub use session::{AskError, CallRecord, Session, total_usage};
 use std::sync::Arc;
+pub use thoughts::after_thoughts;
 pub use tokens::Tokens;
 
 /// Estimated tokens of a completion before its size is known.
@@ -87,6 +89,8 @@ pub enum ChatError {
     Transport(String),
     #[error("the model server's reply is not a chat completion: {0}")]
     Undecodable(String),
+    #[error("the model gave no answer: {0}")]
+    NoAnswer(String),
     #[error("the replay cache has no reply of {0} to this request")]
     NotRecorded(String),
     #[error("the replay cache could not be written")]

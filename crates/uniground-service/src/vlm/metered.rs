@@ -39,7 +39,7 @@ fn outcome_name(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
         Err(ChatFailure { error, .. }) => match error {
             ChatError::Refused { .. } => REFUSED,
             ChatError::Transport(_) => UNREACHABLE,
-            ChatError::Undecodable(_) => UNREADABLE,
+            ChatError::Undecodable(_) | ChatError::NoAnswer(_) => UNREADABLE,
             ChatError::NotRecorded(_) | ChatError::ReplayCache(_) => "not_recorded",
             ChatError::NotRecordable(_) => "not_recordable",
             ChatError::Down { .. } | ChatError::OverBudget(_) => NOT_ASKED,
@@ -54,7 +54,9 @@ fn call_signal(answered: &Result<ChatReply, ChatFailure>) -> Option<CallSignal> 
         Err(ChatFailure { error, .. }) => match error {
             ChatError::Transport(_) => Some(CallSignal::Unreachable),
             ChatError::Refused { status: 429 | 500..=599, .. } => Some(CallSignal::Failing),
-            ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(CallSignal::Unclear),
+            ChatError::Refused { .. } | ChatError::Undecodable(_) | ChatError::NoAnswer(_) => {
+                Some(CallSignal::Unclear)
+            }
             ChatError::NotRecorded(_)
             | ChatError::ReplayCache(_)
             | ChatError::NotRecordable(_)

@@ -154,8 +154,8 @@ impl PlyRows {
             let word = words.next().ok_or_else(too_few)?;
             let not_a_number = |word: &str| format!("row {row}: {word:?} is not a number");
             match column {
-                PlyColumn::Scalar(scalar, Some(field)) => {
-                    vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?, scalar);
+                PlyColumn::Scalar(_, Some(field)) => {
+                    vertex.set(*field, word.parse().map_err(|_| not_a_number(word))?);
                 }
                 PlyColumn::Scalar(_, None) => {}
                 PlyColumn::List(_, _, of) => {
@@ -202,7 +202,7 @@ impl PlyRows {
             for &(field, offset, scalar) in &fields {
                 let column = block.chunks_exact(bytes).map(|row| &row[offset..]);
                 decode_column(column, scalar, order, vertices.iter_mut(), |vertex, value| {
-                    vertex.set(field, value, scalar);
+                    vertex.set(field, value);
                 });
             }
             vertices.iter().for_each(|vertex| vertex.push_to(gathered));
@@ -224,7 +224,7 @@ impl PlyRows {
                 PlyColumn::Scalar(scalar, field) => {
                     let value = next_number(source, scalar, order)?;
                     if let Some(field) = field {
-                        vertex.set(*field, value, scalar);
+                        vertex.set(*field, value);
                     }
                 }
                 PlyColumn::List(count, item, of) => {
