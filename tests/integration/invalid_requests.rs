@@ -4,6 +4,7 @@ use crate::test_scans::Scan;
 use crate::test_server::{TestServer, ask, expect_problem, post_raw};
 use reqwest::Method;
 use serde_json::Value;
+use std::io::Write;
 use uniground_types::placement::SceneToMap;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::SceneChange;
@@ -64,6 +65,30 @@ async fn invalid_questions_name_the_field() {
     let form =
         post_raw(&server.client, &path, "application/x-www-form-urlencoded", "query=sofa").await;
     assert_eq!((form.status, form.code.as_str()), (415, "unsupported_media_type"));
+    let gzip = |text: &str| {
+        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        gzip.write_all(text.as_bytes()).unwrap();
+        gzip.finish().unwrap()
+    };
+    let encoded = async |encoding: &str, body: Vec<u8>| {
+        let request = server.client.request(Method::POST, &path);
+        let request = request.header("content-type", "application/json");
+        let response = request.header("content-encoding", encoding).body(body).send().await;
+        let response = response.unwrap();
+        (response.status().as_u16(), response.json::<Value>().await.unwrap())
+    };
+    let (status, answer) = encoded("gzip", gzip(r#"{"query": "the sofa"}"#)).await;
+    assert_eq!((status, &answer["query"]), (200, &Value::from("the sofa")));
+    let bomb = gzip(&" ".repeat(8 << 20));
+    assert!(bomb.len() < 1 << 20);
+    for (encoding, body, status, code) in [
+        ("gzip", bomb, 413, "body_too_large"),
+        ("gzip", b"{}".to_vec(), 400, "malformed_json"),
+        ("br", b"{}".to_vec(), 415, "unsupported_media_type"),
+    ] {
+        let (told, problem) = encoded(encoding, body).await;
+        assert_eq!((told, &problem["code"]), (status, &Value::from(code)), "{problem}");
+    }
     // Unusual words are valid questions.
     for query in [
         "🛋️🛋️🛋️",

@@ -191,6 +191,13 @@ async fn errors_are_returned_to_the_model_as_tool_results() {
         let text = reply["content"][0]["text"].as_str().unwrap();
         assert!(reply["isError"] == true && text.contains(told), "{tool} {arguments}: {reply:#}");
     }
+    // Some models write the arguments as text.
+    let written = call_tool(client, "list_scenes", json!("{}")).await;
+    assert!(written["isError"] != true, "{written:#}");
+    let params = json!({"name": "list_scenes", "arguments": "all of them"});
+    let message = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params});
+    let (status, text) = send_message(client, &message).await;
+    assert!(status == 200 && text.contains("-32602"), "{status} {text}");
     let (status, text) = send_message(
         client,
         &json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "sing"}}),

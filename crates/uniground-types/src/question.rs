@@ -406,9 +406,6 @@ pub(crate) fn check_query(query: &str) -> Result<(), FieldError> {
     if query.trim().is_empty() {
         return Err(FieldError::new("/query", "must not be empty"));
     }
-    if !query.contains(char::is_alphanumeric) {
-        return Err(FieldError::new("/query", "has no words: describe the object"));
-    }
     if characters > MAX_QUERY_CHARS {
         return Err(FieldError::new(
             "/query",

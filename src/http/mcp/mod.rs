@@ -2,6 +2,7 @@
 //! without sessions, with the same keys, host names and origins as all other routes. Also over
 //! stdio for a local data folder.
 
+mod arguments;
 mod resources;
 mod schema;
 mod tools;
@@ -204,6 +205,10 @@ pub(super) struct Message(
 )]
 pub(super) async fn answer(State(app): State<App>, request: Request) -> Response {
     let says_json = request.headers().get(header::CONTENT_TYPE).is_some_and(is_json);
+    let request = match with_parsed_arguments(request).await {
+        Ok(request) => request,
+        Err(response) => return response,
+    };
     let answered = app.mcp.handle(request).await.map(Body::new);
     if answered.status().is_success()
         || answered.headers().get(header::CONTENT_TYPE).is_some_and(is_json)
@@ -225,6 +230,25 @@ pub(super) async fn answer(State(app): State<App>, request: Request) -> Response
         _ => "mcp_refused",
     };
     ProblemResponse::new(status, code, String::from_utf8_lossy(&words)).into_response()
+}
+
+/// Returns the request with a tool's arguments as an object, or the response to arguments that are
+/// none.
+async fn with_parsed_arguments(request: Request) -> Result<Request, Response> {
+    let (mut parts, body) = request.into_parts();
+    let message = to_bytes(body, MAX_MESSAGE_BYTES).await.map_err(|_| {
+        let detail = format!("a message must have at most {MAX_MESSAGE_BYTES} bytes");
+        ProblemResponse::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", detail)
+            .into_response()
+    })?;
+    match arguments::parse_arguments(&message) {
+        Ok(None) => Ok(Request::from_parts(parts, message.into())),
+        Ok(Some(parsed)) => {
+            parts.headers.remove(header::CONTENT_LENGTH);
+            Ok(Request::from_parts(parts, parsed.into()))
+        }
+        Err(error) => Err(axum::Json(error).into_response()),
+    }
 }
 
 fn is_json(kind: &HeaderValue) -> bool {
