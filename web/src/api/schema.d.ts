@@ -1259,23 +1259,17 @@ export interface components {
             frames?: number;
             /**
              * Format: float
-             * @description Each further crop adds this share per side. Default and paper: 0.1.
-             * @default 0.10000000149011612
+             * @description Crop `l` enlarges the tight box by `l` times this share of its width and height per side.
+             *     Default: 0.2. Paper: 0.1.
+             * @default 0.20000000298023224
              */
             level_step?: number;
             /**
              * Format: int32
-             * @description Number of crops per view, 1 to 16. Default: 1. Paper: 5.
-             * @default 1
+             * @description Number of crops per view, 1 to 16. Default: 2. Paper: 5.
+             * @default 2
              */
             levels?: number;
-            /**
-             * Format: float
-             * @description The first crop enlarges the tight box by this share of its width and height per side, 0 to
-             *     1. Default: 0.1. Paper: 0.
-             * @default 0.10000000149011612
-             */
-            margin?: number;
             /**
              * Format: float
              * @description Minimum share of the instance's points that a view must show. The best view is always used.
@@ -3115,9 +3109,8 @@ export interface components {
              * @default {
              *       "appearance": {
              *         "frames": 40,
-             *         "level_step": 0.10000000149011612,
-             *         "levels": 1,
-             *         "margin": 0.10000000149011612,
+             *         "level_step": 0.20000000298023224,
+             *         "levels": 2,
              *         "min_visible": 0.20000000298023224,
              *         "views": 5
              *       },
@@ -3218,9 +3211,8 @@ export interface components {
              * @description Pictures for the encoder, if the server has one.
              * @default {
              *       "frames": 40,
-             *       "level_step": 0.10000000149011612,
-             *       "levels": 1,
-             *       "margin": 0.10000000149011612,
+             *       "level_step": 0.20000000298023224,
+             *       "levels": 2,
              *       "min_visible": 0.20000000298023224,
              *       "views": 5
              *     }

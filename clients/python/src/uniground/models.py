@@ -206,11 +206,9 @@ class AppearanceSettings(TypedDict, total=False):
     frames: int
     """Number of full frames to encode, spread over the scan, for content outside of instances. At most 1000. Default: 40. Paper: none."""
     level_step: float
-    """Each further crop adds this share per side. Default and paper: 0.1."""
+    """Crop `l` enlarges the tight box by `l` times this share of its width and height per side. Default: 0.2. Paper: 0.1."""
     levels: int
-    """Number of crops per view, 1 to 16. Default: 1. Paper: 5."""
-    margin: float
-    """The first crop enlarges the tight box by this share of its width and height per side, 0 to 1. Default: 0.1. Paper: 0."""
+    """Number of crops per view, 1 to 16. Default: 2. Paper: 5."""
     min_visible: float
     """Minimum share of the instance's points that a view must show. The best view is always used. Default and paper: 0.2."""
     views: int
