@@ -135,7 +135,7 @@ fn status_meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &
         "502" => problem(
             "A model failed",
             "vlm_unavailable",
-            "the vision-language model could not be reached in 5 attempts: it answered 500",
+            "the vision-language model gave no usable reply in 5 attempts: it answered 500",
         ),
         "503" => problem(
             "Temporarily unavailable: retry after `Retry-After`",

@@ -92,7 +92,7 @@ pub enum Error {
     VlmNotConfigured,
     #[error("the vision-language model's server is down: the next attempt is in {again_in_s} s")]
     VlmDown { again_in_s: u64 },
-    #[error("the vision-language model could not be reached in {attempts} attempts: {why}")]
+    #[error("the vision-language model gave no usable reply in {attempts} attempts: {why}")]
     VlmFailed { why: String, attempts: u32 },
     #[error(transparent)]
     OverBudget(OverBudget),

@@ -333,8 +333,8 @@ pub struct StageReport {
     /// not report it.
     #[serde(default)]
     pub peak_memory_mb: Option<u32>,
-    /// Time spent in models. Empty for stages without models, and for what a checkpoint held.
-    #[serde(default)]
+    /// Time spent in models. Absent for stages without models, and for what a checkpoint held.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub models: Vec<ModelTime>,
 }
 

@@ -4142,7 +4142,7 @@ export interface components {
         };
         /** @description Report of one stage of a parse. */
         StageReport: {
-            /** @description Time spent in models. Empty for stages without models, and for what a checkpoint held. */
+            /** @description Time spent in models. Absent for stages without models, and for what a checkpoint held. */
             models?: components["schemas"]["ModelTime"][];
             /**
              * Format: int32
@@ -6983,7 +6983,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_unavailable",
-                     *       "detail": "the vision-language model could not be reached in 5 attempts: it answered 500",
+                     *       "detail": "the vision-language model gave no usable reply in 5 attempts: it answered 500",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 502,
@@ -9448,7 +9448,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_unavailable",
-                     *       "detail": "the vision-language model could not be reached in 5 attempts: it answered 500",
+                     *       "detail": "the vision-language model gave no usable reply in 5 attempts: it answered 500",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 502,
@@ -12057,7 +12057,7 @@ export interface operations {
                     /**
                      * @example {
                      *       "code": "vlm_unavailable",
-                     *       "detail": "the vision-language model could not be reached in 5 attempts: it answered 500",
+                     *       "detail": "the vision-language model gave no usable reply in 5 attempts: it answered 500",
                      *       "errors": [],
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 502,

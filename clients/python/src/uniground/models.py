@@ -1971,7 +1971,7 @@ class StageReport:
     seconds: float
     """Wall-clock duration, seconds."""
     models: list[ModelTime] = field(default_factory=list)
-    """Time spent in models. Empty for stages without models, and for what a checkpoint held."""
+    """Time spent in models. Absent for stages without models, and for what a checkpoint held."""
     peak_memory_mb: Optional[int] = None
     """Peak resident memory of the process during the stage, 10^6 bytes. `null` if the system does not report it."""
     produced: Optional[int] = None
