@@ -53,7 +53,6 @@ pub fn install_crypto_provider() {
 
 /// Returns a builder of an HTTP client for an address. Proxies of the environment are not used for
 /// addresses of this machine: they could not reach it.
-#[must_use]
 pub fn http_client(address: &str) -> reqwest::ClientBuilder {
     let builder = reqwest::Client::builder();
     if is_local(address) { builder.no_proxy() } else { builder }

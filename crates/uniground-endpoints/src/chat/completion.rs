@@ -8,7 +8,7 @@ use uniground_models::chat::{ChatError, after_thoughts};
 
 /// A reply with the token counts of its server, where these are readable.
 #[derive(Debug, PartialEq)]
-pub(super) struct Completion {
+pub(super) struct EndpointReply {
     pub(super) text: String,
     pub(super) prompt_tokens: Option<u64>,
     pub(super) completion_tokens: Option<u64>,
@@ -22,7 +22,7 @@ pub(super) struct NoReply {
 }
 
 /// Reads the body of a successful response.
-pub(super) fn read(body: &str) -> Result<Completion, NoReply> {
+pub(super) fn read(body: &str) -> Result<EndpointReply, NoReply> {
     let body = body.trim_start_matches('\u{feff}').trim();
     if body.starts_with("data:") {
         return Ok(read_stream(body));
@@ -50,7 +50,7 @@ pub(super) fn read(body: &str) -> Result<Completion, NoReply> {
         return Err(NoReply::from_provider(error));
     }
     let count = |name: &str| body.pointer(&format!("/usage/{name}")).and_then(read_count);
-    Ok(Completion {
+    Ok(EndpointReply {
         text: reply_text(choice)?,
         prompt_tokens: count("prompt_tokens"),
         completion_tokens: count("completion_tokens"),
@@ -140,11 +140,11 @@ fn content_text(content: &Value) -> String {
 /// Returns a count that may be written as a float or as text. Counts below zero are none.
 fn read_count(value: &Value) -> Option<u64> {
     let number = value.as_f64().or_else(|| value.as_str()?.trim().parse().ok())?;
-    (number >= 0.0 && number < 1e15).then_some(number as u64)
+    (0.0..1e15).contains(&number).then_some(number as u64)
 }
 
 /// Joins the parts of a reply that was streamed although nobody asked for that.
-fn read_stream(body: &str) -> Completion {
+fn read_stream(body: &str) -> EndpointReply {
     let events = body.lines().filter_map(|line| line.trim().strip_prefix("data:"));
     let text = events
         .filter_map(|event| serde_json::from_str::<Value>(event.trim()).ok())
@@ -152,7 +152,7 @@ fn read_stream(body: &str) -> Completion {
             event.pointer("/choices/0/delta/content").and_then(Value::as_str).map(str::to_owned)
         })
         .collect();
-    Completion { text, prompt_tokens: None, completion_tokens: None }
+    EndpointReply { text, prompt_tokens: None, completion_tokens: None }
 }
 
 #[cfg(test)]

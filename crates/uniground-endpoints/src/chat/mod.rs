@@ -7,7 +7,7 @@ mod replay_cache;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use completion::{Completion, NoReply};
+use completion::{EndpointReply, NoReply};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 pub use replay_cache::ReplayCache;
@@ -189,7 +189,7 @@ impl ChatClient {
         loop {
             attempts += 1;
             let Attempt { error, again, wait, may_be_billed } = match self.send(&body).await {
-                Ok(Completion { text, prompt_tokens, completion_tokens }) => {
+                Ok(EndpointReply { text, prompt_tokens, completion_tokens }) => {
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
                     let prompt_tokens = plausible_token_count(
                         prompt_tokens,
@@ -241,7 +241,7 @@ impl ChatClient {
         }
     }
 
-    async fn send(&self, body: &Value) -> Result<Completion, Attempt> {
+    async fn send(&self, body: &Value) -> Result<EndpointReply, Attempt> {
         let mut request = self
             .http
             .post(self.endpoint.address("chat/completions"))
