@@ -110,7 +110,7 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
         None => ("the sample scene", ArchiveKind::Zip, LIVING_ROOM.to_vec()),
         Some(file) => {
             let kind = ArchiveKind::from_file_name(file.as_str())
-                .with_context(|| format!("{file}: expected .zip, .tar or .tar.zst"))?;
+                .with_context(|| format!("{file}: expected .zip, .tar, .tar.gz or .tar.zst"))?;
             (file.as_str(), kind, fs::read(file).with_context(|| file.to_string())?)
         }
     };

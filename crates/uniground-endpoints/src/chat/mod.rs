@@ -404,3 +404,28 @@ fn detail(body: &str) -> String {
     let text = message.and_then(Value::as_str).unwrap_or(body);
     text.chars().take(MAX_CHARS).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn routes_are_joined_to_addresses_with_a_query_or_a_route() {
+        for (base_url, expected) in [
+            ("http://host/v1", "http://host/v1/chat/completions"),
+            ("http://host/v1/", "http://host/v1/chat/completions"),
+            ("http://host/v1/chat/completions", "http://host/v1/chat/completions"),
+            ("https://host/x?api-version=1", "https://host/x/chat/completions?api-version=1"),
+            ("http://host", "http://host/chat/completions"),
+        ] {
+            let endpoint = Endpoint {
+                base_url: base_url.into(),
+                model: "m".into(),
+                api_key: None,
+                prices: Prices::default(),
+                concurrency: 1,
+            };
+            assert_eq!(endpoint.address("chat/completions"), expected);
+        }
+    }
+}

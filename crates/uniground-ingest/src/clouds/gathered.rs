@@ -164,7 +164,8 @@ impl CloudBuilder {
     /// become gray.
     #[inline]
     pub fn push_channels(&mut self, position: [f64; 3], channels: [f64; 3]) {
-        let largest = channels.into_iter().fold(0.0, f64::max);
+        // An infinite channel tells nothing about the others.
+        let largest = channels.into_iter().filter(|v| v.is_finite()).fold(0.0, f64::max);
         if let Some(wider) = self.range.widened(largest) {
             self.widen_range(wider);
         }

@@ -311,6 +311,7 @@ mod tests {
         assert_eq!(colors("float", unit), [[0, 102, 255]]);
         assert_eq!(colors("float", bytes), [[0, 1, 1], [4, 102, 255]]);
         assert_eq!(colors("ushort", bytes), [[0, 1, 1], [4, 102, 255]]);
+        assert_eq!(colors("float", "1 2 3 0 0.4 inf\n"), [[0, 102, 255]]);
         let words = "1 2 3 0 100 200\n1 2 3 257 25700 65535\n";
         assert_eq!(colors("ushort", words), [[0, 0, 1], [1, 100, 255]]);
         assert_eq!(colors("double", words), [[0, 0, 1], [1, 100, 255]]);
