@@ -15,7 +15,7 @@ use uniground_core::scene::{Embeddings, Instance, PointCloud};
 use uniground_evaluation::annotations::{Annotations, SceneObject};
 use uniground_evaluation::systems::{NamedBy, instances_of};
 
-const QUESTIONS: [&str; 7] = [
+const QUESTIONS: [&str; 9] = [
     "the black chair closest to the door",
     "this is a brown chair. it is at the end of the long table, next to the window and in front of the whiteboard.",
     "facing the desk with two monitors, the second monitor from the left",
@@ -23,6 +23,8 @@ const QUESTIONS: [&str; 7] = [
     "something to sit on while working at the desk",
     "not the one by the door, the other bookcase between the sofa and the desk",
     "my back hurts, so I would rather have the chair beside the plant",
+    "what is within 2 m of the desk?",
+    "how far is the nearest chair from the door?",
 ];
 
 /// Returns a hall of `count` instances of a dozen kinds on a grid, named by the encoder as in a

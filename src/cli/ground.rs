@@ -12,8 +12,9 @@ use uniground_client::{Client, ClientError};
 use uniground_core::grounding::Status;
 use uniground_types::answer::Answer;
 use uniground_types::question::{
-    EvidenceMode, FrameChoice, GroundRequest, Observer, ReasonerChoice, WaitFor,
+    EvidenceMode, FrameChoice, GroundRequest, Observer, QuestionContext, ReasonerChoice, WaitFor,
 };
+use uniground_types::scene::InstanceId;
 use uniground_types::scenes::{ParseQuality, Scene, SceneStatus};
 
 #[allow(clippy::doc_markdown)] // Help is plain text.
@@ -60,6 +61,12 @@ pub struct GroundArgs {
     /// Coordinate frame of --observer, and an additional frame for the boxes of the answer
     #[arg(long, default_value = "scene", value_parser = words::frame())]
     frame: FrameChoice,
+    /// Answer that the question leans on ("and the blue one?", "how big is it?")
+    #[arg(long, value_name = "ANSWER_ID", requires = "scene")]
+    after: Option<String>,
+    /// Instance that "this" in the question means
+    #[arg(long, value_name = "INSTANCE")]
+    this: Option<u32>,
     /// Print the answer as JSON
     #[arg(long)]
     json: bool,
@@ -117,6 +124,10 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         observer: args.observer.map(ObserverArg::to_observer),
         frame: args.frame,
         wait: args.wait.filter(|wait| *wait == ParseQuality::Full).map(|_| WaitFor::Full),
+        context: (args.after.is_some() || args.this.is_some()).then(|| QuestionContext {
+            answer_id: args.after.clone(),
+            instance: args.this.map(InstanceId),
+        }),
         ..GroundRequest::new(&args.query)
     };
     let answer = match (&args.scan, &args.scene) {
@@ -192,6 +203,7 @@ async fn wait(client: &Client, job_id: &str) -> anyhow::Result<()> {
 
 fn print(answer: &Answer) -> anyhow::Result<()> {
     let mut out = io::stdout().lock();
+    writeln!(out, "{}", answer.text)?;
     writeln!(out, "{}", table::answer_table(answer))?;
     if answer.status == Status::Ambiguous {
         writeln!(out, "{}", table::alternatives_table(&answer.alternatives))?;

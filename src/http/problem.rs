@@ -205,6 +205,7 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
         Error::VlmNotConfigured
         | Error::NoMap { .. }
+        | Error::ParseChanged { .. }
         | Error::NoSourceFrame { .. }
         | Error::SceneNotReady { .. }
         | Error::EncoderChanged { .. }

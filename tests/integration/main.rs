@@ -37,6 +37,7 @@ mod model_choice;
 mod neural;
 mod openapi;
 mod placement;
+mod questions;
 mod real_models;
 mod restart;
 mod resumable_uploads;

@@ -140,6 +140,7 @@ async fn a_folder_without_record_versions_is_served_completely() {
             candidates,
             targets: Vec::new(),
             no_match_reason: None,
+            text: told.text.clone(),
             ..again
         };
         assert_eq!(again, told);

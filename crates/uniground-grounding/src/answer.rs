@@ -4,8 +4,8 @@ use super::reasoner::Verdict;
 use super::shortlist;
 use super::vlm::PromptContext;
 use super::{
-    Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, Seen,
-    SixFields, Status, Target, Timings,
+    Alternative, AnswerKind, AnswerValue, Candidate, NoMatchReason, ParsedQuerySummary, Question,
+    SceneView, Seen, SixFields, Status, Target, Timings,
 };
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -32,6 +32,15 @@ pub(super) fn to_timings(parsed: Duration, shortlisted: Duration, total: Duratio
 pub struct Grounding {
     /// The text of the question.
     pub query: String,
+    /// What kind of answer the question asks for.
+    #[serde(default)]
+    pub kind: AnswerKind,
+    /// The answer as a sentence.
+    #[serde(default)]
+    pub text: String,
+    /// The number, the measurement, or yes or no.
+    #[serde(default)]
+    pub value: Option<AnswerValue>,
     /// The status. Only `grounded` and `uncertain` have a box.
     pub status: Status,
     /// Why nothing was chosen; `None` unless the status is `no_match`.
@@ -130,6 +139,9 @@ pub(super) fn assemble(
     rivals.sort_by(|a, b| belief(b).total_cmp(&belief(a)).then(a.id.cmp(&b.id)));
     Grounding {
         query: question.query.clone(),
+        kind: AnswerKind::Box,
+        text: String::new(),
+        value: None,
         status,
         no_match_reason: reason,
         seen: None,
@@ -210,6 +222,7 @@ pub(super) fn to_target(instance: &Instance, confidence: f32) -> Target {
         oriented_box,
         support: Some(support),
         parent,
+        distance_m: None,
     }
 }
 
@@ -218,6 +231,10 @@ impl Grounding {
     pub(super) fn require_confidence(&mut self, least: f32) {
         if self.status == Status::Grounded && self.confidence < least {
             self.status = Status::Uncertain;
+            let says_so = ["I cannot", "I do not", "I know where"];
+            if !says_so.iter().any(|start| self.text.starts_with(start)) {
+                self.text = format!("I am not sure. {}", self.text);
+            }
         }
     }
 }

@@ -54,10 +54,7 @@ impl Appearance {
         scoring: ShortlistScoring,
     ) -> Result<Self, ModelError> {
         let mut words = Vec::new();
-        let mut phrases = vec![&parsed.target];
-        phrases.extend(parsed.other_reading.as_ref());
-        phrases.extend(parsed.viewpoint.as_ref().map(|viewpoint| &viewpoint.anchor));
-        phrases.into_iter().for_each(|phrase| nouns_within(phrase, &mut words));
+        parsed.phrases().into_iter().for_each(|phrase| nouns_within(phrase, &mut words));
         words.sort_unstable();
         words.dedup();
         let mut of_word = HashMap::new();
@@ -117,7 +114,7 @@ fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
     match phrase.meaning() {
         Meaning::Nouns(nouns) => words.extend(nouns.iter().map(|noun| noun.name.clone())),
         Meaning::Unknown => words.push(phrase.head.clone()),
-        Meaning::Anything | Meaning::Structure(_) => {}
+        Meaning::Anything | Meaning::Structure(_) | Meaning::Instance(_) => {}
     }
     for other in phrase.could_be.iter().chain(&phrase.other_things) {
         nouns_within(&Phrase { head: other.clone(), ..Phrase::default() }, words);

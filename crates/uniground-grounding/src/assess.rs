@@ -11,7 +11,7 @@ mod places;
 
 use super::SceneView;
 use super::direction::Directions;
-use super::fit::{colors_fit, most_plausible, noun_fits, trait_fits};
+use super::fit::{colors_fit, most_plausible, noun_fits, prefer_main_color, trait_fits};
 use super::relations::{self, SeenBy};
 use super::room::{Faced, Room};
 use super::solid::Solid;
@@ -21,7 +21,7 @@ use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
 use uniground_geometry::statistics::largest_indices;
 use uniground_geometry::{Point2, Point3, Vector3};
-use uniground_language::{ME, Meaning, Phrase, Relation, RelationKind, zones};
+use uniground_language::{ME, Meaning, Phrase, Reach, Relation, RelationKind, zones};
 
 /// Factor of a score when a relation is contradicted. Not 0, because geometry is noisy.
 const CONTRADICTED: f32 = 0.05;
@@ -86,6 +86,9 @@ pub struct Assessor<'a> {
     /// Index of the instance that the viewer faces: of instances to the left and right, those near
     /// it are meant.
     pub looked_at: Option<usize>,
+    /// Whether each instance is in the region where the target has to be; `None` where it may be
+    /// anywhere.
+    pub within: Option<Vec<bool>>,
     room: OnceCell<Room>,
     /// How a viewer faces each instance. Cached, because it needs all walls and is used with every
     /// other instance.
@@ -101,6 +104,7 @@ impl<'a> Assessor<'a> {
             directions,
             observer: None,
             looked_at: None,
+            within: None,
             room: OnceCell::new(),
             faced: vec![OnceCell::new(); scene.instances.len()],
         }
@@ -159,6 +163,21 @@ impl<'a> Assessor<'a> {
         Assessment { nouns, own, bonds, place_seen_by, total }
     }
 
+    /// Assesses the phrase of a question's target, which has to be in the question's region.
+    #[must_use]
+    pub fn assess_target(&self, phrase: &Phrase) -> Assessment {
+        let mut assessment = self.assess(phrase);
+        if let Some(within) = &self.within {
+            let Assessment { nouns, own, total, .. } = &mut assessment;
+            for scores in [nouns, own, total] {
+                for (score, is_within) in scores.iter_mut().zip(within) {
+                    *score = if *is_within { *score } else { 0.0 };
+                }
+            }
+        }
+        assessment
+    }
+
     /// Returns the fit of every instance to the noun alone, and to noun, colors, traits and carried
     /// things together.
     #[must_use]
@@ -169,6 +188,7 @@ impl<'a> Assessor<'a> {
             if *noun > 0.0 { noun * colors_fit(self.scene, phrase, i) } else { 0.0 }
         };
         let mut own: Vec<f32> = nouns.iter().enumerate().map(of_color).collect();
+        prefer_main_color(self.scene, phrase, &nouns, &mut own);
         for &asked in &phrase.traits {
             let fits = trait_fits(instances, &self.solids, &nouns, asked);
             own.iter_mut().zip(fits).for_each(|(score, fit)| *score *= fit);
@@ -377,7 +397,11 @@ impl<'a> Assessor<'a> {
         target: usize,
         anchors: &[(usize, f32)],
     ) -> RelationMatch {
+        let reach = Reach::in_words(&relation.text);
         let score = |a: usize| {
+            if let Some(reach) = reach {
+                return reach.fit(self.solids[target].gap(&self.solids[a]));
+            }
             self.geometry(relation.kind, target, &[a]).max(self.score_on_side(relation, target, a))
                 * self.hanging_factor(relation.kind, target, a)
         };
@@ -500,7 +524,11 @@ impl<'a> Assessor<'a> {
                 .into_iter()
                 .for_each(|(t, factor)| scores[t] = factor);
         } else {
+            let reach = Reach::in_words(&relation.text);
             let score = |t: usize| {
+                if let Some(reach) = reach {
+                    return reach.fit(self.solids[t].gap(observer));
+                }
                 relations::to_observer(
                     relation.kind,
                     &self.solids[t],

@@ -98,8 +98,8 @@ fn choose_by_rank_fusion(
 ) -> Vec<usize> {
     let (scene, target) = (assessor.scene, &parsed.target);
     let meaning = target.meaning();
-    let read = assessor.assess(target);
-    let placed = assessor.assess(&without_noun(target)).total;
+    let read = assessor.assess_target(target);
+    let placed = assessor.assess_target(&without_noun(target)).total;
     let looks = scene.appearance.and_then(Appearance::shortlist);
     let asks_for_structure = matches!(meaning, Meaning::Structure(_));
     let may_be = |i: usize| {
@@ -107,6 +107,7 @@ fn choose_by_rank_fusion(
         let is_thing = instance.structure.is_none()
             && scene.names.get(i).is_none_or(super::GivenName::is_thing);
         (is_thing || asks_for_structure)
+            && assessor.within.as_ref().is_none_or(|within| within[i])
             && !instance.dismissed
             && instance.aabb.size.max() >= SPECK_M
     };

@@ -9,7 +9,7 @@ use super::readings::{Reading, Readings};
 use super::solid::Solid;
 use std::collections::HashSet;
 use uniground_geometry::color::{ColorName, srgb_to_lab};
-use uniground_geometry::scene::{Instance, Level, Support};
+use uniground_geometry::scene::{Instance, Level, Structure, Support};
 use uniground_language::{Meaning, Phrase, Trait};
 use uniground_models::attributes::{self, Noun, noun_fit};
 
@@ -44,6 +44,13 @@ const WOODEN: [ColorName; 4] =
 const PAINTED: f32 = 0.5;
 /// An instance may be meant when its fit is at least this share of the best fit.
 pub(super) const PLAUSIBLE: f32 = 0.3;
+/// Nouns that a floor or a ceiling may be taken for.
+const COVERINGS: [&str; 6] = ["rug", "carpet", "mat", "doormat", "ceiling light", "skylight"];
+/// An instance has the noun with at least this share of the best fit.
+const HAS_NOUN: f32 = 0.7;
+/// Largest color fit of an instance with another main color than the requested one, where another
+/// instance has it.
+const OTHER_MAIN_COLOR: f32 = 0.7;
 /// Factor at the wrong end of a comparison: for the smallest instance when the phrase says "large".
 const OPPOSITE_TRAIT: f32 = 0.3;
 
@@ -94,8 +101,16 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
                 0.0
             }
         }
+        Meaning::Instance(id) => f32::from(u8::from(instance.id == *id)),
         Meaning::Structure(structure) => {
             f32::from(u8::from(instance.structure == Some(*structure)))
+        }
+        // A floor or a ceiling is nothing that stands in the room, except what covers it.
+        Meaning::Nouns(nouns)
+            if matches!(instance.structure, Some(Structure::Floor | Structure::Ceiling))
+                && !nouns.iter().any(|noun| COVERINGS.contains(&noun.name.as_str())) =>
+        {
+            0.0
         }
         Meaning::Nouns(nouns) => {
             let (mut by_measure, mut by_looks) = (0.0_f32, None::<f32>);
@@ -183,6 +198,28 @@ pub fn colors_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     let wanted = phrase.colors.iter().map(|&c| (color_fit(c) * n.sqrt()).clamp(least, 1.0));
     let unwanted = phrase.other_than.iter().map(|&c| (1.0 - color_fit(c)).max(WRONG_COLOR));
     wanted.chain(unwanted).product::<f32>() * wooden_fit(scene, phrase, index)
+}
+
+/// Where the requested color is the main color of some instance that has the noun, limits the fit
+/// of those with another main color: "the grey armchair" is not the white one beside a grey one.
+pub fn prefer_main_color(scene: SceneView, phrase: &Phrase, nouns: &[f32], own: &mut [f32]) {
+    let [color] = phrase.colors[..] else { return };
+    if phrase.roughly {
+        return;
+    }
+    let is_main = |i: usize| match scene.names.get(i).map(GivenName::colors) {
+        Some(named) if !named.is_empty() => named.contains(&color),
+        _ => scene.instances[i].colors.dominant().first().is_some_and(|(main, _)| *main == color),
+    };
+    let best = nouns.iter().copied().fold(0.0, f32::max);
+    let likely = |i: usize| nouns[i] > 0.0 && nouns[i] >= HAS_NOUN * best;
+    if (0..nouns.len()).any(|i| likely(i) && is_main(i)) {
+        for (i, fit) in own.iter_mut().enumerate() {
+            if !is_main(i) {
+                *fit = fit.min(OTHER_MAIN_COLOR * nouns[i]);
+            }
+        }
+    }
 }
 
 /// Returns how well the color of the instance at an index matches wood, where a phrase says wood
@@ -293,7 +330,7 @@ mod tests {
     use proptest::prelude::*;
     use uniground_geometry::boxes::Aabb;
     use uniground_geometry::color::ColorHistogram;
-    use uniground_geometry::scene::{InstanceId, NameGuess, Structure};
+    use uniground_geometry::scene::{InstanceId, NameGuess};
     use uniground_geometry::{Point3, Vector3};
     use uniground_models::attributes::Lexicon;
     use uniground_testing::thing;

@@ -8,6 +8,7 @@
 #![warn(missing_docs)]
 
 mod answer;
+mod answer_kinds;
 mod appearance;
 pub mod approach;
 mod assess;
@@ -43,10 +44,10 @@ pub use names::{GivenName, NameIndex};
 pub use picture_cache::PictureCache;
 use std::time::{Duration, Instant};
 pub use uniground_types::answer::{
-    Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Seen, SixFields, Status, Target,
-    Timings,
+    Alternative, AnswerKind, AnswerValue, Candidate, NoMatchReason, ParsedQuerySummary, Seen,
+    SixFields, Status, Target, Timings, Unit,
 };
-pub use uniground_types::question::{CandidateSource, QueryText};
+pub use uniground_types::question::{CandidateSource, QueryText, Region};
 
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Instance;
@@ -87,6 +88,10 @@ pub struct Question {
     pub query_text: QueryText,
     /// Minimum confidence of an answer, `0..=1`; below it the answer is uncertain.
     pub min_confidence: f32,
+    /// Region in which the target has to be, world frame.
+    pub within: Option<Region>,
+    /// Maximum confidence: that of the earlier answer that the question points at, else 1.
+    pub most_confidence: f32,
 }
 
 impl Question {
@@ -102,6 +107,8 @@ impl Question {
             candidates: CandidateSource::default(),
             query_text: QueryText::default(),
             min_confidence: 0.0,
+            within: None,
+            most_confidence: 1.0,
         }
     }
 }
@@ -143,7 +150,10 @@ pub fn ground_read(
     parsed: uniground_language::ParsedQuery,
     reading: Duration,
 ) -> Grounding {
-    decided(scene, question, choose_reading(scene, parsed), reading).1
+    let parsed = choose_reading(scene, parsed);
+    let mut grounding = decided(scene, question, parsed.clone(), reading).1;
+    answer_kinds::complete(scene, question, &parsed, &mut grounding);
+    grounding
 }
 
 /// Answers a question, and collects the context for a vision-language model that reviews the
@@ -187,19 +197,8 @@ fn decided<'a>(
     if let Some(name) = &question.target_name {
         parsed.target.head.clone_from(name);
     }
-    let directions = question
-        .observer
-        .as_ref()
-        .map_or_else(|| question.convention.into(), Directions::of_observer);
-    let mut assessor = Assessor::new(scene, directions);
-    if let Some(observer) = &question.observer {
-        assessor.observer = Some(
-            Aabb {
-                center: observer.position.map(|v| v as f32).into(),
-                size: uniground_geometry::Vector3::zeros(),
-            }
-            .into(),
-        );
+    let mut assessor = assessor_of(scene, question);
+    if question.observer.is_some() {
         let of_me = parsed.words_about_asker();
         parsed.not_understood.retain(|word| !of_me.contains(word));
     }
@@ -210,6 +209,29 @@ fn decided<'a>(
     let (scores, beliefs) = (verdict.scores.clone(), verdict.beliefs.clone());
     let grounding = answer::assemble(scene, question, &parsed, verdict, timings_ms);
     (Decided { assessor, parsed, scores, beliefs }, grounding)
+}
+
+/// Returns the assessor of a scene with the directions and the observer of a question.
+fn assessor_of<'a>(scene: SceneView<'a>, question: &Question) -> Assessor<'a> {
+    let directions = question
+        .observer
+        .as_ref()
+        .map_or_else(|| question.convention.into(), Directions::of_observer);
+    let mut assessor = Assessor::new(scene, directions);
+    assessor.observer = question.observer.as_ref().map(|observer| {
+        Aabb {
+            center: observer.position.map(|v| v as f32).into(),
+            size: uniground_geometry::Vector3::zeros(),
+        }
+        .into()
+    });
+    assessor.within = question.within.as_ref().map(|region| {
+        let is_within = |instance: &Instance| {
+            region.contains(instance.aabb.center.coords.map(f64::from).into())
+        };
+        scene.instances.iter().map(is_within).collect()
+    });
+    assessor
 }
 
 #[cfg(test)]

@@ -128,7 +128,9 @@ impl GivenName {
             (Kind::Structure(own), Meaning::Structure(wanted)) => {
                 f32::from(u8::from(own == *wanted))
             }
-            (Kind::NotAThing | Kind::Structure(_), _) | (_, Meaning::Structure(_)) => 0.0,
+            // The id decides, not the name.
+            (Kind::NotAThing | Kind::Structure(_), _)
+            | (_, Meaning::Structure(_) | Meaning::Instance(_)) => 0.0,
             (Kind::Part, Meaning::Anything) => PART,
             (Kind::Thing, Meaning::Anything) => 1.0,
             (Kind::Part, _) => PART * self.noun_fit(asked, meaning),

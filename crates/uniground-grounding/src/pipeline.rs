@@ -21,7 +21,7 @@ use super::vlm::{
     PromptVersion, Undecided, naming,
 };
 use super::{
-    Candidate, Grounding, Question, SceneView, Status, choose_reading, decided,
+    Candidate, Grounding, Question, SceneView, Status, answer_kinds, choose_reading, decided,
     ground_with_context, rank_candidates,
 };
 use std::collections::BTreeMap;
@@ -155,19 +155,22 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let took = start.elapsed();
 
     let with_review = review.is_some();
-    let (grounding, context, parsed, used) = source
+    let asked = question.clone();
+    let (grounding, context, parsed, used, appearance) = source
         .compute(move |source| {
             let parsed = choose_reading(scene_view(source, None), parsed);
+            let with_review = with_review && answer_kinds::may_be_reviewed(&parsed);
             let scoring =
                 ShortlistScoring { query_text: question.query_text, ..ShortlistScoring::default() };
             let (appearance, used) =
                 appearance(source, &question.query, &parsed, scoring, allow_builtin_encoder)?;
             let scene = scene_view(source, appearance.as_ref());
             if !with_review {
-                return Ok((decided(scene, &question, parsed.clone(), took).1, None, parsed, used));
+                let grounding = decided(scene, &question, parsed.clone(), took).1;
+                return Ok((grounding, None, parsed, used, appearance));
             }
             let (grounding, context) = ground_with_context(scene, &question, parsed.clone(), took);
-            Ok((grounding, Some(context), parsed, used))
+            Ok((grounding, Some(context), parsed, used, appearance))
         })
         .await?;
     if let Some(why) = used.missing {
@@ -187,15 +190,26 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let may_decide = |(review, context): &(Review, vlm::PromptContext)| {
         !context.candidates.is_empty() || review.options.evidence == EvidenceMode::Photographs
     };
+    // A review may add instances that the model saw.
+    let mut source = source.clone();
     if let Some((review, context)) = review.zip(context).filter(may_decide) {
-        apply_review(source, &mut answered, review, context, &mut calls, start).await?;
+        source = apply_review(&source, &mut answered, review, context, &mut calls, start).await?;
     }
-    answered.grounding.require_confidence(least);
+    let (parsed, mut grounding) = (answered.parsed.clone(), answered.grounding);
+    answered.grounding = source
+        .compute(move |source| {
+            let scene = scene_view(source, appearance.as_ref());
+            answer_kinds::complete(scene, &asked, &parsed, &mut grounding);
+            grounding.require_confidence(least);
+            Ok(grounding)
+        })
+        .await?;
     answered.calls = calls;
     Ok(answered)
 }
 
-/// Shows the candidates to the model, and applies its decision to the answer.
+/// Shows the candidates to the model, and applies its decision to the answer. Returns the source
+/// with the instances that were added.
 async fn apply_review<S: SceneSource>(
     source: &Arc<S>,
     answered: &mut Answered,
@@ -203,7 +217,7 @@ async fn apply_review<S: SceneSource>(
     context: vlm::PromptContext,
     calls: &mut Vec<CallRecord>,
     start: Instant,
-) -> Result<(), S::Error> {
+) -> Result<Arc<S>, S::Error> {
     let before = start.elapsed();
     let mut names = if options.uses_names() { source.names().await? } else { BTreeMap::new() };
     names.retain(|id, _| context.is_candidate(*id));
@@ -227,7 +241,8 @@ async fn apply_review<S: SceneSource>(
                     calls.extend(session.into_records());
                     let total = start.elapsed();
                     answered.record_times(total.saturating_sub(before), Duration::ZERO, total);
-                    return answered.keep_geometry(error, without_model).map_err(Into::into);
+                    answered.keep_geometry(error, without_model)?;
+                    return Ok(source.clone());
                 }
             }
         }
@@ -240,7 +255,7 @@ async fn apply_review<S: SceneSource>(
         calls.extend(session.into_records());
         let total = start.elapsed();
         answered.record_times(total.saturating_sub(before), drawing, total);
-        return Ok(());
+        return Ok(source.clone());
     }
     let begun = Instant::now();
     let (context, evidence, unnamed) = source
@@ -275,7 +290,8 @@ async fn apply_review<S: SceneSource>(
         undecided => undecided,
     };
     calls.extend(session.into_records());
-    let Shown { source, context, .. } = shown;
+    let Shown { source: shown_source, context, .. } = shown;
+    let source = &shown_source;
     match decision {
         Ok(decision) => {
             answered.grounding.add_shown(&context, source.instances());
@@ -293,7 +309,7 @@ async fn apply_review<S: SceneSource>(
     }
     let total = start.elapsed();
     answered.record_times(total.saturating_sub(before), evidence_took, total);
-    Ok(())
+    Ok(shown_source)
 }
 
 /// The scene, the context and the pictures that a model was shown.

@@ -147,6 +147,47 @@ impl Solid {
         to_edges(self, other).min(to_edges(other, self))
     }
 
+    /// Returns the points of both at which they are nearest, this box's point first; meters, world
+    /// frame. Where footprints overlap, the points are above each other at their common middle.
+    #[must_use]
+    pub fn nearest_points(&self, other: &Self) -> [Point3<f32>; 2] {
+        let (a, b) = if self.overlaps(other) {
+            let common = self.common_footprint(other);
+            let sum = common.iter().fold(Vector2::zeros(), |sum, p| sum + p.coords);
+            let middle = if common.is_empty() {
+                self.center.xy()
+            } else {
+                Point2::from(sum / common.len() as f32)
+            };
+            (middle, middle)
+        } else {
+            let pairs = |points: &Self, edges: &Self| {
+                let mut best = (f32::INFINITY, points.corners[0], edges.corners[0]);
+                for p in &points.corners {
+                    for i in 0..4 {
+                        let q = on_segment(p, &edges.corners[i], &edges.corners[(i + 1) % 4]);
+                        let distance = (p - q).norm();
+                        if distance < best.0 {
+                            best = (distance, *p, q);
+                        }
+                    }
+                }
+                best
+            };
+            let (here, there) = (pairs(self, other), pairs(other, self));
+            if here.0 <= there.0 { (here.1, here.2) } else { (there.2, there.1) }
+        };
+        let (low, high) = (self.bottom.max(other.bottom), self.top.min(other.top));
+        let (za, zb) = if low <= high {
+            (f32::midpoint(low, high), f32::midpoint(low, high))
+        } else if self.bottom > other.top {
+            (self.bottom, other.top)
+        } else {
+            (self.top, other.bottom)
+        };
+        [Point3::new(a.x, a.y, za), Point3::new(b.x, b.y, zb)]
+    }
+
     /// Returns whether the footprints overlap: no edge of either separates them.
     fn overlaps(&self, other: &Self) -> bool {
         let apart = |a: &Self, b: &Self| {
@@ -173,6 +214,15 @@ impl Solid {
         if !self.overlaps(other) {
             return 0.0;
         }
+        let polygon = self.common_footprint(other);
+        let doubled: f32 = (0..polygon.len())
+            .map(|i| polygon[i].coords.perp(&polygon[(i + 1) % polygon.len()].coords))
+            .sum();
+        (doubled.abs() / 2.0 / self.area().max(f32::EPSILON)).min(1.0)
+    }
+
+    /// Returns the corners of the polygon that both footprints cover.
+    fn common_footprint(&self, other: &Self) -> Vec<Point2<f32>> {
         // Clipping a quadrilateral four times leaves at most eight corners.
         let mut polygon: Vec<Point2<f32>> = Vec::with_capacity(8);
         polygon.extend(self.corners);
@@ -193,17 +243,19 @@ impl Solid {
             }
             std::mem::swap(&mut polygon, &mut cut);
         }
-        let doubled: f32 = (0..polygon.len())
-            .map(|i| polygon[i].coords.perp(&polygon[(i + 1) % polygon.len()].coords))
-            .sum();
-        (doubled.abs() / 2.0 / self.area().max(f32::EPSILON)).min(1.0)
+        polygon
     }
 }
 
 fn to_segment(p: &Point2<f32>, a: &Point2<f32>, b: &Point2<f32>) -> f32 {
+    (p - on_segment(p, a, b)).norm()
+}
+
+/// Returns the point of a segment that is nearest to `p`.
+fn on_segment(p: &Point2<f32>, a: &Point2<f32>, b: &Point2<f32>) -> Point2<f32> {
     let edge = b - a;
     let along = ((p - a).dot(&edge) / edge.norm_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
-    (p - (a + edge * along)).norm()
+    a + edge * along
 }
 
 #[cfg(test)]

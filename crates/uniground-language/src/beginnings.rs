@@ -241,7 +241,7 @@ fn is_distinguishing(query: &ParsedQuery) -> bool {
         Meaning::Anything => {
             !target.colors.is_empty() || !target.with.is_empty() || !target.relations.is_empty()
         }
-        Meaning::Nouns(_) | Meaning::Structure(_) => true,
+        Meaning::Nouns(_) | Meaning::Structure(_) | Meaning::Instance(_) => true,
         Meaning::Unknown => {
             let is_thing = !WordNet::get().kinds_of(&target.head).is_empty()
                 && zones::nouns_of_zone(&target.head).is_none();

@@ -7,6 +7,8 @@ mod opening;
 use super::affordances::{self, Affordance};
 use super::beginnings;
 use super::corrections;
+use super::distances;
+use super::forms::{self, Form};
 use super::languages;
 use super::observers;
 use super::pieces::{Piece, address, has_noun_ahead, is_bare_noun, is_filler, pieces};
@@ -70,12 +72,35 @@ struct Frame {
 pub fn parse(query: &str) -> ParsedQuery {
     let tokens = tokenize(query);
     let foreign = languages::is_foreign(&tokens);
+    let is_one_of_several = tokens.first().is_some_and(|word| word == "which")
+        && tokens.get(1).is_some_and(|word| word == "of")
+        && tokens.iter().any(|word| word == "is");
+    let forms::Request { form, target, except, not_understood } =
+        forms::recognize(distances::join(tokens), &|tokens| read_object(tokens.to_vec()));
+    let mut parsed = read_object(target);
+    parsed.not_understood.extend(not_understood);
+    // "which of the two chairs is closer" asks for one of them.
+    if is_one_of_several {
+        parsed.quantity = Quantity::One;
+    }
+    let form = match (form, parsed.quantity) {
+        (Form::Object, Quantity::All | Quantity::Exactly(_)) => Form::List,
+        (form, _) => form,
+    };
+    for later in &mut parsed.later {
+        later.form.clone_from(&form);
+    }
+    ParsedQuery { foreign, form, except, ..parsed }
+}
+
+/// Reads words that describe an object.
+fn read_object(tokens: Vec<String>) -> ParsedQuery {
     let tokens = observers::rewrite_viewpoints(&rewrite(corrections::apply_corrections(
         situations::drop_situation(tokens),
     )));
     let tokens = &tokens[address(&tokens)..];
     let (query, later) = beginnings::readings(tokens, read);
-    ParsedQuery { foreign, later, ..query }
+    ParsedQuery { later, ..query }
 }
 
 fn read(tokens: &[String]) -> ParsedQuery {

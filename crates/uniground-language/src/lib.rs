@@ -12,7 +12,10 @@ mod beginnings;
 mod clauses;
 mod corrections;
 mod cost;
+mod distances;
 mod doubt;
+mod follow_up;
+mod forms;
 mod grammar;
 mod languages;
 mod observers;
@@ -27,12 +30,15 @@ mod vlm;
 mod words;
 pub mod zones;
 
+pub use distances::Reach;
 pub use doubt::Doubt;
+pub use follow_up::{Earlier, resolve as resolve_follow_up};
+pub use forms::{Aspect, ComparedBy, Comparison, Dimension, Form, Passage, Reference, Way};
 pub use grammar::parse;
 pub use parsers::{AutoParser, BuiltinParser, FellBack, QueryParser, Reading, VlmParser};
 pub use relation_kinds::RelationKind;
 use uniground_geometry::color::ColorName;
-use uniground_geometry::scene::Structure;
+use uniground_geometry::scene::{InstanceId, Structure};
 use uniground_models::attributes::{Lexicon, Noun};
 
 /// A parsed query. Every word is used, is filler, or is listed in `not_understood` or
@@ -63,6 +69,25 @@ pub struct ParsedQuery {
     /// order. A scene without the first target may have one of these
     /// (`uniground_grounding::choose_reading`). They have no later readings themselves.
     pub later: Vec<ParsedQuery>,
+    /// What the question wants to know of the target.
+    pub form: Form,
+    /// Objects that a list must not have: "everything on the desk except the laptop".
+    pub except: Vec<Phrase>,
+}
+
+impl ParsedQuery {
+    /// Returns the phrases of all objects that the question names: its target, the viewer's, and
+    /// those of its form. Their anchors are within them.
+    #[must_use]
+    pub fn phrases(&self) -> Vec<&Phrase> {
+        let mut phrases = vec![&self.target];
+        phrases.extend(&self.other_reading);
+        phrases.extend(self.viewpoint.as_ref().map(|viewpoint| &viewpoint.anchor));
+        phrases.extend(&self.standpoint);
+        phrases.extend(self.form.phrases());
+        phrases.extend(&self.except);
+        phrases
+    }
 }
 
 /// Head of an anchor that is the observer: "closest to me".
@@ -175,6 +200,8 @@ pub struct With {
 pub enum Meaning {
     /// "thing", "one", or no noun at all.
     Anything,
+    /// The instance with this id: "#12".
+    Instance(InstanceId),
     /// A part of the building: "wall", "floor", "ceiling".
     Structure(Structure),
     /// Nouns of the lexicon, the direct one first.
@@ -184,10 +211,13 @@ pub enum Meaning {
 }
 
 impl Phrase {
-    /// Looks up the head: words for anything first, then parts of the building, then the lexicon.
+    /// Looks up the head: ids of instances and words for anything first, then parts of the building, then the lexicon.
     #[must_use]
     pub fn meaning(&self) -> Meaning {
         match self.head.as_str() {
+            head if instance_in(head).is_some() => {
+                instance_in(head).map_or(Meaning::Unknown, Meaning::Instance)
+            }
             // A zone is an area, not an object.
             head if zones::nouns_of_zone(head).is_some() => Meaning::Unknown,
             head if words::is_anything(head) && !self.uses.is_empty() => {
@@ -230,6 +260,11 @@ impl Phrase {
     fn is_empty(&self) -> bool {
         *self == Self::default()
     }
+}
+
+/// Returns the instance that a word names by its id: "#12".
+fn instance_in(word: &str) -> Option<InstanceId> {
+    word.strip_prefix('#')?.parse().ok().map(InstanceId)
 }
 
 /// Returns the part of the building that a word names.

@@ -1,7 +1,7 @@
 //! Parsers of queries: the built-in grammar, a chat model, or the model where the grammar is in
 //! doubt.
 
-use super::{ParsedQuery, vlm};
+use super::{Form, ParsedQuery, vlm};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use std::sync::Arc;
@@ -77,8 +77,12 @@ impl VlmParser {
         match read {
             Ok(parsed) => {
                 let by = format!("{} (prompt {})", self.model.name(), vlm::PROMPT_VERSION);
+                // A model that names no form leaves it to the grammar.
+                let form =
+                    if parsed.form == Form::Object { grammar.form } else { parsed.form.clone() };
+                let except = grammar.except;
                 Reading {
-                    parsed: ParsedQuery { quantity: grammar.quantity, ..parsed },
+                    parsed: ParsedQuery { quantity: grammar.quantity, form, except, ..parsed },
                     by,
                     calls,
                     fell_back: None,

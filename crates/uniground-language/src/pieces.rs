@@ -2,7 +2,7 @@
 
 use super::tokens::{BREAK, join_words};
 use super::words::{self, Meaning};
-use super::{Measure, cost, zones};
+use super::{Measure, cost, distances, zones};
 use uniground_models::attributes::Lexicon;
 
 /// One piece of the query.
@@ -87,7 +87,9 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
                 length
             }
             (_, Some((meaning, length))) => {
-                pieces.push(Piece::Word(meaning, run[..length].join(" ")));
+                let text =
+                    distances::joined_words(run[0]).unwrap_or_else(|| run[..length].join(" "));
+                pieces.push(Piece::Word(meaning, text));
                 length
             }
             _ => {
@@ -132,6 +134,9 @@ fn noun_follows(run: &[&str]) -> bool {
 
 /// Returns the length in words of the longest noun at the start.
 pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
+    if run.first().is_some_and(|word| super::instance_in(word).is_some()) {
+        return Some(1);
+    }
     let lexicon = Lexicon::get();
     let is_noun = |n: usize| {
         cost::count();

@@ -30,9 +30,21 @@ pub(super) fn tokenize(query: &str) -> Vec<String> {
             _ => tokens.push(bare.to_owned()),
         }
     };
-    for c in query.chars().flat_map(char::to_lowercase) {
+    let mut characters = query.chars().flat_map(char::to_lowercase).peekable();
+    while let Some(c) = characters.next() {
+        let in_number = word.ends_with(|c: char| c.is_ascii_digit())
+            && characters.peek().is_some_and(char::is_ascii_digit);
         match c {
             c if c.is_alphanumeric() => word.push(c),
+            // "1,000 mm"
+            ',' if in_number
+                && is_thousands(&word, &characters.clone().take(4).collect::<String>()) => {}
+            // "1.5 m", "1,5 m"
+            '.' | ',' if in_number => word.push('.'),
+            // "#12": the instance with this id.
+            '#' if word.is_empty() && characters.peek().is_some_and(char::is_ascii_digit) => {
+                word.push('#');
+            }
             '\'' | '\u{2019}' => word.push('\''),
             '.' | ',' | ';' | ':' | '?' | '!' | '\n' | '(' | ')' => {
                 end(&mut word, &mut tokens);
@@ -46,6 +58,13 @@ pub(super) fn tokenize(query: &str) -> Vec<String> {
     }
     end(&mut word, &mut tokens);
     tokens
+}
+
+/// Returns whether a comma between a number and what follows separates thousands: three digits come
+/// after it, and no fourth.
+fn is_thousands(before: &str, next: &str) -> bool {
+    let digits = next.chars().take_while(char::is_ascii_digit).count();
+    digits == 3 && before.len() <= 3 && before.chars().all(|c| c.is_ascii_digit()) && before != "0"
 }
 
 /// Shorter words have too many similar words to correct them safely.

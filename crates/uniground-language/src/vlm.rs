@@ -1,6 +1,7 @@
 //! Parses a query with a chat model: the request, and the JSON reply as a [`ParsedQuery`].
 
 use super::affordances;
+use super::forms::{Aspect, ComparedBy, Comparison, Dimension, Form, Passage, Reference, Way};
 use super::{
     Look, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative, Trait,
     Viewpoint, With, words,
@@ -11,7 +12,7 @@ use uniground_geometry::color::ColorName;
 use uniground_models::chat::{ChatRequest, Part};
 
 /// Version of the prompt. Raise it when the prompt or the schema changes.
-pub(super) const PROMPT_VERSION: u32 = 2;
+pub(super) const PROMPT_VERSION: u32 = 3;
 
 /// Maximum nesting; no sentence is deeper.
 const MAX_DEPTH: u32 = 5;
@@ -31,7 +32,44 @@ const SYSTEM: &str = "You turn a question about an object in a room into JSON. A
     told by what it does, by a need or by a situation, the things that would answer to that (\"it wakes me every morning\": alarm clock, \
     clock, radio, phone); none where nothing is said of what it is (\"what is that on the shelf\"). What is on somebody's left or right \
     is the superlative leftmost or rightmost under a viewpoint; left_of and right_of are of another thing than the one they look from or \
-    face. List words you could not use in not_understood.";
+    face. asks is what the question wants to know of the target: object (the default); list, all that match (\"what is on the desk\": \
+    noun empty, on the desk; \"all chairs\"); count; size, height, width, depth, area or elevation (height above the floor) of it; its \
+    distance to other, or to the person who asks where other is missing; exists (\"is there a piano\"); holds (\"is the mug on the \
+    table\": target is the mug, other is the mug on the table); compare (is it taller than other) and choose (which of target and \
+    other is taller), with compare saying by what measure, whether more of it, and for a distance from what; fit, whether it fits way \
+    other (size_m is its size in meters where it is not in the room, as a robot 60 cm wide; between has other and second); description (what is it); color; place (where is it). List words you could not use in not_understood.";
+
+/// What a question may ask, in the reply.
+const ASKS: [&str; 18] = [
+    "object",
+    "list",
+    "count",
+    "size",
+    "height",
+    "width",
+    "depth",
+    "area",
+    "elevation",
+    "distance",
+    "exists",
+    "holds",
+    "compare",
+    "choose",
+    "fit",
+    "description",
+    "color",
+    "place",
+];
+/// Measures of a comparison, in the reply.
+const COMPARED: [&str; 6] = ["height", "width", "depth", "volume", "elevation", "distance"];
+/// Ways to fit, in the reply.
+const WAYS: [(&str, Way); 5] = [
+    ("through", Way::Through),
+    ("under", Way::Under),
+    ("in", Way::In),
+    ("on", Way::On),
+    ("between", Way::Between),
+];
 
 /// Returns the request to the model.
 pub(super) fn request(query: &str) -> ChatRequest {
@@ -64,17 +102,38 @@ fn schema() -> Value {
     let viewpoint = json!({"type": ["object", "null"], "additionalProperties": false, "required": ["look", "anchor"], "properties": {
         "look": {"type": "string", "enum": Look::ALL.map(Look::as_str)}, "anchor": {"$ref": "#/$defs/phrase"},
     }});
+    let compare = json!({"type": ["object", "null"], "additionalProperties": false, "required": ["measure", "more"], "properties": {
+        "measure": {"type": "string", "enum": COMPARED}, "more": {"type": "boolean"}, "word": {"type": "string"}, "from": {"$ref": "#/$defs/phrase"},
+    }});
     json!({"type": "object", "additionalProperties": false, "required": ["target"], "$defs": {"phrase": phrase}, "properties": {
-        "target": {"$ref": "#/$defs/phrase"}, "viewpoint": viewpoint, "not_understood": {"type": "array", "items": {"type": "string"}},
+        "target": {"$ref": "#/$defs/phrase"}, "asks": {"type": "string", "enum": ASKS}, "other": {"$ref": "#/$defs/phrase"},
+        "second": {"$ref": "#/$defs/phrase"}, "size_m": {"type": ["number", "null"]}, "compare": compare, "way": {"type": "string", "enum": WAYS.map(|(word, _)| word)},
+        "viewpoint": viewpoint, "not_understood": {"type": "array", "items": {"type": "string"}},
     }})
 }
 
 #[derive(Deserialize)]
 struct QueryJson {
     target: PhraseJson,
+    #[serde(default)]
+    asks: String,
+    other: Option<PhraseJson>,
+    compare: Option<CompareJson>,
+    way: Option<String>,
+    second: Option<PhraseJson>,
+    size_m: Option<f32>,
     viewpoint: Option<ViewpointJson>,
     #[serde(default)]
     not_understood: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct CompareJson {
+    measure: String,
+    more: bool,
+    #[serde(default)]
+    word: String,
+    from: Option<PhraseJson>,
 }
 
 #[derive(Deserialize)]
@@ -83,9 +142,8 @@ struct ViewpointJson {
     anchor: PhraseJson,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Default, Deserialize)]
 #[serde(default)]
-#[derive(Default)]
 struct PhraseJson {
     noun: String,
     could_be: Vec<String>,
@@ -102,7 +160,7 @@ struct PhraseJson {
     superlative: Option<SuperlativeJson>,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Deserialize)]
 struct RelationJson {
     kind: String,
     #[serde(default)]
@@ -114,7 +172,7 @@ struct RelationJson {
     rank: Option<u32>,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Deserialize)]
 struct SuperlativeJson {
     measure: String,
     rank: Option<u32>,
@@ -133,6 +191,18 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
     if target.is_empty() {
         return Err("the model's answer names no target".into());
     }
+    let other = query.other.map(|other| phrase(other, 0, &mut parts)).transpose()?;
+    let second = query.second.map(|second| phrase(second, 0, &mut parts)).transpose()?;
+    let from = query.compare.as_ref().and_then(|compare| compare.from.clone());
+    let from = from.map(|from| phrase(from, 0, &mut parts)).transpose()?;
+    let (target, form) =
+        match fit(&query.asks, &target, other.as_ref(), second, query.way.as_deref(), query.size_m)
+        {
+            Some(fit) => fit?,
+            None => {
+                form(&query.asks, target, other.filter(|o| !o.is_empty()), query.compare, from)?
+            }
+        };
     let viewpoint = match query.viewpoint {
         None => None,
         Some(ViewpointJson { look, anchor }) => {
@@ -152,7 +222,100 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
         not_understood: query.not_understood,
         passed_over: Vec::new(),
         later: Vec::new(),
+        form,
+        except: Vec::new(),
     })
+}
+
+/// Returns the target and the form of a question about fitting; `None` for other questions.
+fn fit(
+    asks: &str,
+    target: &Phrase,
+    other: Option<&Phrase>,
+    second: Option<Phrase>,
+    way: Option<&str>,
+    given_m: Option<f32>,
+) -> Option<Result<(Phrase, Form), String>> {
+    if asks != "fit" {
+        return None;
+    }
+    let known = WAYS.iter().find(|(word, _)| Some(*word) == way).map(|(_, way)| *way);
+    let (Some(mut way), Some(place)) = (known, other.filter(|other| !other.is_empty())) else {
+        return Some(Err("the model's answer asks for a fit without other or way".into()));
+    };
+    let (mut place, mut second) = (place.clone(), second.filter(|second| !second.is_empty()));
+    // A gap is also told as something between two objects.
+    let between = |relation: &&Relation| relation.kind == RelationKind::Between;
+    if second.is_none()
+        && words::is_anything(&place.head)
+        && let Some(Relation { anchors, .. }) = place.relations.iter().find(between)
+        && let [a, b] = &anchors[..]
+    {
+        (second, place, way) = (Some(b.clone()), a.clone(), Way::Between);
+    }
+    let given_m = given_m.filter(|size| size.is_finite() && *size > 0.0);
+    let target = if given_m.is_some() { place.clone() } else { target.clone() };
+    let (place, second) = (Box::new(place), second.map(Box::new));
+    Some(Ok((target, Form::Fit(Passage { way, place, second, given_m }))))
+}
+
+/// Returns the target and the form of a question. Some forms have the target of the grammar's
+/// reading in `other`.
+fn form(
+    asks: &str,
+    target: Phrase,
+    other: Option<Phrase>,
+    compare: Option<CompareJson>,
+    from: Option<Phrase>,
+) -> Result<(Phrase, Form), String> {
+    let missing = |what: &str| format!("the model's answer asks for \"{asks}\" without {what}");
+    let size = |dimension| Form::Size(dimension);
+    let form = match asks {
+        "" | "object" => Form::Object,
+        "list" => Form::List,
+        "count" => Form::Count,
+        "size" => size(Dimension::All),
+        "height" => size(Dimension::Height),
+        "width" => size(Dimension::Width),
+        "depth" => size(Dimension::Depth),
+        "area" => size(Dimension::Area),
+        "elevation" => size(Dimension::Elevation),
+        "distance" => Form::Distance(
+            other.map_or(Reference::Observer, |other| Reference::Object(Box::new(other))),
+        ),
+        "exists" => Form::Exists,
+        "holds" => {
+            let claimed = other.ok_or_else(|| missing("other"))?;
+            return Ok((claimed, Form::Holds(Box::new(target))));
+        }
+        "compare" | "choose" => {
+            let other = Box::new(other.ok_or_else(|| missing("other"))?);
+            let CompareJson { measure, more, word, .. } =
+                compare.ok_or_else(|| missing("compare"))?;
+            let by = match measure.as_str() {
+                "height" => ComparedBy::Dimension(Dimension::Height),
+                "width" => ComparedBy::Dimension(Dimension::Width),
+                "depth" => ComparedBy::Dimension(Dimension::Depth),
+                "volume" => ComparedBy::Dimension(Dimension::Volume),
+                "elevation" => ComparedBy::Dimension(Dimension::Elevation),
+                "distance" => {
+                    let from = from.filter(|from| !from.is_empty());
+                    ComparedBy::Distance(
+                        from.map_or(Reference::Observer, |from| Reference::Object(Box::new(from))),
+                    )
+                }
+                _ => return Err(format!("the model's answer has an unknown measure {measure:?}")),
+            };
+            let word = if word.is_empty() { measure } else { word };
+            let comparison = Comparison { by, more, word, other };
+            if asks == "compare" { Form::Comparison(comparison) } else { Form::Choice(comparison) }
+        }
+        "description" => Form::Description(Aspect::All),
+        "color" => Form::Description(Aspect::Color),
+        "place" => Form::Place,
+        _ => return Err(format!("the model's answer asks for an unknown {asks:?}")),
+    };
+    Ok((target, form))
 }
 
 fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, String> {
@@ -255,6 +418,33 @@ mod tests {
         let text = r#"{"target": {"noun": "", "uses": ["sit on"]}}"#;
         let target = decode(text).unwrap().target;
         assert_eq!(target.meaning(), parse("something to sit on").target.meaning());
+    }
+
+    #[test]
+    fn forms_of_questions_are_decoded_like_the_grammar_result() {
+        for (text, query) in [
+            (
+                r#"{"target": {"noun": "stool"}, "asks": "distance", "other": {"noun": "tv"}}"#,
+                "how far is the stool from the tv",
+            ),
+            (
+                r#"{"target": {"noun": "mug"}, "asks": "holds", "other": {"noun": "mug", "relations": [{"kind": "on", "words": "on", "anchors": [{"noun": "desk"}]}]}}"#,
+                "is the mug on the desk",
+            ),
+            (
+                r#"{"target": {"noun": "lamp"}, "asks": "choose", "other": {"noun": "shelf"}, "compare": {"measure": "height", "more": true, "word": "taller"}}"#,
+                "which is taller, the lamp or the shelf",
+            ),
+            (
+                r#"{"target": {"noun": "stool"}, "asks": "fit", "way": "under", "other": {"noun": "desk"}}"#,
+                "does the stool fit under the desk",
+            ),
+            (r#"{"target": {"noun": "rug"}, "asks": "color"}"#, "what color is the rug"),
+        ] {
+            assert_eq!(decode(text).unwrap(), parse(query), "{query}");
+        }
+        let text = r#"{"target": {"noun": "lamp"}, "asks": "compare", "other": {"noun": "shelf"}}"#;
+        assert!(decode(text).unwrap_err().contains("without compare"));
     }
 
     #[test]

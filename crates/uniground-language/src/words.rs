@@ -1,6 +1,6 @@
 //! The words of the grammar, as tables.
 
-use super::{Look, Measure, RelationKind, Trait, cost};
+use super::{Look, Measure, RelationKind, Trait, cost, distances};
 use std::collections::HashMap;
 use std::sync::LazyLock;
 use uniground_geometry::color::ColorName;
@@ -130,6 +130,9 @@ impl Meaning {
 /// one.
 pub(super) fn longest_match(words: &[&str]) -> Option<(Meaning, usize)> {
     cost::count();
+    if distances::joined_words(words.first()?).is_some() {
+        return Some((Meaning::Relation(RelationKind::Near), 1));
+    }
     let phrases = BY_FIRST_WORD.get(words.first()?)?;
     phrases
         .iter()

@@ -46,6 +46,8 @@ pub enum Error {
         "scene {scene_id} was parsed before its files' own coordinates were kept: parse it again"
     )]
     NoSourceFrame { scene_id: String },
+    #[error("the scene has version {now}, not {asked} as in if_version: read its objects again")]
+    ParseChanged { asked: u32, now: u32 },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },
     #[error("there is no key {id}")]
@@ -346,6 +348,7 @@ impl Error {
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",
             Self::NoEmbeddings { .. } => "no_embeddings",
             Self::NoMap { .. } => "no_map",
+            Self::ParseChanged { .. } => "parse_changed",
             Self::NoSourceFrame { .. } => "no_source_frame",
             Self::AnswerNotFound { .. } => "answer_not_found",
             Self::NoScan { .. } => "archive_unreadable",

@@ -42,6 +42,78 @@ pub enum NoMatchReason {
     NotListed,
 }
 
+/// What kind of answer the question asks for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum AnswerKind {
+    /// One object: "the red mug".
+    #[default]
+    Box,
+    /// All objects that match, in `targets`: "what is on the desk", "all chairs".
+    List,
+    /// Their number, in `value`: "how many chairs are there".
+    Count,
+    /// A length or an area, in `value`: "how tall is the shelf", "how far is the stool from the
+    /// door".
+    Measure,
+    /// Yes or no, in `value`: "is there a piano", "is the mug on the table", "is the sofa longer
+    /// than the rug".
+    YesNo,
+    /// What the object is and looks like, in `text`: "what is the thing on the shelf", "what color
+    /// is the rug".
+    Description,
+    /// Where the object is, in `text`: "where is the remote".
+    Relation,
+}
+
+/// Unit of a measured value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub enum Unit {
+    /// Meters.
+    #[serde(rename = "m")]
+    Meters,
+    /// Square meters.
+    #[serde(rename = "m2")]
+    SquareMeters,
+    /// Cubic meters.
+    #[serde(rename = "m3")]
+    CubicMeters,
+}
+
+/// A measured or counted value, or yes or no.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct AnswerValue {
+    /// The answer to a yes-or-no question. Absent for other kinds, and if it cannot be told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub yes: Option<bool>,
+    /// The number: a count, or a measurement in `unit`. For the size of an object it is its longest
+    /// side.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub number: Option<f32>,
+    /// Unit of `number`. Absent for counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<Unit>,
+    /// Expected error of `number` in its unit, plus or minus.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<f32>,
+    /// Width (the longer horizontal side), depth and height of the object, meters. Only for
+    /// questions about its size.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Vec<f32>>))]
+    pub size: Option<[f32; 3]>,
+    /// Ids of the instances that were measured or compared. For a comparison, the one that the
+    /// question names first comes first.
+    #[serde(default)]
+    pub instances: Vec<InstanceId>,
+    /// Ends of the measured line, meters, world frame (Z up). Only for distances.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Vec<Vec<f32>>>))]
+    pub line: Option<[[f32; 3]; 2]>,
+}
+
 /// The six output fields of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -118,6 +190,10 @@ pub struct Target {
     /// Id of the object that this instance is a part of. `null` if it is not a part.
     #[serde(default)]
     pub parent: Option<InstanceId>,
+    /// Distance between its box and the object or the person that the question names, meters. Only
+    /// in lists that are about another object: "what is within a meter of the sofa".
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_m: Option<f32>,
 }
 
 /// The parsed question.
@@ -290,6 +366,20 @@ pub struct Answer {
     pub parse_version: u32,
     /// The question, unchanged.
     pub query: String,
+    /// The question as it was understood in its context: "how big is it?" after an answer about
+    /// instance 12 is "how big is #12". Absent if the context changes nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub understood_as: Option<String>,
+    /// What kind of answer the question asks for. `box` in answers from older versions.
+    #[serde(default)]
+    pub kind: AnswerKind,
+    /// The answer as a sentence that can be read aloud. Empty in answers from older versions.
+    #[serde(default)]
+    pub text: String,
+    /// The number, the measurement, or yes or no. Absent for other kinds, and if the object was not
+    /// found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub value: Option<AnswerValue>,
     /// Whether an object was found: `grounded`, `uncertain`, `ambiguous` or `no_match`.
     pub status: Status,
     /// Why no object was chosen. Absent unless the status is `no_match`.

@@ -3,6 +3,7 @@
 use crate::numbers;
 pub use crate::placement::{FrameChoice, Observer};
 use crate::problem::FieldError;
+use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};
 
 /// Default of `min_confidence`. docs/EVALUATION.md has the share of correct answers above it.
@@ -13,6 +14,10 @@ const MAX_QUERY_CHARS: usize = 1000;
 const MAX_TOP_K: u32 = 100;
 
 const MAX_TIMEOUT_S: f32 = 3600.0;
+
+/// Limits of the corners of a region.
+const MIN_CORNERS: usize = 3;
+const MAX_CORNERS: usize = 100;
 
 /// Minimum number of candidates on contact sheets.
 const ON_SHEETS: u32 = 24;
@@ -281,6 +286,101 @@ pub struct GroundRequest {
     /// rejected with `scene_not_ready`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait: Option<WaitFor>,
+    /// What the question leans on: an earlier answer ("and the blue one?", "how big is it?"), or an
+    /// instance that is meant by "this".
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub context: Option<QuestionContext>,
+    /// Version of the parse that the question is about. If the scene has another one, the question
+    /// is rejected with `parse_changed`, because ids may mean other objects. By default, the
+    /// current parse is asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub if_version: Option<u32>,
+    /// Region in which the object has to be. Other objects of the question may be outside.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub within: Option<Region>,
+}
+
+/// What a question leans on.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct QuestionContext {
+    /// Id of an earlier answer about the same scene. "It" is the object of that answer, and "one"
+    /// has the noun of its question. The answer's own context counts too, so the id of the last
+    /// answer is enough.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub answer_id: Option<String>,
+    /// Id of the instance that is meant by "this", "that" and "it", for example the one that is
+    /// selected in a viewer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instance: Option<InstanceId>,
+}
+
+/// A part of the room: a polygon on the ground plan, a range of heights, or both. The center of an
+/// object's box has to be in it.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Region {
+    /// Corners `[x, y]` of a polygon on the ground plan, meters, 3 to 100. In the coordinates of
+    /// `frame`, whose vertical axis has to be that of the scene.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Vec<Vec<f64>>>, min_items = 3, max_items = 100))]
+    pub polygon: Option<Vec<[f64; 2]>>,
+    /// Minimum z, meters, in the coordinates of `frame`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_z: Option<f64>,
+    /// Maximum z, meters, in the coordinates of `frame`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_z: Option<f64>,
+}
+
+impl Region {
+    /// Returns whether a point of the ground plan and its height are in the region.
+    #[must_use]
+    pub fn contains(&self, [x, y, z]: [f64; 3]) -> bool {
+        let in_range =
+            self.min_z.is_none_or(|min| z >= min) && self.max_z.is_none_or(|max| z <= max);
+        in_range && self.polygon.as_ref().is_none_or(|corners| is_inside(corners, x, y))
+    }
+
+    fn check(&self) -> Result<(), FieldError> {
+        if self.polygon.is_none() && self.min_z.is_none() && self.max_z.is_none() {
+            return Err(FieldError::new("/within", "must have a polygon, min_z or max_z"));
+        }
+        if let Some(corners) = &self.polygon {
+            if !(MIN_CORNERS..=MAX_CORNERS).contains(&corners.len()) {
+                return Err(FieldError::new(
+                    "/within/polygon",
+                    format!("must have {MIN_CORNERS} to {MAX_CORNERS} corners"),
+                ));
+            }
+            for [x, y] in corners {
+                numbers::check_coordinates("/within/polygon", &[*x, *y, 0.0])?;
+            }
+        }
+        for (pointer, z) in [("/within/min_z", self.min_z), ("/within/max_z", self.max_z)] {
+            z.map_or(Ok(()), |z| numbers::check_coordinates(pointer, &[0.0, 0.0, z]))?;
+        }
+        match (self.min_z, self.max_z) {
+            (Some(min), Some(max)) if min > max => {
+                Err(FieldError::new("/within/max_z", "must not be less than min_z"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Returns whether a point is inside a polygon, by the number of edges to its right.
+fn is_inside(corners: &[[f64; 2]], x: f64, y: f64) -> bool {
+    let mut inside = false;
+    for (i, [ax, ay]) in corners.iter().enumerate() {
+        let [bx, by] = corners[(i + 1) % corners.len()];
+        if (*ay > y) != (by > y) && x < (bx - ax) * (y - ay) / (by - ay) + ax {
+            inside = !inside;
+        }
+    }
+    inside
 }
 
 /// The parse that a question waits for.
@@ -379,6 +479,9 @@ impl GroundRequest {
             max_cost_usd: None,
             timeout_s: None,
             wait: None,
+            context: None,
+            if_version: None,
+            within: None,
         }
     }
 
@@ -391,6 +494,10 @@ impl GroundRequest {
             numbers::check_coordinates("/observer/position", position)?;
             numbers::check_finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
         }
+        if self.context.as_ref().is_some_and(|context| *context == QuestionContext::default()) {
+            return Err(FieldError::new("/context", "must have an answer_id or an instance"));
+        }
+        self.within.as_ref().map_or(Ok(()), Region::check)?;
         self.min_confidence
             .map_or(Ok(()), |least| numbers::check_in_range("/min_confidence", least, 0.0..=1.0))?;
         self.max_cost_usd

@@ -3,13 +3,15 @@
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use uniground_types::answer::{Alternative, Answer, NoMatchReason, Seen, Status, Target};
+use uniground_types::answer::{
+    Alternative, Answer, AnswerKind, AnswerValue, NoMatchReason, Seen, Status, Target,
+};
 use uniground_types::approach::{ApproachRequest, FloorPoint, Robot};
 use uniground_types::geometry::boxes::Aabb;
 use uniground_types::instances::{InstanceView, Levels};
 use uniground_types::many::{ManyAnswers, ManyGroundRequest, SceneAnswer};
 use uniground_types::placement::{FrameChoice, InFrame, Observer};
-use uniground_types::question::GroundRequest;
+use uniground_types::question::{GroundRequest, QuestionContext, Region};
 use uniground_types::scene::{InstanceId, Level, Structure, Support};
 use uniground_types::scenes::{Scene, SceneStatus};
 use utoipa::ToSchema;
@@ -63,26 +65,40 @@ impl From<Scene> for SceneBrief {
 pub(super) struct Ground {
     /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// Description of the object in English: "the black chair closest to the door", "all the mugs".
+    /// Question in English: "the black chair closest to the door", "what is on the desk", "how far
+    /// is the stool from the door", "is there a piano".
     #[schema(min_length = 1, max_length = 1000)]
     pub query: String,
     /// Observer for phrases like "left" and "in front of me".
     pub observer: Option<Observer>,
-    /// Frame of `observer` and `in_frame`.
+    /// Frame of `observer`, `within` and `in_frame`.
     #[serde(default)]
     pub frame: FrameChoice,
+    /// What the question leans on: the `answer_id` of an earlier answer for "it" and "one", or the
+    /// instance that "this" means.
+    pub context: Option<QuestionContext>,
+    /// Region in which the object has to be.
+    pub within: Option<Region>,
 }
 
 impl Ground {
     pub fn into_request(self) -> (String, GroundRequest) {
-        let Self { scene_id, query, observer, frame } = self;
-        (scene_id, GroundRequest { observer, frame, ..GroundRequest::new(query) })
+        let Self { scene_id, query, observer, frame, context, within } = self;
+        let request =
+            GroundRequest { observer, frame, context, within, ..GroundRequest::new(query) };
+        (scene_id, request)
     }
 }
 
 /// Answer to a question.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct Grounded {
+    /// The answer as a sentence.
+    pub text: String,
+    /// What kind of answer it is.
+    pub kind: AnswerKind,
+    /// The number, the measurement, or yes or no.
+    pub value: Option<AnswerValue>,
     /// Status. `grounded`: `targets` contains the object. `uncertain`: a likely guess. `ambiguous`:
     /// one of `alternatives`. `no_match`: no object fits.
     pub status: Status,
@@ -112,6 +128,9 @@ impl From<Answer> for Grounded {
     fn from(answer: Answer) -> Self {
         let Answer {
             id,
+            text,
+            kind,
+            value,
             status,
             no_match_reason,
             seen,
@@ -125,6 +144,9 @@ impl From<Answer> for Grounded {
             ..
         } = answer;
         Self {
+            text,
+            kind,
+            value,
             status,
             no_match_reason,
             explanation: answer.explanation,

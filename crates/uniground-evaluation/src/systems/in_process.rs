@@ -349,6 +349,8 @@ impl OpenScene for LocalScene {
             candidates: configuration.candidates,
             query_text: configuration.query_text,
             min_confidence: 0.0,
+            within: None,
+            most_confidence: 1.0,
         };
         let source = self.album.scene(instances);
         let start = Instant::now();

@@ -182,8 +182,8 @@ struct Read {
 impl Read {
     fn of(view: View, assessor: &mut Assessor, parsed: &ParsedQuery) -> Self {
         view.take(assessor);
-        let assessment = assessor.assess(&parsed.target);
-        let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
+        let assessment = assessor.assess_target(&parsed.target);
+        let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess_target(phrase));
         let second_first = other.is_some() && says_it_of_nothing(assessor, &parsed.target);
         let counts = if second_first { [OTHER_READING, 1.0] } else { [1.0, OTHER_READING] };
         let mut scores = joint_scores(&assessment, other.as_ref(), counts);
@@ -291,7 +291,7 @@ fn beliefs(scores: &[f32]) -> Vec<f32> {
 /// may mean.
 fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
     match (target.meaning(), scene.names.get(index)) {
-        (Meaning::Anything, _) => true,
+        (Meaning::Anything | Meaning::Instance(_), _) => true,
         (Meaning::Structure(structure), _)
             if scene.instances[index].structure == Some(structure) =>
         {
@@ -717,7 +717,8 @@ mod tests {
         answer.require_confidence(sure.confidence);
         assert_eq!(answer, sure);
         answer.require_confidence(sure.confidence + 0.01);
-        assert_eq!(answer, Grounding { status: Status::Uncertain, ..sure });
+        let text = format!("I am not sure. {}", sure.text);
+        assert_eq!(answer, Grounding { status: Status::Uncertain, text, ..sure });
     }
 
     #[test]

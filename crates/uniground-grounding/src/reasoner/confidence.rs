@@ -9,7 +9,7 @@ use uniground_language::{Meaning, Phrase};
 
 /// The source of an object's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum NamesFrom {
+pub(crate) enum NamesFrom {
     /// Sizes, places and colors.
     Measures,
     /// An image and text encoder that saw instances of a segmenter.
@@ -26,6 +26,7 @@ impl NamesFrom {
     pub fn of(scene: SceneView, target: &Phrase, index: usize) -> Self {
         let is_asked_structure = match target.meaning() {
             Meaning::Structure(structure) => scene.instances[index].structure == Some(structure),
+            Meaning::Instance(id) => scene.instances[index].id == id,
             _ => false,
         };
         match scene.names.get(index) {
@@ -37,6 +38,18 @@ impl NamesFrom {
                 None => Self::Measures,
             },
         }
+    }
+
+    /// Returns how likely the first name of the instance at an index is right, `0..=1`.
+    pub fn name_confidence(scene: SceneView, index: usize) -> f32 {
+        let source = Self::of(scene, &Phrase::default(), index);
+        let instance = &scene.instances[index];
+        if source == Self::Given || instance.structure.is_some() {
+            return 1.0;
+        }
+        let all: f32 = instance.names.iter().map(|guess| guess.score).sum();
+        let first = instance.names.first().map_or(0.0, |guess| guess.score);
+        share_right(if all > 0.0 { first / all } else { 0.0 }, source)
     }
 
     fn curve(self) -> &'static [(f32, f32)] {

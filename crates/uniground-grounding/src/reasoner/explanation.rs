@@ -155,6 +155,7 @@ fn in_words(relation: &Relation) -> String {
 fn is_called(instance: &Instance, said: &Phrase) -> bool {
     match said.meaning() {
         Meaning::Anything | Meaning::Unknown => true,
+        Meaning::Instance(id) => instance.id == id,
         Meaning::Structure(structure) => instance.structure == Some(structure),
         Meaning::Nouns(nouns) => instance
             .names
@@ -192,7 +193,7 @@ pub(super) fn why_nothing_fits(parsed: &ParsedQuery) -> String {
 }
 
 /// Returns the relations in the question's words; `None` when it has none.
-pub(super) fn relation_words(phrase: &Phrase) -> Option<String> {
+pub(crate) fn relation_words(phrase: &Phrase) -> Option<String> {
     let relations = phrase.relations.iter().map(|r| {
         let anchors: Vec<String> = r.anchors.iter().map(Phrase::text).collect();
         let words = if anchors.is_empty() {

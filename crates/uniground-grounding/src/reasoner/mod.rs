@@ -5,6 +5,9 @@ mod confidence;
 mod explanation;
 mod views;
 
+pub(super) use confidence::NamesFrom;
+pub(super) use explanation::relation_words;
+
 use super::{NoMatchReason, Status};
 use uniground_geometry::scene::InstanceId;
 

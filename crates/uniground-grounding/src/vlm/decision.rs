@@ -286,6 +286,9 @@ mod tests {
     fn grounding(candidates: u32, best_score: f32) -> Grounding {
         let of = |id: u32| to_candidate(&instances()[id as usize - 1], id, best_score / id as f32);
         Grounding {
+            kind: crate::AnswerKind::Box,
+            text: String::new(),
+            value: None,
             query: "the chair".into(),
             status: Status::Ambiguous,
             no_match_reason: None,

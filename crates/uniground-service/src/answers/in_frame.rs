@@ -6,6 +6,8 @@ use uniground_storage::SceneRow;
 use uniground_types::answer::Target;
 use uniground_types::approach::{PlacedPose, PosesInFrame, StandingPose};
 use uniground_types::placement::{FrameChoice, InFrame, SceneToFrame, Stamp};
+use uniground_types::problem::FieldError;
+use uniground_types::question::Region;
 use uniground_types::scene::SourceToScene;
 
 /// A coordinate frame other than the scene's own.
@@ -40,6 +42,35 @@ impl CoordinateFrameView {
             }
         };
         Ok(Some(Self { choice, id, from_scene }))
+    }
+
+    /// Returns a region of this frame in the scene's own.
+    ///
+    /// # Errors
+    /// [`FieldError`] if the vertical axes of the two frames differ.
+    pub fn region_to_scene(&self, region: &Region) -> Result<Region, FieldError> {
+        /// Largest deviation from the vertical over one meter, meters.
+        const LEVEL_M: f64 = 1e-3;
+        let [x, y, z] = self.from_scene.invert([0.0; 3]);
+        let [above_x, above_y, above_z] = self.from_scene.invert([0.0, 0.0, 1.0]);
+        if (above_x - x).hypot(above_y - y) > LEVEL_M || above_z < z {
+            return Err(FieldError::new(
+                "/within",
+                "the frame's z axis is not the vertical; use frame \"scene\"",
+            ));
+        }
+        let to_scene = |point: [f64; 3]| self.from_scene.invert(point);
+        Ok(Region {
+            polygon: region.polygon.as_ref().map(|corners| {
+                corners
+                    .iter()
+                    .map(|[x, y]| to_scene([*x, *y, 0.0]))
+                    .map(|[x, y, _]| [x, y])
+                    .collect()
+            }),
+            min_z: region.min_z.map(|z| to_scene([0.0, 0.0, z])[2]),
+            max_z: region.max_z.map(|z| to_scene([0.0, 0.0, z])[2]),
+        })
     }
 
     /// Returns the boxes of these targets in this frame.

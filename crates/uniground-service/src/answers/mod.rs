@@ -1,5 +1,6 @@
 //! Answers questions about scenes and stores the answers.
 
+mod follow_ups;
 mod in_frame;
 mod lists;
 mod many;
@@ -144,6 +145,10 @@ impl GroundingService {
             }
         }
         let (scene, parse_id) = self.scene_lookup.ready_scene(scene_id).await?;
+        let version = u32::try_from(scene.parse_version).unwrap_or(0);
+        if let Some(asked) = request.if_version.filter(|asked| *asked != version) {
+            return Err(Error::ParseChanged { asked, now: version });
+        }
         let mut budgets = Vlm::budgets(request.max_cost_usd);
         budgets.extend(asker.pays);
         let models = QuestionModels::decide(self.vlm.as_ref(), &request, &asker.caller, budgets)?;
@@ -174,14 +179,32 @@ impl GroundingService {
                 observer: request
                     .observer
                     .map(|observer| frame.from_scene.observer_to_scene(&observer)),
+                within: match &request.within {
+                    Some(region) => Some(frame.region_to_scene(region)?),
+                    None => None,
+                },
                 ..request
             },
+            None => request,
+        };
+        let said = request.query.clone();
+        let (understood_as, context_confidence) = match &request.context {
+            Some(context) => {
+                let (resolved, confidence) =
+                    self.resolve_follow_up(&scene.id, &said, context, &source.parse).await?;
+                ((resolved != said).then_some(resolved), confidence)
+            }
+            None => (None, 1.0),
+        };
+        let request = match &understood_as {
+            Some(query) => GroundRequest { query: query.clone(), ..request },
             None => request,
         };
         // A permit for the queue of the model, held until the question is answered.
         let _place = models.acquire_queue_permit()?;
         let asks_model = models.has_reviewer() || request.parser == ParserChoice::Vlm;
-        let ask = models.into_ask(&request);
+        let mut ask = models.into_ask(&request);
+        ask.question.most_confidence = context_confidence;
         let answered = match request.timeout_s {
             Some(seconds) => {
                 match timeout(
@@ -201,9 +224,10 @@ impl GroundingService {
             None => pipeline::answer(&source, ask).await?,
         };
         answered.calls.iter().for_each(|call| self.metrics.vlm.record_purpose(call.purpose));
-        let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer =
             self.to_answer(&answered, asker.answer_id, scene.id, version, &source.parse);
+        answer.query = said;
+        answer.understood_as = understood_as;
         answer.in_frame = frame.map(|frame| frame.with_targets(&answer.targets));
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
         // No client waits for an item of a batch, and its answer may have been paid for. Storing it
@@ -334,6 +358,9 @@ impl GroundingService {
         } = answered.clone();
         let Grounding {
             query,
+            kind,
+            text,
+            value,
             status,
             no_match_reason,
             seen,
@@ -372,6 +399,10 @@ impl GroundingService {
             scene_id,
             parse_version,
             query,
+            understood_as: None,
+            kind,
+            text,
+            value,
             status,
             no_match_reason,
             seen,

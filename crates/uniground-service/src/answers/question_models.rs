@@ -116,6 +116,8 @@ impl QuestionModels {
             candidates: request.candidates,
             query_text: request.query_text,
             min_confidence: request.min_confidence.unwrap_or(DEFAULT_MIN_CONFIDENCE),
+            within: request.within.clone(),
+            most_confidence: 1.0,
         };
         Ask {
             question,

@@ -1,0 +1,364 @@
+//! Turns the decision about a question's target into the kind of answer that the question asks for:
+//! a list, a count, a measurement, yes or no, a description, or a place. Every answer gets a
+//! sentence.
+//!
+//! The decision is made before, by geometry or by a model. Other objects of the question, such as
+//! the TV of "how far is the stool from the TV", are decided here by geometry.
+
+mod checks;
+mod fits;
+mod lists;
+mod measures;
+mod sentences;
+
+use super::answer::{describe_instance, to_target};
+use super::assess::Assessor;
+use super::reasoner::{NamesFrom, Verdict, builtin};
+use super::{
+    AnswerKind, AnswerValue, Grounding, NoMatchReason, Question, SceneView, Status, assessor_of,
+};
+use sentences::{Names, joined};
+use uniground_geometry::scene::{Instance, InstanceId};
+use uniground_language::{Form, ME, Meaning, ParsedQuery, Phrase, Quantity};
+use uniground_models::attributes::Lexicon;
+
+/// Fills in the kind, the sentence and the value of an answer, and the targets of a list.
+pub(super) fn complete(
+    scene: SceneView,
+    question: &Question,
+    parsed: &ParsedQuery,
+    grounding: &mut Grounding,
+) {
+    let mut writer = Writer { assessor: assessor_of(scene, question), parsed };
+    grounding.kind = kind_of(&parsed.form);
+    match &parsed.form {
+        Form::Object => grounding.text = writer.object(grounding),
+        Form::List => writer.list(grounding),
+        Form::Count => writer.count(grounding),
+        Form::Exists => writer.exists(grounding),
+        Form::Number(range) => writer.number(range, grounding),
+        Form::Holds(subject) => writer.holds(subject, grounding),
+        Form::Size(dimension) => writer.size(*dimension, grounding),
+        Form::Distance(reference) => writer.distance(reference, grounding),
+        Form::Comparison(comparison) => writer.comparison(comparison, grounding),
+        Form::Choice(comparison) => writer.choice(comparison, grounding),
+        Form::Fit(passage) => writer.fit(passage, grounding),
+        Form::Description(aspect) => {
+            if let Some(index) =
+                writer.chosen(grounding).filter(|_| *aspect == uniground_language::Aspect::All)
+            {
+                let named = NamesFrom::name_confidence(scene, index);
+                grounding.confidence = grounding.confidence.min(named);
+            }
+            grounding.text = writer.description(*aspect, grounding);
+        }
+        Form::Place => grounding.text = writer.place(grounding),
+    }
+    grounding.text = writer.names().in_place_of_ids(&grounding.text).replace(" the me", " you");
+    grounding.confidence = grounding.confidence.min(question.most_confidence);
+}
+
+/// Returns the kind of answer that a form asks for.
+fn kind_of(form: &Form) -> AnswerKind {
+    match form {
+        Form::Object | Form::Choice(_) => AnswerKind::Box,
+        Form::List => AnswerKind::List,
+        Form::Count => AnswerKind::Count,
+        Form::Size(_) | Form::Distance(_) => AnswerKind::Measure,
+        Form::Exists | Form::Number(_) | Form::Holds(_) | Form::Comparison(_) | Form::Fit(_) => {
+            AnswerKind::YesNo
+        }
+        Form::Description(_) => AnswerKind::Description,
+        Form::Place => AnswerKind::Relation,
+    }
+}
+
+/// Returns whether a vision-language model may decide about the target. The other forms compare or
+/// list what the geometry has found.
+#[must_use]
+pub(super) fn may_be_reviewed(parsed: &ParsedQuery) -> bool {
+    match &parsed.form {
+        Form::Holds(_) | Form::Comparison(_) | Form::Choice(_) | Form::Fit(_) => false,
+        Form::List | Form::Exists => !is_about_anything(&parsed.target),
+        _ => true,
+    }
+}
+
+/// Returns whether a phrase asks for objects of any kind: "what is on the desk".
+fn is_about_anything(phrase: &Phrase) -> bool {
+    phrase.meaning() == Meaning::Anything && phrase.uses.is_empty()
+}
+
+/// Writes the answer to one question.
+struct Writer<'a> {
+    assessor: Assessor<'a>,
+    parsed: &'a ParsedQuery,
+}
+
+/// An object of a question other than its target, as decided by geometry.
+struct Resolved {
+    /// The chosen instance; `None` where nothing fits.
+    index: Option<usize>,
+    /// Belief in it, or that nothing fits.
+    confidence: f32,
+    /// Why nothing fits.
+    reason: Option<NoMatchReason>,
+    /// Whether others fit as well as the chosen one.
+    is_tied: bool,
+    /// Fit of each instance.
+    scores: Vec<f32>,
+}
+
+impl Resolved {
+    /// Returns indices of all instances that fit like the best.
+    fn tied(&self) -> Vec<usize> {
+        const TIE: f32 = 0.97;
+        let best = self.scores.iter().copied().fold(0.0, f32::max);
+        (0..self.scores.len()).filter(|&i| self.scores[i] >= TIE * best).collect()
+    }
+
+    /// Returns the best instance apart from one, if it fits nearly as well.
+    fn next_to(&self, index: usize) -> Option<usize> {
+        const ALSO_MEANT: f32 = 0.5;
+        let best = *self.scores.get(index)?;
+        (0..self.scores.len())
+            .filter(|&i| i != index && self.scores[i] > 0.0)
+            .filter(|&i| self.scores[i] >= ALSO_MEANT * best)
+            .max_by(|&a, &b| self.scores[a].total_cmp(&self.scores[b]).then(b.cmp(&a)))
+    }
+}
+
+impl<'a> Writer<'a> {
+    fn instances(&self) -> &'a [Instance] {
+        self.assessor.scene.instances
+    }
+
+    fn names(&self) -> Names<'a> {
+        Names { instances: self.instances() }
+    }
+
+    /// Returns the index of the chosen instance.
+    fn chosen(&self, grounding: &Grounding) -> Option<usize> {
+        let index = (grounding.answer.predicted_id?.0 as usize).checked_sub(1)?;
+        (index < self.instances().len()).then_some(index)
+    }
+
+    /// Decides which instance a phrase means. It need not be in the question's region.
+    fn resolve(&mut self, phrase: &Phrase) -> Resolved {
+        let within = self.assessor.within.take();
+        let found = self.resolve_target(phrase);
+        self.assessor.within = within;
+        found
+    }
+
+    /// Decides which instance in the question's region a phrase means.
+    fn resolve_target(&mut self, phrase: &Phrase) -> Resolved {
+        let parsed = ParsedQuery { target: phrase.clone(), ..ParsedQuery::default() };
+        let Verdict { status, reason, scores, beliefs, .. } =
+            builtin::decide(&mut self.assessor, &parsed);
+        let best = (0..scores.len())
+            .reduce(|best, i| if scores[i] > scores[best] { i } else { best })
+            .filter(|_| status != Status::NoMatch);
+        let confidence = match best {
+            Some(best) => beliefs[best],
+            None => 1.0 - scores.iter().copied().fold(0.0, f32::max),
+        };
+        Resolved { index: best, confidence, reason, is_tied: status == Status::Ambiguous, scores }
+    }
+
+    /// Replaces the anchors of a phrase by the instances that they mean. Returns the phrase, and
+    /// the confidence in its anchors; or the anchor that was not found, and why.
+    fn resolve_anchors(
+        &mut self,
+        phrase: &Phrase,
+    ) -> Result<(Phrase, f32), Box<(Phrase, Resolved)>> {
+        let mut resolved = phrase.clone();
+        let mut confidence = 1.0_f32;
+        for relation in &mut resolved.relations {
+            // "chairs at a table": any of them. Zones and the asker are no instances.
+            for anchor in &mut relation.anchors {
+                let is_instance = anchor.head != ME
+                    && !anchor.indefinite
+                    && uniground_language::zones::nouns_of_zone(&anchor.head).is_none();
+                if !is_instance {
+                    continue;
+                }
+                let found = self.resolve(anchor);
+                let Some(index) = found.index else {
+                    return Err(Box::new((anchor.clone(), found)));
+                };
+                // "on the wall", where there are four: each of them may be meant.
+                if found.is_tied || matches!(anchor.meaning(), Meaning::Structure(_)) {
+                    continue;
+                }
+                confidence = confidence.min(found.confidence);
+                let head = format!("#{}", self.instances()[index].id);
+                *anchor = Phrase { head, ..Phrase::default() };
+            }
+        }
+        Ok((resolved, confidence))
+    }
+
+    /// Makes an instance the answer.
+    fn choose(&self, index: usize, confidence: f32, grounding: &mut Grounding) {
+        let instance = &self.instances()[index];
+        grounding.status = Status::Grounded;
+        grounding.no_match_reason = None;
+        grounding.confidence = confidence;
+        grounding.answer.predicted_id = Some(instance.id);
+        grounding
+            .answer
+            .candidate_names
+            .entry(instance.id.0)
+            .or_insert_with(|| describe_instance(instance));
+        grounding.aabb = Some(instance.aabb);
+        grounding.oriented_box = Some(instance.oriented_box);
+        grounding.targets = vec![to_target(instance, confidence)];
+        grounding.count = None;
+        grounding.alternatives.retain(|other| other.id != instance.id);
+    }
+
+    /// Makes the answer one without an object.
+    fn choose_nothing(reason: NoMatchReason, confidence: f32, grounding: &mut Grounding) {
+        grounding.status = Status::NoMatch;
+        grounding.no_match_reason = Some(reason);
+        grounding.confidence = confidence;
+        grounding.answer.predicted_id = None;
+        grounding.answer.target_name_matches = None;
+        grounding.aabb = None;
+        grounding.oriented_box = None;
+        grounding.targets.clear();
+        grounding.alternatives.clear();
+    }
+
+    /// Makes the answer one without an object, because another object of the question was not
+    /// found.
+    fn choose_nothing_without(phrase: &Phrase, missing: &Resolved, grounding: &mut Grounding) {
+        let reason = missing.reason.unwrap_or(NoMatchReason::Absent);
+        Self::choose_nothing(reason, missing.confidence, grounding);
+        grounding.text = Self::nothing(phrase, Some(reason));
+    }
+
+    /// Returns how the answer calls the target: by the question's own words where they name it.
+    fn target_name(&self, index: usize) -> String {
+        if self.parsed.quantity == Quantity::One {
+            self.spoken_name(&self.parsed.target, index)
+        } else {
+            self.names().the(index)
+        }
+    }
+
+    /// Returns how a sentence calls an instance that a phrase means: by the question's words where
+    /// they say what it is, and by its name where that has the same noun and says more.
+    fn spoken_name(&self, phrase: &Phrase, index: usize) -> String {
+        let named = self.names().the(index);
+        let says_what = !matches!(phrase.meaning(), Meaning::Anything | Meaning::Instance(_))
+            && phrase.uses.is_empty();
+        let has_noun = named.strip_suffix(&phrase.head).is_some_and(|rest| rest.ends_with(' '));
+        let says_less = phrase.colors.is_empty()
+            && phrase.other_than.is_empty()
+            && phrase.traits.is_empty()
+            && phrase.unchecked.is_empty();
+        let is_one_of_several = Lexicon::get().is_plural(&phrase.head);
+        if !says_what
+            || has_noun && says_less
+            || is_one_of_several && self.parsed.quantity == Quantity::One
+        {
+            named
+        } else {
+            format!("the {}", sentences::spoken(phrase))
+        }
+    }
+
+    /// Returns the sentence where no single instance was chosen; `None` where one was.
+    fn without_choice(&self, grounding: &Grounding) -> Option<String> {
+        match grounding.status {
+            Status::Grounded | Status::Uncertain => None,
+            Status::Ambiguous => Some(self.which_one(grounding)),
+            Status::NoMatch => Some(Self::nothing(&self.parsed.target, grounding.no_match_reason)),
+        }
+    }
+
+    /// Asks which of several objects is meant.
+    fn which_one(&self, grounding: &Grounding) -> String {
+        if is_about_anything(&self.parsed.target) && self.parsed.target.relations.is_empty() {
+            return "Your question names no object. Select an object, or say which one you mean."
+                .to_owned();
+        }
+        let ids: Vec<String> = grounding
+            .alternatives
+            .iter()
+            .map(|other| format!("{} ({})", self.names().the(other.id.0 as usize - 1), other.id))
+            .collect();
+        if ids.is_empty() {
+            return "Many objects fit. Say more about the one you mean.".to_owned();
+        }
+        format!("Several objects fit: {}. Which one do you mean?", joined(&ids))
+    }
+
+    /// Returns the sentence for an object that was not found.
+    fn nothing(phrase: &Phrase, reason: Option<NoMatchReason>) -> String {
+        let name = sentences::spoken(phrase);
+        let name = if is_about_anything(phrase) { "nothing".into() } else { format!("no {name}") };
+        match reason {
+            Some(NoMatchReason::NotRecognised) => {
+                format!("I do not know what \"{}\" looks like.", phrase.head)
+            }
+            Some(NoMatchReason::NotEnglish) => "I only understand English.".to_owned(),
+            Some(NoMatchReason::Elsewhere) => {
+                let place = super::reasoner::relation_words(phrase).unwrap_or_default();
+                format!("I found {name} {place}.").replace(" .", ".")
+            }
+            Some(NoMatchReason::NotListed) => {
+                format!("I see the {} in a photograph, but I have no box for it.", phrase.head)
+            }
+            Some(NoMatchReason::Absent | NoMatchReason::NoneSeen) | None => {
+                format!("I found {name}.")
+            }
+        }
+    }
+
+    /// "The red mug is on the coffee table."
+    fn object(&self, grounding: &Grounding) -> String {
+        self.without_choice(grounding).unwrap_or_else(|| self.place(grounding))
+    }
+
+    /// Where the chosen object is.
+    fn place(&self, grounding: &Grounding) -> String {
+        if let Some(sentence) = self.without_choice(grounding) {
+            return sentence;
+        }
+        let Some(index) = self.chosen(grounding) else { return String::new() };
+        let name = sentences::capitalized(&self.target_name(index));
+        let be = sentences::be(&name);
+        if let Some(place) = self.names().place(&self.assessor, index) {
+            return format!("{name} {be} {place}.");
+        }
+        let called = self.names().the(index);
+        if name.eq_ignore_ascii_case(&called) {
+            format!("I found {called}.")
+        } else {
+            format!("{name} {be} {called}.")
+        }
+    }
+
+    /// What the chosen object is.
+    fn description(&self, aspect: uniground_language::Aspect, grounding: &Grounding) -> String {
+        if let Some(sentence) = self.without_choice(grounding) {
+            return sentence;
+        }
+        let Some(index) = self.chosen(grounding) else { return String::new() };
+        if grounding.targets.len() > 1 {
+            return format!("{}.", sentences::capitalized(&Self::named(grounding)));
+        }
+        sentences::description(&self.assessor, aspect, index, &self.target_name(index))
+    }
+}
+
+/// Returns a value without number, with the instances that it is about.
+fn value_of(instances: &[InstanceId]) -> AnswerValue {
+    AnswerValue { instances: instances.to_vec(), ..AnswerValue::default() }
+}
+
+#[cfg(test)]
+mod tests;

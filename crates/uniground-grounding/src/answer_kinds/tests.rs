@@ -1,0 +1,263 @@
+use super::*;
+use crate::direction::Observer;
+use crate::{NameIndex, Region, Unit, ground};
+use uniground_geometry::boxes::Aabb;
+use uniground_geometry::scene::{Structure, Support};
+use uniground_geometry::{Point3, Vector3};
+use uniground_testing::thing;
+
+fn named(
+    id: u32,
+    name: &str,
+    at: [f32; 2],
+    size: [f32; 3],
+    base: f32,
+    support: Support,
+) -> Instance {
+    let instance = thing(id, at, size, base, support, [90; 3]);
+    Instance { given_name: Some(name.into()), ..instance }
+}
+
+/// Returns a desk with a laptop and two mugs, a sofa of 2 m with a stool of 0.4 m next to it, a
+/// lamp of 1.5 m, and the floor.
+fn room() -> Vec<Instance> {
+    let on_desk = Support::Instance { id: InstanceId(1) };
+    let floor = named(8, "floor", [0.0, 0.0], [6.0, 5.0, 0.1], -0.1, Support::Nothing);
+    vec![
+        named(1, "desk", [-2.0, 0.0], [1.4, 0.7, 0.75], 0.0, Support::Floor),
+        named(2, "laptop", [-2.0, 0.0], [0.3, 0.2, 0.2], 0.75, on_desk),
+        named(3, "red mug", [-2.5, 0.1], [0.1, 0.1, 0.1], 0.75, on_desk),
+        named(4, "blue mug", [-1.5, 0.1], [0.1, 0.1, 0.1], 0.75, on_desk),
+        named(5, "sofa", [2.0, 0.0], [2.0, 0.9, 0.8], 0.0, Support::Floor),
+        named(6, "stool", [2.0, 1.0], [0.4, 0.4, 0.4], 0.0, Support::Floor),
+        named(7, "floor lamp", [0.0, -2.0], [0.3, 0.3, 1.5], 0.0, Support::Floor),
+        Instance { structure: Some(Structure::Floor), ..floor },
+    ]
+}
+
+fn ask_with(question: &Question) -> Grounding {
+    ask_in(&room(), question)
+}
+
+fn ask_in(instances: &[Instance], question: &Question) -> Grounding {
+    let names = NameIndex::of(instances);
+    let extent = Aabb { center: Point3::new(0.0, 0.0, 1.2), size: Vector3::new(6.0, 5.0, 2.5) };
+    let scene = SceneView { instances, extent, names: &names, appearance: None };
+    ground(scene, question)
+}
+
+fn ask(query: &str) -> Grounding {
+    ask_with(&Question::of(query))
+}
+
+fn targets(answer: &Grounding) -> Vec<u32> {
+    answer.targets.iter().map(|target| target.id.0).collect()
+}
+
+#[track_caller]
+fn yes(query: &str) -> Option<bool> {
+    let answer = ask(query);
+    assert_eq!(answer.kind, AnswerKind::YesNo, "{query}: {answer:?}");
+    answer.value.and_then(|value| value.yes)
+}
+
+#[test]
+fn lists_have_what_is_at_the_place_and_nothing_else() {
+    let answer = ask("what is on the desk?");
+    assert_eq!(answer.kind, AnswerKind::List);
+    assert_eq!(targets(&answer), [2, 3, 4]);
+    assert_eq!(answer.count, Some(3));
+    assert!(answer.text.starts_with("On the desk: "), "{}", answer.text);
+    assert_eq!(targets(&ask("everything on the desk except the laptop")), [3, 4]);
+    assert_eq!(targets(&ask("all mugs")).len(), 2);
+    let answer = ask("what is on the sofa?");
+    assert_eq!(answer.status, Status::NoMatch);
+    assert_eq!(answer.text, "I found nothing on the sofa.");
+    let answer = ask("what is on the piano?");
+    assert_eq!((answer.status, answer.text.as_str()), (Status::NoMatch, "I found no piano."));
+}
+
+#[test]
+fn a_list_asks_which_anchor_is_meant_if_several_have_something() {
+    let nightstand = |id, x| named(id, "nightstand", [x, 0.0], [0.4; 3], 0.0, Support::Floor);
+    let on = |id, name, x, holder| {
+        named(id, name, [x, 0.0], [0.1; 3], 0.4, Support::Instance { id: InstanceId(holder) })
+    };
+    let mut instances = vec![nightstand(1, 0.0), nightstand(2, 3.0), on(3, "lamp", 0.0, 1)];
+    let question = Question::of("what is on the nightstand?");
+    assert_eq!(targets(&ask_in(&instances, &question)), [3]);
+    instances.push(on(4, "mug", 3.0, 2));
+    let answer = ask_in(&instances, &question);
+    assert_eq!((answer.status, answer.alternatives.len()), (Status::Ambiguous, 2));
+    assert!(answer.text.ends_with("Which one do you mean?"), "{}", answer.text);
+    let all = ask_in(&instances, &Question::of("what is on the nightstands?"));
+    assert_eq!(targets(&all), [3, 4]);
+}
+
+#[test]
+fn distances_limit_lists_and_are_returned_with_them() {
+    let answer = ask("what is within 50 cm of the sofa?");
+    assert_eq!(targets(&answer), [6], "{}", answer.text);
+    assert!(answer.text.starts_with("Within 0.5 m of the sofa"), "{}", answer.text);
+    let beside = ask("what is within 50 cm of #5?");
+    assert!(beside.text.starts_with("Within 0.5 m of the grey sofa"), "{}", beside.text);
+    let distance = answer.targets[0].distance_m.unwrap();
+    assert!((distance - 0.35).abs() < 1e-3, "{distance}");
+}
+
+#[test]
+fn counts_are_numbers() {
+    let answer = ask("how many mugs are there?");
+    assert_eq!(answer.kind, AnswerKind::Count);
+    assert_eq!(answer.value.unwrap().number, Some(2.0));
+    let answer = ask("how many pianos are there?");
+    assert_eq!(answer.value.unwrap().number, Some(0.0));
+}
+
+#[test]
+fn sizes_come_from_the_box() {
+    let value = |query: &str| ask(query).value.unwrap();
+    let big = value("how big is the sofa?");
+    assert_eq!(big.size, Some([2.0, 0.9, 0.8]));
+    assert_eq!((big.number, big.unit), (Some(2.0), Some(Unit::Meters)));
+    assert!(big.error.unwrap() > 0.0);
+    assert_eq!(value("how tall is the floor lamp?").number, Some(1.5));
+    assert_eq!(value("how wide is the sofa").number, Some(2.0));
+    assert_eq!(value("how deep is the sofa").number, Some(0.9));
+    assert_eq!(value("how high above the floor is the laptop").number, Some(0.75));
+    assert_eq!(value("how much space does the sofa take up").unit, Some(Unit::SquareMeters));
+}
+
+#[test]
+fn distances_are_between_the_nearest_sides() {
+    let answer = ask("how far is the stool from the sofa?");
+    let value = answer.value.unwrap();
+    assert!((value.number.unwrap() - 0.35).abs() < 1e-3, "{value:?}");
+    assert_eq!(value.instances, [InstanceId(6), InstanceId(5)]);
+    let [from, to] = value.line.unwrap();
+    assert!((from[1] - 0.8).abs() < 1e-3 && (to[1] - 0.45).abs() < 1e-3, "{from:?} {to:?}");
+    assert_eq!(answer.answer.anchor_id, Some(InstanceId(5)));
+    // Without an observer, the distance to "me" is unknown.
+    let question = Question::of("how far is the sofa from me?");
+    let answer = ask_with(&question);
+    assert!(answer.value.is_none() && answer.text.contains("observer"), "{}", answer.text);
+    let observer = Some(Observer { position: [0.0, 0.0, 0.4], yaw_rad: 0.0 });
+    let value = ask_with(&Question { observer, ..question }).value.unwrap();
+    assert!((value.number.unwrap() - 1.0).abs() < 1e-3, "{value:?}");
+}
+
+#[test]
+fn yes_or_no_follows_from_the_room() {
+    assert_eq!(yes("is there a sofa?"), Some(true));
+    assert_eq!(yes("is there a piano?"), Some(false));
+    assert_eq!(yes("is there anything on the desk?"), Some(true));
+    assert_eq!(yes("is there anything on the stool?"), Some(false));
+    assert_eq!(yes("is the laptop on the desk?"), Some(true));
+    assert_eq!(yes("is the laptop on the sofa?"), Some(false));
+    assert_eq!(yes("is the laptop on the floor?"), Some(false));
+    assert_eq!(yes("is #3 a mug?"), Some(true));
+    assert_eq!(yes("is #5 a mug?"), Some(false));
+    assert_eq!(yes("is the sofa longer than the desk?"), Some(true));
+    assert_eq!(yes("is the sofa taller than the floor lamp?"), Some(false));
+    assert_eq!(yes("is the stool closer to the sofa than the desk?"), Some(true));
+    assert_eq!(yes("does the stool fit under the desk?"), Some(true));
+    assert_eq!(yes("does the sofa fit under the desk?"), Some(false));
+    // The gap of 2.3 m between desk and sofa; the free space under a sofa is unknown.
+    assert_eq!(yes("would a robot 60 cm wide fit between the desk and the sofa?"), Some(true));
+    assert_eq!(
+        yes("could a 3 m wide cart drive through between the desk and the sofa?"),
+        Some(false)
+    );
+    assert_eq!(yes("would a robot 15 cm high fit under the sofa?"), None);
+    assert_eq!(yes("would a robot 2 m high fit under the sofa?"), Some(false));
+}
+
+#[test]
+fn numbers_of_a_question_are_compared_with_the_count() {
+    assert_eq!(yes("are there exactly two mugs?"), Some(true));
+    assert_eq!(yes("are there exactly 3 mugs?"), Some(false));
+    assert_eq!(yes("are there more than 2 mugs?"), Some(false));
+    assert_eq!(yes("are there at least 2 mugs?"), Some(true));
+    assert_eq!(yes("are there less than 3 mugs?"), Some(true));
+    assert_eq!(yes("are there no mugs?"), Some(false));
+    assert_eq!(yes("are there no pianos?"), Some(true));
+    assert!(ask("are there no mugs?").text.starts_with("No. There are 2"));
+}
+
+#[test]
+fn nonsense_is_said_to_be_nonsense() {
+    let answer = ask("how far is #5 from #5?");
+    assert_eq!(
+        (answer.status, answer.text.as_str()),
+        (Status::Grounded, "Both are the grey sofa.")
+    );
+    let answer = ask("what is next to it?");
+    assert_eq!(answer.status, Status::NoMatch);
+    assert!(answer.text.contains("which object you mean"), "{}", answer.text);
+    // A floor is no table, also where nothing else is left.
+    let low = Region { max_z: Some(0.0), ..Region::default() };
+    let answer = ask_with(&Question { within: Some(low), ..Question::of("the table") });
+    assert_eq!(answer.status, Status::NoMatch, "{}", answer.text);
+}
+
+#[test]
+fn choices_return_the_winner() {
+    let answer = ask("which is taller, the floor lamp or the sofa?");
+    assert_eq!((answer.kind, targets(&answer)), (AnswerKind::Box, vec![7]));
+    let answer = ask("which is closer to the sofa, the desk or the stool?");
+    assert_eq!(targets(&answer), [6], "{}", answer.text);
+}
+
+#[test]
+fn places_and_descriptions_are_sentences() {
+    let answer = ask("where is the laptop?");
+    assert_eq!(answer.kind, AnswerKind::Relation);
+    assert!(answer.text.contains("on the grey desk"), "{}", answer.text);
+    let answer = ask("what is #6?");
+    assert_eq!(answer.kind, AnswerKind::Description);
+    assert!(answer.text.contains("stool") && answer.text.contains("40 cm"), "{}", answer.text);
+    let answer = ask("what is the sofa made of?");
+    assert!(answer.text.starts_with("A scan does not show"), "{}", answer.text);
+    assert!(ask("what is this?").text.contains("Select an object"));
+    assert_eq!(ask("the red mug").kind, AnswerKind::Box);
+}
+
+#[test]
+fn a_region_limits_the_target_and_not_its_anchors() {
+    let left = Region {
+        polygon: Some(vec![[-3.0, -3.0], [-2.0, -3.0], [-2.0, 3.0], [-3.0, 3.0]]),
+        ..Region::default()
+    };
+    let within = |query: &str, region: &Region| {
+        ask_with(&Question { within: Some(region.clone()), ..Question::of(query) })
+    };
+    assert_eq!(targets(&within("the mug", &left)), [3]);
+    assert_eq!(targets(&within("how many mugs are there", &left)), [3]);
+    assert_eq!(targets(&within("the mug closest to the sofa", &left)), [3]);
+    assert_eq!(within("the sofa", &left).status, Status::NoMatch);
+    let high = Region { min_z: Some(0.7), ..Region::default() };
+    assert_eq!(targets(&within("what is on the desk", &high)), [2, 3, 4]);
+    let higher = Region { min_z: Some(1.0), ..Region::default() };
+    assert_eq!(within("what is on the desk", &higher).status, Status::NoMatch);
+}
+
+#[test]
+fn every_answer_has_a_sentence() {
+    for query in [
+        "the red mug",
+        "the mug",
+        "the piano",
+        "the theremin",
+        "la silla roja de la esquina junto a la ventana",
+        "what is on the desk",
+        "how far is the piano from the sofa",
+        "is the piano taller than the sofa",
+        "does the piano fit through the door",
+        "where is the piano",
+        "😀",
+        "is the sofa leather?",
+    ] {
+        let answer = ask(query);
+        assert!(answer.text.len() > 5 && answer.text.ends_with(['.', '?']), "{query}: {answer:?}");
+    }
+}

@@ -1,0 +1,432 @@
+//! Questions that lean on an earlier one: "and the blue one?", "how big is it?", "no, the other
+//! one". They are rewritten to questions that stand alone, with ids for what they point at.
+
+use super::forms::{Aspect, ComparedBy, Comparison, Dimension, Form, Reference};
+use super::pieces::longest_noun;
+use super::tokens::{BREAK, tokenize};
+use super::words;
+use super::{Meaning, Phrase, parse};
+use uniground_geometry::scene::InstanceId;
+use uniground_models::attributes::Lexicon;
+
+/// The answer that a question leans on.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Earlier {
+    /// Its question, in a form that stands alone.
+    pub query: String,
+    /// The instance that was its answer.
+    pub instance: Option<InstanceId>,
+    /// The name of that instance.
+    pub name: Option<String>,
+    /// The other object that its question names.
+    pub anchor: Option<InstanceId>,
+}
+
+/// Words with which a question goes on.
+const GOES_ON: [&[&str]; 9] = [
+    &["and", "what", "about"],
+    &["and", "how", "about"],
+    &["what", "about"],
+    &["how", "about"],
+    &["and", "is", "there"],
+    &["and"],
+    &["no", BREAK],
+    &["no"],
+    &["not", "that", "one", BREAK],
+];
+
+/// Returns a question that needs no context. `selected` is the instance that "this" means. Returns
+/// the question unchanged where it leans on nothing.
+#[must_use]
+pub fn resolve(query: &str, earlier: Option<&Earlier>, selected: Option<InstanceId>) -> String {
+    let tokens = tokenize(query);
+    let mut words: Vec<String> =
+        tokens.strip_suffix(&[BREAK.to_owned()]).unwrap_or(&tokens).to_vec();
+    let before = words.clone();
+    let goes_on = GOES_ON.iter().find(|run| starts_with(&words, run)).filter(|_| earlier.is_some());
+    let is_more_than_lead = |run: &&&[&str]| words.len() > run.len();
+    let lead = goes_on.filter(is_more_than_lead).map_or(0, |run| run.len());
+    let elliptic = lead > 0 && !is_question(&words[lead..]);
+    words.drain(..lead);
+    if let Some(instance) = earlier.and_then(|earlier| earlier.instance)
+        && let Some(noun) = earlier.and_then(noun_of)
+        && let Some((start, end)) = other_one(&words, &singular(&noun))
+    {
+        words.splice(
+            start..end,
+            owned(&["the", &singular(&noun), "that", "is", "not", &reference(instance)]),
+        );
+    }
+    if let Some(noun) = earlier.and_then(noun_of) {
+        for i in 0..words.len() {
+            let is_head = matches!(words[i].as_str(), "one" | "ones")
+                && (i > 0 && words[i - 1] != "no" && words[i - 1] != "this")
+                && !matches!(words.get(i + 1).map(String::as_str), Some("of" | "and"));
+            if is_head {
+                words[i] = if words[i] == "one" { singular(&noun) } else { noun.clone() };
+            }
+        }
+    }
+    if let Some(noun) = earlier.and_then(noun_of).filter(|noun| Lexicon::get().is_plural(noun)) {
+        replace_plural_pronouns(&mut words, &noun);
+    }
+    let meant = selected.or_else(|| earlier.and_then(|earlier| earlier.instance));
+    if let Some(meant) = meant {
+        replace_pronouns(&mut words, &reference(meant), selected.is_some());
+    }
+    match earlier {
+        Some(earlier) if elliptic => {
+            let mut object = words.join(" ");
+            // "and on the shelf?" after "how many books are on the desk"
+            let of_a_kind = noun_of(earlier).filter(|_| !is_list_of_anything(earlier));
+            if let Some(noun) = of_a_kind.filter(|_| is_place(&object)) {
+                object = format!("{noun} {object}");
+            }
+            asked_again(earlier, &object).unwrap_or(object)
+        }
+        _ if words == before => query.to_owned(),
+        _ => words.join(" "),
+    }
+}
+
+fn starts_with(words: &[String], run: &[&str]) -> bool {
+    words.len() >= run.len() && words.iter().zip(run).all(|(word, said)| word == said)
+}
+
+/// Returns whether words are a whole question or command rather than the name of an object.
+fn is_question(words: &[String]) -> bool {
+    words.first().is_some_and(|word| {
+        matches!(
+            word.as_str(),
+            "what" | "where" | "how" | "is" | "are" | "which" | "does" | "do" | "can" | "list"
+        )
+    })
+}
+
+fn owned(words: &[&str]) -> Vec<String> {
+    words.iter().flat_map(|word| word.split(' ')).map(str::to_owned).collect()
+}
+
+fn reference(id: InstanceId) -> String {
+    format!("#{id}")
+}
+
+/// Returns the noun of an earlier answer: that of its question, or the instance's name.
+fn noun_of(earlier: &Earlier) -> Option<String> {
+    let target = parse(&earlier.query).target;
+    match target.meaning() {
+        Meaning::Anything | Meaning::Instance(_) => earlier.name.clone(),
+        _ if target.head.is_empty() => earlier.name.clone(),
+        _ => Some(target.head),
+    }
+}
+
+/// Returns a noun in singular, if the lexicon knows it.
+fn singular(noun: &str) -> String {
+    let known = Lexicon::get().find(noun).filter(|_| Lexicon::get().is_plural(noun));
+    known.map_or_else(|| noun.to_owned(), |known| known.name.clone())
+}
+
+/// Returns whether words begin with a place: "on the shelf".
+fn is_place(words: &str) -> bool {
+    let words: Vec<&str> = words.split(' ').collect();
+    matches!(words::longest_match(&words), Some((words::Meaning::Relation(_), _)))
+}
+
+/// Returns whether an earlier question asked for things of any kind: "what is on the desk".
+fn is_list_of_anything(earlier: &Earlier) -> bool {
+    let parsed = parse(&earlier.query);
+    parsed.form == Form::List && parsed.target.meaning() == Meaning::Anything
+}
+
+/// Returns where words say "the other one".
+fn other_one(words: &[String], noun: &str) -> Option<(usize, usize)> {
+    // "the other sofa"
+    let named = (0..words.len().saturating_sub(1)).find(|&i| {
+        let rest: Vec<&str> = words[i + 1..].iter().map(String::as_str).collect();
+        words[i] == "other"
+            && longest_noun(&rest).is_some_and(|length| rest[..length].join(" ") == noun)
+    });
+    if let Some(other) = named {
+        let article = usize::from(other > 0 && words[other - 1] == "the");
+        return Some((other - article, other + 1 + noun.split(' ').count()));
+    }
+    const RUNS: [&[&str]; 5] = [
+        &["the", "other", "one"],
+        &["another", "one"],
+        &["a", "different", "one"],
+        &["not", "that", "one"],
+        &["not", "this", "one"],
+    ];
+    (0..words.len()).find_map(|i| {
+        let run = RUNS.iter().find(|run| starts_with(&words[i..], run))?;
+        Some((i, i + run.len()))
+    })
+}
+
+/// Replaces "it", and "this" and "that" where no noun follows them.
+fn replace_pronouns(words: &mut Vec<String>, reference: &str, is_selected: bool) {
+    let mut i = 0;
+    while i < words.len() {
+        let next = words.get(i + 1).map(String::as_str);
+        let ends = !is_named(&words[i + 1..]);
+        let length = match (words[i].as_str(), next) {
+            ("it", next) if means_own_noun(&words[..i], next) => 0,
+            ("this" | "that", Some("one" | "thing" | "object" | "item")) => 2,
+            // "that is on the table" goes on about an object named before.
+            ("that", Some("is" | "are")) if i > 0 && !is_selected => 0,
+            ("it" | "this", _) if ends => 1,
+            ("that", _) if ends && (i + 1 == words.len() || is_selected) => 1,
+            // "is it there", "where is it exactly"
+            ("it", _) => 1,
+            _ => 0,
+        };
+        if length > 0 {
+            words.splice(i..i + length, [reference.to_owned()]);
+        }
+        i += 1;
+    }
+}
+
+/// Returns whether words begin with a noun, with or without a description: "this red chair".
+fn is_named(words: &[String]) -> bool {
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let describes = |word: &&&str| {
+        matches!(
+            words::longest_match(&[word]),
+            Some((words::Meaning::Color(_) | words::Meaning::Trait(_), 1))
+        )
+    };
+    let described = words.iter().take_while(describes).count();
+    match words.get(described) {
+        None => false,
+        Some(word) if *word == BREAK => false,
+        Some(word) => {
+            longest_noun(&words[described..]).is_some()
+                || words::longest_match(&[word]).is_none() && !word.ends_with("er")
+        }
+    }
+}
+
+/// Returns whether "it" means a noun of the same question: "the table with a lamp on it", "the mug,
+/// it is red".
+fn means_own_noun(before: &[String], next: Option<&str>) -> bool {
+    let said: Vec<&str> = before.iter().map(String::as_str).collect();
+    let names = |words: &[&str]| {
+        (0..words.len()).any(|i| {
+            longest_noun(&words[i..]).is_some_and(|length| {
+                !words::is_anything(&words[i..i + length].join(" ")) && !words[i].starts_with('#')
+            })
+        })
+    };
+    if !names(&said) {
+        return false;
+    }
+    let clause = said
+        .iter()
+        .rposition(|word| matches!(*word, BREAK | "with" | "that" | "which" | "has" | "where"));
+    clause.is_some_and(|at| names(&said[..at])) || matches!(next, Some("is" | "has" | "stands"))
+}
+
+/// Replaces "they" and "them" by the objects of the earlier question: "where are they", "how many
+/// of them are on the desk", "how many are there".
+fn replace_plural_pronouns(words: &mut Vec<String>, noun: &str) {
+    if ["how", "many", "are", "there"].iter().eq(words.iter().take(4)) {
+        words.insert(2, noun.to_owned());
+        return;
+    }
+    let of_them = (1..words.len()).find(|&i| words[i] == "them" && words[i - 1] == "of");
+    if let Some(i) = of_them {
+        words.splice(i - 1..=i, [noun.to_owned()]);
+    }
+    if let Some(i) = words.iter().position(|word| matches!(word.as_str(), "they" | "them")) {
+        words.splice(i..=i, ["the".to_owned(), noun.to_owned()]);
+    }
+}
+
+/// Returns the earlier question, asked about another object. `None` where it asked only for an
+/// object.
+fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
+    let parsed = parse(&earlier.query);
+    let other = |phrase: &Phrase| {
+        earlier.anchor.map_or_else(|| format!("the {}", phrase.text()), reference)
+    };
+    Some(match &parsed.form {
+        Form::Count => format!("how many {}", object.strip_prefix("the ").unwrap_or(object)),
+        Form::Exists | Form::Number(_) => format!("is there {object}"),
+        Form::Place => format!("where is {object}"),
+        Form::Description(Aspect::All) => format!("describe {object}"),
+        Form::Description(Aspect::Color) => format!("what color is {object}"),
+        Form::Description(Aspect::Material) => format!("what material is {object}"),
+        Form::Size(dimension) => match dimension {
+            Dimension::All => format!("how big is {object}"),
+            Dimension::Height => format!("how tall is {object}"),
+            Dimension::Width => format!("how wide is {object}"),
+            Dimension::Length => format!("how long is {object}"),
+            Dimension::Depth => format!("how deep is {object}"),
+            Dimension::Area => format!("how much space does {object} take up"),
+            Dimension::Volume => format!("what is the volume of {object}"),
+            Dimension::Elevation => format!("how high above the floor is {object}"),
+        },
+        Form::Distance(Reference::Observer) => format!("how far is {object}"),
+        Form::Distance(Reference::Object(phrase)) => {
+            format!("how far is {object} from {}", other(phrase))
+        }
+        Form::List => match &parsed.target.relations[..] {
+            [relation, ..] if parsed.target.meaning() == Meaning::Anything => {
+                if is_place(object) {
+                    format!("what is {object}")
+                } else {
+                    format!("what is {} {object}", relation.text)
+                }
+            }
+            _ => format!("list all {}", object.strip_prefix("the ").unwrap_or(object)),
+        },
+        Form::Holds(_) => {
+            let claim = parsed.target.relations.first().map(|relation| {
+                let anchors: Vec<String> = relation
+                    .anchors
+                    .iter()
+                    .map(|anchor| format!("the {}", anchor.text()))
+                    .collect();
+                format!("{} {}", relation.text, anchors.join(" and "))
+            });
+            let color = parsed.target.colors.first().map(|color| color.as_str().to_owned());
+            format!("is {object} {}", claim.or(color)?)
+        }
+        Form::Comparison(Comparison {
+            by: ComparedBy::Dimension(_), word, other: than, ..
+        }) => {
+            format!("is {object} {word} than {}", other(than))
+        }
+        Form::Fit(passage) => {
+            let way = match passage.way {
+                super::Way::Through => "through",
+                super::Way::Under => "under",
+                super::Way::In => "in",
+                super::Way::On => "on",
+                super::Way::Between => "between",
+            };
+            let second =
+                passage.second.as_ref().map(|second| format!(" and the {}", second.text()));
+            let second = second.unwrap_or_default();
+            format!("does {object} fit {way} {}{second}", other(&passage.place))
+        }
+        Form::Object | Form::Comparison(_) | Form::Choice(_) => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn earlier(query: &str) -> Earlier {
+        Earlier {
+            query: query.into(),
+            instance: Some(InstanceId(12)),
+            name: Some("mug".into()),
+            anchor: Some(InstanceId(3)),
+        }
+    }
+
+    #[test]
+    fn pronouns_become_the_instance_of_the_earlier_answer() {
+        for (query, resolved) in [
+            ("how big is it?", "how big is #12"),
+            ("What is next to it?", "what is next to #12"),
+            ("is it red?", "is #12 red"),
+            ("what color is that?", "what color is #12"),
+            ("the lamp next to it", "the lamp next to #12"),
+            ("how far is it from the door?", "how far is #12 from the door"),
+            ("the chair by the window", "the chair by the window"),
+            ("is that chair red", "is that chair red"),
+            ("the table with a lamp on it", "the table with a lamp on it"),
+            ("the plant, it is green", "the plant, it is green"),
+            ("is the lamp next to it?", "is the lamp next to #12"),
+        ] {
+            assert_eq!(resolve(query, Some(&earlier("the red mug")), None), resolved);
+        }
+    }
+
+    #[test]
+    fn this_is_the_selected_instance() {
+        let selected = Some(InstanceId(7));
+        assert_eq!(resolve("what is this?", None, selected), "what is #7");
+        assert_eq!(
+            resolve("how far is this from the door?", Some(&earlier("the red mug")), selected),
+            "how far is #7 from the door"
+        );
+        assert_eq!(resolve("what is this?", None, None), "what is this?");
+    }
+
+    #[test]
+    fn one_has_the_noun_of_the_earlier_question() {
+        for (query, resolved) in [
+            ("and the blue one?", "the blue mug"),
+            ("the one next to it", "the mug next to #12"),
+            ("no, the other one", "the mug that is not #12"),
+            ("and the other mug?", "the mug that is not #12"),
+            ("which one is closest to the door?", "which mug is closest to the door"),
+            ("which one has the spoon in it?", "which mug has the spoon in it"),
+        ] {
+            assert_eq!(resolve(query, Some(&earlier("the red mug")), None), resolved);
+        }
+    }
+
+    #[test]
+    fn the_earlier_question_is_asked_about_another_object() {
+        for (before, query, resolved) in [
+            ("how tall is the shelf?", "and the lamp?", "how tall is the lamp"),
+            (
+                "how far is the mug from the TV",
+                "and the blue one?",
+                "how far is the blue mug from #3",
+            ),
+            ("what is on the desk?", "what about the shelf", "what is on the shelf"),
+            ("where is the mug", "and the remote?", "where is the remote"),
+            ("how many chairs are there", "and tables?", "how many tables"),
+            ("is there a piano?", "and a clock?", "is there a clock"),
+            ("what is on the desk?", "and under the table?", "what is under the table"),
+            (
+                "how many bottles are on the desk",
+                "and on the shelf?",
+                "how many bottles on the shelf",
+            ),
+            ("the red mug", "and what is next to it?", "what is next to #12"),
+            ("how many chairs are there", "where are they?", "where are the chairs"),
+            ("all chairs", "how many are there?", "how many chairs are there"),
+            ("all chairs", "how many of them are red?", "how many chairs are red"),
+        ] {
+            assert_eq!(resolve(query, Some(&earlier(before)), None), resolved);
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn any_text_is_resolved_without_panic(query in ".{0,80}", before in ".{0,80}") {
+            let earlier = earlier(&before);
+            let _ = resolve(&query, Some(&earlier), None);
+            let _ = resolve(&query, Some(&earlier), Some(InstanceId(1)));
+        }
+
+        #[test]
+        fn any_order_of_words_is_resolved_without_panic(
+            words in proptest::collection::vec(
+                proptest::sample::select(vec![
+                    "and", "it", "this", "that", "one", "ones", "the", "other", "what", "about",
+                    "no", "mug", "mugs", "on", "is", "how", "far", "from", "red", ",", "#3", "which",
+                    "or", "than", "closer", "to", "fit", "under", "except", "within", "1", "m",
+                ]),
+                0..14,
+            ),
+            before in proptest::sample::select(vec![
+                "how far is the mug from the tv", "what is on the desk", "is the mug red",
+                "does the stool fit under the desk", "which is taller, the lamp or the shelf",
+            ]),
+        ) {
+            let query = words.join(" ");
+            let _ = resolve(&query, Some(&earlier(before)), None);
+            let _ = parse(&query);
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! Recognizes what a question wants to know of an object: the object itself, all of a kind, a
+//! number, a measurement, yes or no, a description, or a place.
+//!
+//! Only the words that make the question are read here ("how far is … from …"). The grammar reads
+//! the objects in between.
+
+mod comparisons;
+mod descriptions;
+mod lists;
+mod measures;
+mod patterns;
+mod words;
+
+use super::tokens::BREAK;
+use super::{ParsedQuery, Phrase};
+use std::ops::RangeInclusive;
+
+/// What a question wants to know of its target.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub enum Form {
+    /// The object: "the red mug".
+    #[default]
+    Object,
+    /// All objects that match: "what is on the desk", "all chairs".
+    List,
+    /// Their number: "how many chairs".
+    Count,
+    /// A measure of its box: "how tall is the shelf".
+    Size(Dimension),
+    /// Its distance: "how far is the stool from the door".
+    Distance(Reference),
+    /// Whether it exists: "is there a piano".
+    Exists,
+    /// Whether their number is in a range: "are there more than 3 chairs", "are there no chairs".
+    Number(RangeInclusive<u32>),
+    /// Whether what is said of an object holds: "is the mug on the table" has "the mug" as its
+    /// subject, and "the mug on the table" as the target of the question.
+    Holds(Box<Phrase>),
+    /// Whether it is larger, closer and so on than another: "is the sofa longer than the rug".
+    Comparison(Comparison),
+    /// Which of the two is larger, closer and so on: "which is taller, the lamp or the shelf".
+    Choice(Comparison),
+    /// Whether it fits: "does the chair fit under the desk".
+    Fit(Passage),
+    /// What it is and looks like: "what is the thing on the shelf".
+    Description(Aspect),
+    /// Where it is: "where is the remote".
+    Place,
+}
+
+impl Form {
+    /// Returns the phrases of the objects other than the target.
+    #[must_use]
+    pub fn phrases(&self) -> Vec<&Phrase> {
+        match self {
+            Self::Holds(subject) => vec![&**subject],
+            Self::Distance(reference) => reference.phrase().into_iter().collect(),
+            Self::Comparison(comparison) | Self::Choice(comparison) => {
+                let mut phrases = vec![&*comparison.other];
+                if let ComparedBy::Distance(reference) = &comparison.by {
+                    phrases.extend(reference.phrase());
+                }
+                phrases
+            }
+            Self::Fit(passage) => {
+                std::iter::once(&*passage.place).chain(passage.second.as_deref()).collect()
+            }
+            Self::Object
+            | Self::List
+            | Self::Count
+            | Self::Size(_)
+            | Self::Exists
+            | Self::Number(_)
+            | Self::Description(_)
+            | Self::Place => Vec::new(),
+        }
+    }
+}
+
+/// What is measured of an object's box.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Dimension {
+    /// Width, depth and height.
+    All,
+    /// Vertical extent.
+    Height,
+    /// The longer horizontal side.
+    Width,
+    /// The longer horizontal side, said as length.
+    Length,
+    /// The shorter horizontal side.
+    Depth,
+    /// Area of the footprint.
+    Area,
+    /// Volume of the box.
+    Volume,
+    /// Height of the underside above the floor.
+    Elevation,
+}
+
+/// What a distance is measured from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Reference {
+    /// The person who asks: "how far is the door".
+    Observer,
+    /// Another object.
+    Object(Box<Phrase>),
+}
+
+impl Reference {
+    fn phrase(&self) -> Option<&Phrase> {
+        match self {
+            Self::Observer => None,
+            Self::Object(phrase) => Some(phrase),
+        }
+    }
+}
+
+/// A comparison of the target with another object.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    /// What is compared.
+    pub by: ComparedBy,
+    /// Whether the target has to have more of it ("larger", "farther") or less ("closer").
+    pub more: bool,
+    /// The word of the question: "taller", "closer to the door".
+    pub word: String,
+    /// The other object.
+    pub other: Box<Phrase>,
+}
+
+/// What two objects are compared by.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ComparedBy {
+    /// A measure of their boxes.
+    Dimension(Dimension),
+    /// Their distances to a third object or to the person who asks.
+    Distance(Reference),
+}
+
+/// Where an object may fit, or a person's or robot's given size.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Passage {
+    /// Through, under, or in.
+    pub way: Way,
+    /// What it has to pass or go into.
+    pub place: Box<Phrase>,
+    /// The second object of [`Way::Between`].
+    pub second: Option<Box<Phrase>>,
+    /// The size in meters where the question gives one ("something 60 cm wide"), instead of the
+    /// target's.
+    pub given_m: Option<f32>,
+}
+
+/// How an object passes or fits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// Through an opening: height and the shorter side count.
+    Through,
+    /// Under it, on the floor: the height counts.
+    Under,
+    /// In or on it: all sides count, or for "on" only the footprint.
+    In,
+    /// On top of it: the footprint counts.
+    On,
+    /// Between two objects: the gap and the shorter side count.
+    Between,
+}
+
+/// What a description has to tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Aspect {
+    /// Name, color, size and place.
+    All,
+    /// The colors.
+    Color,
+    /// The material, which a scan does not show.
+    Material,
+}
+
+/// A question whose form was recognized.
+pub(super) struct Request {
+    pub form: Form,
+    /// Words that describe the target.
+    pub target: Vec<String>,
+    /// Objects that a list must not have.
+    pub except: Vec<Phrase>,
+    /// Words of the other objects that were not understood.
+    pub not_understood: Vec<String>,
+}
+
+/// Reads words that describe an object.
+type ReadObject<'a> = &'a dyn Fn(&[String]) -> ParsedQuery;
+
+/// Recognizes the form of a question. `read` reads the objects within it. A question of no known
+/// form asks for an object.
+pub(super) fn recognize(mut tokens: Vec<String>, read: ReadObject) -> Request {
+    words::expand_contractions(&mut tokens);
+    refer_to_the_sentence_before(&mut tokens);
+    let (tokens, except) = words::split_exceptions(&tokens);
+    let mut reader = patterns::PatternReader { read, not_understood: Vec::new() };
+    let clauses = std::iter::once(0)
+        .chain((1..tokens.len()).filter(|&i| tokens[i - 1] == BREAK))
+        .filter(|&start| start < tokens.len());
+    let mut found = None;
+    for start in clauses {
+        found = reader.clause(&tokens[start..], start == 0);
+        if found.is_some() {
+            break;
+        }
+    }
+    let (form, target) = found.unwrap_or((Form::Object, tokens));
+    let except = except.map_or_else(Vec::new, |except| reader.objects(&except));
+    Request { form, target, except, not_understood: reader.not_understood }
+}
+
+/// Replaces "it" by what the sentence before names: "there is a desk in the corner. what is on it?"
+fn refer_to_the_sentence_before(tokens: &mut Vec<String>) {
+    let Some(end) = tokens.iter().position(|token| token == BREAK) else { return };
+    let first: Vec<&str> = tokens[..end].iter().map(String::as_str).collect();
+    let Some(named) = words::after(
+        &first,
+        &[
+            "there is",
+            "there are",
+            "i see",
+            "i can see",
+            "you see",
+            "look at",
+            "i have",
+            "we have",
+            "i can't find",
+            "i cannot find",
+            "i cant find",
+            "we can't find",
+            "i lost",
+            "i have lost",
+            "i've lost",
+            "i need",
+            "i am looking for",
+            "i'm looking for",
+        ],
+    ) else {
+        return;
+    };
+    let article = usize::from(matches!(
+        named.first(),
+        Some(&("a" | "an" | "the" | "my" | "our" | "your" | "some"))
+    ));
+    let object: Vec<String> =
+        std::iter::once("the").chain(named[article..].iter().copied()).map(str::to_owned).collect();
+    if object.len() < 2 {
+        return;
+    }
+    let second = &tokens[end + 1..];
+    let asks = second.first().is_some_and(|word| {
+        matches!(word.as_str(), "what" | "how" | "is" | "are" | "which" | "where" | "describe")
+    });
+    let pronoun = |word: &String| matches!(word.as_str(), "it" | "they" | "them");
+    let Some(it) = second.iter().position(pronoun).filter(|_| asks) else { return };
+    let mut question = second.to_vec();
+    question.splice(it..=it, object);
+    *tokens = question;
+}
+
+#[cfg(test)]
+mod tests;
