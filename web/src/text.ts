@@ -294,6 +294,7 @@ export const t = {
       not_listed: "The model sees it in a photograph, but the parse did not find it as an object.",
     },
     several: (n: number) => `${plural(n, "object")} found`,
+    understoodAs: (query: string) => `Understood as: ${query}`,
     counted: (n: number, name: string) => `${n} × ${name}`,
     count: (n: number) => `There ${n === 1 ? "is" : "are"} ${n}.`,
     instance: (id: number) => `object ${id}`,

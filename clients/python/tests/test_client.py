@@ -102,9 +102,11 @@ def test_every_field_of_a_question_is_taken(scene: Scene) -> None:
         "ablation": "full",
         "allow_builtin": False,
         "candidates": "fused",
+        "context": {"instance": 1},
         "direction_convention": "viewer",
         "evidence": "full",
         "frame": "source",
+        "if_version": 1,
         "include": ["candidates", "evidence", "trace"],
         "max_cost_usd": 0.0,
         "min_confidence": 0.1,
@@ -116,6 +118,7 @@ def test_every_field_of_a_question_is_taken(scene: Scene) -> None:
         "timeout_s": 10.0,
         "top_k": 2,
         "wait": "full",
+        "within": {"min_z": -100.0},
     }
     assert set(every) == set(models.GroundOptions.__annotations__), "the API has other fields by now: ask with them"
     answer = scene.ask("the chair to the left of the dining table", **every)

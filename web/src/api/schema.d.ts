@@ -1192,6 +1192,8 @@ export interface components {
             /** @description UUIDv7, so ids sort by time. */
             id: string;
             in_frame?: components["schemas"]["InFrame"] | null;
+            /** @description What kind of answer the question asks for. `box` in answers from older versions. */
+            kind?: components["schemas"]["AnswerKind"];
             /** @description Components that produced the answer. */
             models: components["schemas"]["Models"];
             no_match_reason?: components["schemas"]["NoMatchReason"] | null;
@@ -1221,12 +1223,25 @@ export interface components {
              *     answers from older versions.
              */
             targets?: components["schemas"]["Target"][];
+            /** @description The answer as a sentence that can be read aloud. Empty in answers from older versions. */
+            text?: string;
             /** @description Duration of each step, milliseconds. */
             timings_ms: components["schemas"]["Timings"];
             trace?: components["schemas"]["Trace"] | null;
+            /**
+             * @description The question as it was understood in its context: "how big is it?" after an answer about
+             *     instance 12 is "how big is #12". Absent if the context changes nothing.
+             */
+            understood_as?: string | null;
             /** @description Usage and cost of the model calls. */
             usage: components["schemas"]["Usage"];
+            value?: components["schemas"]["AnswerValue"] | null;
         };
+        /**
+         * @description What kind of answer the question asks for.
+         * @enum {string}
+         */
+        AnswerKind: "box" | "list" | "count" | "measure" | "yes_no" | "description" | "relation";
         /** @description A page of answers, newest first. */
         AnswerList: {
             /** @description Answers, newest first. */
@@ -1247,6 +1262,35 @@ export interface components {
             calls: components["schemas"]["ReplyCall"][];
             /** @description Name of the model at its endpoint. */
             model: string;
+        };
+        /** @description A measured or counted value, or yes or no. */
+        AnswerValue: {
+            /**
+             * Format: float
+             * @description Expected error of `number` in its unit, plus or minus.
+             */
+            error?: number | null;
+            /**
+             * @description Ids of the instances that were measured or compared. For a comparison, the one that the
+             *     question names first comes first.
+             */
+            instances?: components["schemas"]["InstanceId"][];
+            /** @description Ends of the measured line, meters, world frame (Z up). Only for distances. */
+            line?: number[][] | null;
+            /**
+             * Format: float
+             * @description The number: a count, or a measurement in `unit`. For the size of an object it is its longest
+             *     side.
+             */
+            number?: number | null;
+            /**
+             * @description Width (the longer horizontal side), depth and height of the object, meters. Only for
+             *     questions about its size.
+             */
+            size?: number[] | null;
+            unit?: components["schemas"]["Unit"] | null;
+            /** @description The answer to a yes-or-no question. Absent for other kinds, and if it cannot be told. */
+            yes?: boolean | null;
         };
         /** @description Pictures of an instance for the encoder. */
         AppearanceSettings: {
@@ -2088,6 +2132,7 @@ export interface components {
             allow_builtin?: boolean;
             /** @description Source of the candidates for a vision-language model. Default: `fused`. */
             candidates?: components["schemas"]["CandidateSource"];
+            context?: components["schemas"]["QuestionContext"] | null;
             /**
              * @description Convention for left, right, front and back. An `observer` takes precedence. Default:
              *     `paper`.
@@ -2100,6 +2145,13 @@ export interface components {
              *     `scene`.
              */
             frame?: components["schemas"]["FrameChoice"];
+            /**
+             * Format: int32
+             * @description Version of the parse that the question is about. If the scene has another one, the question
+             *     is rejected with `parse_changed`, because ids may mean other objects. By default, the
+             *     current parse is asked.
+             */
+            if_version?: number | null;
             /** @description Optional parts to return. Default: all. */
             include?: components["schemas"]["Include"][] | null;
             /**
@@ -2149,6 +2201,7 @@ export interface components {
              */
             top_k?: number;
             wait?: components["schemas"]["WaitFor"] | null;
+            within?: components["schemas"]["Region"] | null;
         };
         /** @description Objects of a scene, in the format of annotations for `uniground eval`. */
         GroundTruth: {
@@ -3501,6 +3554,16 @@ export interface components {
          * @enum {string}
          */
         QueryText: "full" | "target" | "mean";
+        /** @description What a question leans on. */
+        QuestionContext: {
+            /**
+             * @description Id of an earlier answer about the same scene. "It" is the object of that answer, and "one"
+             *     has the noun of its question. The answer's own context counts too, so the id of the last
+             *     answer is enough.
+             */
+            answer_id?: string | null;
+            instance?: components["schemas"]["InstanceId"] | null;
+        };
         /** @description Readiness of the service. Each component is `ok` or describes its problem. */
         Readiness: {
             /** @description `ok`, or why the storage of scans and results cannot be read or written. */
@@ -3538,6 +3601,27 @@ export interface components {
          * @enum {string}
          */
         ReasonerChoice: "auto" | "vlm" | "builtin";
+        /**
+         * @description A part of the room: a polygon on the ground plan, a range of heights, or both. The center of an
+         *     object's box has to be in it.
+         */
+        Region: {
+            /**
+             * Format: double
+             * @description Maximum z, meters, in the coordinates of `frame`.
+             */
+            max_z?: number | null;
+            /**
+             * Format: double
+             * @description Minimum z, meters, in the coordinates of `frame`.
+             */
+            min_z?: number | null;
+            /**
+             * @description Corners `[x, y]` of a polygon on the ground plan, meters, 3 to 100. In the coordinates of
+             *     `frame`, whose vertical axis has to be that of the scene.
+             */
+            polygon?: number[][] | null;
+        };
         /** @description The reply of one call. */
         ReplyCall: {
             /** @description Error if there was no reply, else `null`. */
@@ -4393,6 +4477,12 @@ export interface components {
              * @description Confidence that the question refers to it, `0..=1`.
              */
             confidence: number;
+            /**
+             * Format: float
+             * @description Distance between its box and the object or the person that the question names, meters. Only
+             *     in lists that are about another object: "what is within a meter of the sofa".
+             */
+            distance_m?: number | null;
             /** @description Id within the parse of the answer, from 1. */
             id: components["schemas"]["InstanceId"];
             /** @description Name of the object, independent of the question. */
@@ -4465,6 +4555,11 @@ export interface components {
              */
             yaw_deg: number;
         };
+        /**
+         * @description Unit of a measured value.
+         * @enum {string}
+         */
+        Unit: "m" | "m2" | "m3";
         /**
          * @description The axis that points up in a file. After import it is always `z`.
          * @enum {string}

@@ -26,9 +26,12 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
         <Meter share={answer.confidence} label={sure} />
         <span>{sure}</span>
       </p>
+      {answer.understood_as && <p class="small">{t.answer.understoodAs(answer.understood_as)}</p>}
+      {answer.text && <p class="sentence">{answer.text}</p>}
       <Headline room={room} answer={answer} />
       <Marked room={room} answer={answer} />
-      <p>{(answer.no_match_reason && t.answer.reasons[answer.no_match_reason]) || answer.answer.explanation}</p>
+      {answer.no_match_reason && <p>{t.answer.reasons[answer.no_match_reason]}</p>}
+      {!answer.no_match_reason && !answer.text && <p>{answer.answer.explanation}</p>}
       {answer.degraded && <p class="warn">{t.answer.degraded}</p>}
       {!answer.stored && <p class="warn">{t.answer.notStored}</p>}
       {!room.sameParse.value && <p class="warn">{t.room.otherParse}</p>}
@@ -36,7 +39,7 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
       {targets.length > 1 && (
         <>
           <h4>{t.answer.several(targets.length)}</h4>
-          <Instances room={room} entries={targets.map(({ confidence, id, name }) => ({ id, name, share: confidence, view: cropOf(room, id) }))} />
+          <Instances room={room} entries={targets.map(({ confidence, id, name, distance_m }) => ({ id, name: distance_m == null ? name : `${name}, ${t.meters(distance_m)}`, share: confidence, view: cropOf(room, id) }))} />
         </>
       )}
       {answer.alternatives.length > 0 && (
@@ -89,7 +92,7 @@ function Headline({ room, answer }: { room: Room; answer: Answer }) {
   const id = fields.predicted_id;
   return (
     <>
-      {answer.count != null && <p class="big">{t.answer.count(answer.count)}</p>}
+      {answer.count != null && !answer.text && <p class="big">{t.answer.count(answer.count)}</p>}
       {id != null && (
         <p class="big">
           <button type="button" class="thing" onClick={() => room.sameParse.value && room.select(id)}>

@@ -151,7 +151,7 @@ function keepInStep(room: Room, viewer: Viewer, canvas: HTMLCanvasElement): (() 
     effect(() => viewer.cut(room.cutWalls.value, room.cutHeight.value)),
     effect(() => viewer.showFrames(room.photographs.shown.value ? room.photographs.chosen.value : [])),
     effect(() => viewer.highlightFrame(room.photographs.frame(room.photographs.hovered.value))),
-    effect(() => viewer.measure(room.ends.value)),
+    effect(() => viewer.measure(room.measured.value)),
     effect(() => {
       const observer = room.observer.value;
       const onFloor = observer && [observer.position[0]!, observer.position[1]!, room.floor()];

@@ -77,6 +77,11 @@ export class Room {
     const lit = chosen.length ? chosen : this.sameParse.value ? this.meant() : [];
     return lit.flatMap((id) => this.cutsOf(id));
   });
+  /** Ends of the line that is drawn: what was measured by hand, else what the answer measured. */
+  readonly measured = computed<Point[]>(() => {
+    if (this.ends.value.length || !this.sameParse.value) return this.ends.value;
+    return (this.answer.value?.value?.line ?? []) as Point[];
+  });
   readonly tinted = computed<number[]>(() => (this.hovered.value === null ? [] : this.cutsOf(this.hovered.value)));
 
   constructor(readonly id: string) {
@@ -170,7 +175,16 @@ export class Room {
     if (min_confidence !== 0.7) request.min_confidence = min_confidence;
     if (max_cost_usd !== null) request.max_cost_usd = max_cost_usd;
     if (this.observer.value) request.observer = this.observer.value;
+    const context = this.context();
+    if (context) request.context = context;
     return request;
+  }
+
+  /** What the question may lean on: the selected thing, and the answer on show. */
+  private context(): GroundRequest["context"] {
+    const [answer, instance] = [this.sameParse.value ? this.answer.value : null, this.selected.value];
+    if (!answer?.stored && instance === null) return null;
+    return { ...(answer?.stored ? { answer_id: answer.id } : {}), ...(instance === null ? {} : { instance }) };
   }
 
   /** An answer that was given before. */

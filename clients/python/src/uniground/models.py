@@ -14,6 +14,8 @@ from uniground._values import AnswerMethods, BoxMethods, ShortRepr, ThingMethods
 
 Ablation = Literal["full", "no_global", "no_candidate", "simple_prompt", "raw_render", "no_loop"]
 """Parts of the paper's prompt to omit. Applies only to a vision-language model."""
+AnswerKind = Literal["box", "list", "count", "measure", "yes_no", "description", "relation"]
+"""What kind of answer the question asks for."""
 ApproachStatus = Literal["found", "none_possible", "not_grounded"]
 """Whether a standing pose was found."""
 BatchState = Literal["running", "paused", "succeeded", "cancelled"]
@@ -84,6 +86,8 @@ Status = Literal["grounded", "uncertain", "ambiguous", "no_match"]
 """Status of an answer."""
 Structure = Literal["floor", "ceiling", "wall"]
 """Kind of building element."""
+Unit = Literal["m", "m2", "m3"]
+"""Unit of a measured value."""
 UpAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 """The axis that points up in a file. After import it is always `z`."""
 UploadState = Literal["receiving", "making", "done", "refused"]
@@ -162,6 +166,8 @@ class Answer(AnswerMethods):
     evidence: Optional[list[str]] = None
     """Paths of the pictures used as evidence."""
     in_frame: Optional[InFrame] = None
+    kind: Optional[AnswerKind] = None
+    """What kind of answer the question asks for. `box` in answers from older versions."""
     no_match_reason: Optional[NoMatchReason] = None
     oriented_box: Optional[OrientedBox] = None
     seen: Optional[Seen] = None
@@ -171,7 +177,14 @@ class Answer(AnswerMethods):
     """All objects that the question refers to, best first. More than one if the question asks for several ("the chairs", "how many mugs").
     Empty unless `grounded` or `uncertain`, and in answers from older versions.
     """
+    text: Optional[str] = None
+    """The answer as a sentence that can be read aloud. Empty in answers from older versions."""
     trace: Optional[Trace] = None
+    understood_as: Optional[str] = None
+    """The question as it was understood in its context: "how big is it?" after an answer about instance 12 is "how big is #12". Absent if
+    the context changes nothing.
+    """
+    value: Optional[AnswerValue] = None
 
 
 @dataclass
@@ -199,6 +212,24 @@ class AnswerReply:
     """Name of the model at its endpoint."""
     calls: list[ReplyCall]
     """Replies in order, one for each prompt."""
+
+
+@dataclass(repr=False)
+class AnswerValue(ShortRepr):
+    """A measured or counted value, or yes or no."""
+    error: Optional[float] = None
+    """Expected error of `number` in its unit, plus or minus."""
+    instances: list[InstanceId] = field(default_factory=list)
+    """Ids of the instances that were measured or compared. For a comparison, the one that the question names first comes first."""
+    line: Optional[list[Vector]] = None
+    """Ends of the measured line, meters, world frame (Z up). Only for distances."""
+    number: Optional[float] = None
+    """The number: a count, or a measurement in `unit`. For the size of an object it is its longest side."""
+    size: Optional[Vector] = None
+    """Width (the longer horizontal side), depth and height of the object, meters. Only for questions about its size."""
+    unit: Optional[Unit] = None
+    yes: Optional[bool] = None
+    """The answer to a yes-or-no question. Absent for other kinds, and if it cannot be told."""
 
 
 class AppearanceSettings(TypedDict, total=False):
@@ -349,12 +380,18 @@ class BatchItemOptions(TypedDict, total=False):
     """
     candidates: CandidateSource
     """Source of the candidates for a vision-language model. Default: `fused`."""
+    context: Optional[QuestionContext]
+    """What the question leans on: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this"."""
     direction_convention: DirectionConvention
     """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
     evidence: EvidenceMode
     """Pictures of the candidates that a vision-language model is shown. Default: `full`."""
     frame: FrameChoice
     """Frame of `observer`, and additional frame for the boxes (`in_frame` of the answer). Default: `scene`."""
+    if_version: Optional[int]
+    """Version of the parse that the question is about. If the scene has another one, the question is rejected with `parse_changed`, because
+    ids may mean other objects. By default, the current parse is asked.
+    """
     include: Optional[Sequence[Include]]
     """Optional parts to return. Default: all."""
     max_cost_usd: Optional[float]
@@ -383,6 +420,8 @@ class BatchItemOptions(TypedDict, total=False):
     """`full`: wait until the parse that is queued or running for this scene is done, at most `timeout_s`. By default, a scene that has a
     parse is asked at once, and one without is rejected with `scene_not_ready`.
     """
+    within: Optional[Region]
+    """Region in which the object has to be. Other objects of the question may be outside."""
 class BatchItem(BatchItemOptions):
     """One question of a batch: the scene and all fields of a question."""
     scene_id: str
@@ -793,12 +832,18 @@ class GroundOptions(TypedDict, total=False):
     """
     candidates: CandidateSource
     """Source of the candidates for a vision-language model. Default: `fused`."""
+    context: Optional[QuestionContext]
+    """What the question leans on: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this"."""
     direction_convention: DirectionConvention
     """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
     evidence: EvidenceMode
     """Pictures of the candidates that a vision-language model is shown. Default: `full`."""
     frame: FrameChoice
     """Frame of `observer`, and additional frame for the boxes (`in_frame` of the answer). Default: `scene`."""
+    if_version: Optional[int]
+    """Version of the parse that the question is about. If the scene has another one, the question is rejected with `parse_changed`, because
+    ids may mean other objects. By default, the current parse is asked.
+    """
     include: Optional[Sequence[Include]]
     """Optional parts to return. Default: all."""
     max_cost_usd: Optional[float]
@@ -827,6 +872,8 @@ class GroundOptions(TypedDict, total=False):
     """`full`: wait until the parse that is queued or running for this scene is done, at most `timeout_s`. By default, a scene that has a
     parse is asked at once, and one without is rejected with `scene_not_ready`.
     """
+    within: Optional[Region]
+    """Region in which the object has to be. Other objects of the question may be outside."""
 class GroundRequest(GroundOptions):
     """A question about a scene."""
     query: str
@@ -1566,6 +1613,16 @@ class PromptPart:
     """URL of the JPEG as sent, relative to the server."""
 
 
+class QuestionContext(TypedDict, total=False):
+    """What a question leans on."""
+    answer_id: Optional[str]
+    """Id of an earlier answer about the same scene. "It" is the object of that answer, and "one" has the noun of its question. The answer's
+    own context counts too, so the id of the last answer is enough.
+    """
+    instance: Optional[InstanceId]
+    """Id of the instance that is meant by "this", "that" and "it", for example the one that is selected in a viewer."""
+
+
 @dataclass(repr=False)
 class Readiness(ShortRepr):
     """Readiness of the service. Each component is `ok` or describes its problem."""
@@ -1590,6 +1647,18 @@ class Readiness(ShortRepr):
     vlm: Optional[str] = None
     """`ok`, or the time since when the vision-language model has not responded. Absent if none is configured. Does not affect `ready`,
     because built-in components take over.
+    """
+
+
+class Region(TypedDict, total=False):
+    """A part of the room: a polygon on the ground plan, a range of heights, or both. The center of an object's box has to be in it."""
+    max_z: Optional[float]
+    """Maximum z, meters, in the coordinates of `frame`."""
+    min_z: Optional[float]
+    """Minimum z, meters, in the coordinates of `frame`."""
+    polygon: Optional[Sequence[Sequence[float]]]
+    """Corners `[x, y]` of a polygon on the ground plan, meters, 3 to 100. In the coordinates of `frame`, whose vertical axis has to be that
+    of the scene.
     """
 
 
@@ -2109,6 +2178,10 @@ class Target(ShortRepr):
     """Axis-aligned box without outlier points; meters, world frame (Z up)."""
     oriented_box: OrientedBox
     """Box rotated about the vertical axis; meters, world frame (Z up)."""
+    distance_m: Optional[float] = None
+    """Distance between its box and the object or the person that the question names, meters. Only in lists that are about another object:
+    "what is within a meter of the sofa".
+    """
     parent: Optional[InstanceId] = None
     support: Optional[Support] = None
 
