@@ -39,7 +39,7 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
       {targets.length > 1 && (
         <>
           <h4>{t.answer.several(targets.length)}</h4>
-          <Instances room={room} entries={targets.map(({ confidence, id, name, distance_m }) => ({ id, name: distance_m == null ? name : `${name}, ${t.meters(distance_m)}`, share: confidence, view: cropOf(room, id) }))} />
+          <Instances room={room} entries={targets.map(({ confidence, id, name, distance_m }) => ({ id, name: !distance_m || distance_m < 0.01 ? name : `${name}, ${t.meters(distance_m)}`, share: confidence, view: cropOf(room, id) }))} />
         </>
       )}
       {answer.alternatives.length > 0 && (
