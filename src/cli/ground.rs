@@ -61,7 +61,7 @@ pub struct GroundArgs {
     /// Coordinate frame of --observer, and an additional frame for the boxes of the answer
     #[arg(long, default_value = "scene", value_parser = words::frame())]
     frame: FrameChoice,
-    /// Answer that the question leans on ("and the blue one?", "how big is it?")
+    /// Earlier answer that the question refers to ("and the blue one?", "how big is it?")
     #[arg(long, value_name = "ANSWER_ID", requires = "scene")]
     after: Option<String>,
     /// Instance that "this" in the question means

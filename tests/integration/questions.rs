@@ -1,6 +1,6 @@
 //! Kinds of questions: lists, numbers, yes or no, follow-ups, and regions.
 
-use crate::test_server::{TestServer, ask, assert_contains, expect_problem};
+use crate::test_server::{TestServer, ask, assert_contains, expect_problem, wait_for_job};
 use camino::Utf8Path;
 use serde_json::json;
 use uniground_core::geometry::boxes::Aabb;
@@ -16,7 +16,7 @@ fn sample_scan() -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn follow_up_questions_lean_on_answers_and_instances() {
+async fn follow_up_questions_refer_to_answers_and_instances() {
     let server = TestServer::start().await;
     let (client, scene) = (&server.client, server.upload_and_parse(sample_scan()).await);
     let follow = |query: &str, answer_id: Option<&str>, instance: Option<u32>| GroundRequest {
@@ -79,6 +79,13 @@ async fn follow_up_questions_lean_on_answers_and_instances() {
     let problem =
         expect_problem(client.ground(&other.id, &follow("and it?", Some(&sofa.id), None)).await);
     assert_contains(format!("{:?}", problem.errors), "/context/answer_id");
+    // Nor is one about another version, whose ids may mean other objects.
+    let box_of = client.ground(&other.id, &ask("the box")).await.unwrap();
+    let job = client.parse(&other.id, &json!({"preset": "paper"})).await.unwrap();
+    wait_for_job(client, &job.id).await;
+    let problem =
+        expect_problem(client.ground(&other.id, &follow("and it?", Some(&box_of.id), None)).await);
+    assert_contains(format!("{:?}", problem.errors), "has version 2 now");
     server.stop().await;
 }
 

@@ -1,6 +1,7 @@
-//! Questions that lean on an earlier one: "and the blue one?", "how big is it?", "no, the other
+//! Follow-up questions: "and the blue one?", "how big is it?", "no, the other
 //! one". They are rewritten to questions that stand alone, with ids for what they point at.
 
+use super::forms::words::{is_place, singular};
 use super::forms::{Aspect, ComparedBy, Comparison, Dimension, Form, Reference};
 use super::pieces::longest_noun;
 use super::tokens::{BREAK, tokenize};
@@ -9,7 +10,7 @@ use super::{Meaning, Phrase, parse};
 use uniground_geometry::scene::InstanceId;
 use uniground_models::attributes::Lexicon;
 
-/// The answer that a question leans on.
+/// The answer that a follow-up question refers to.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Earlier {
     /// Its question, in a form that stands alone.
@@ -36,7 +37,7 @@ const GOES_ON: [&[&str]; 9] = [
 ];
 
 /// Returns a question that needs no context. `selected` is the instance that "this" means. Returns
-/// the question unchanged where it leans on nothing.
+/// the question unchanged where it refers to nothing.
 #[must_use]
 pub fn resolve(query: &str, earlier: Option<&Earlier>, selected: Option<InstanceId>) -> String {
     let tokens = tokenize(query);
@@ -48,27 +49,28 @@ pub fn resolve(query: &str, earlier: Option<&Earlier>, selected: Option<Instance
     let lead = goes_on.filter(is_more_than_lead).map_or(0, |run| run.len());
     let elliptic = lead > 0 && !is_question(&words[lead..]);
     words.drain(..lead);
+    let noun = earlier.and_then(noun_of);
     if let Some(instance) = earlier.and_then(|earlier| earlier.instance)
-        && let Some(noun) = earlier.and_then(noun_of)
-        && let Some((start, end)) = other_one(&words, &singular(&noun))
+        && let Some(noun) = &noun
+        && let Some((start, end)) = other_one(&words, singular(noun))
     {
         words.splice(
             start..end,
-            owned(&["the", &singular(&noun), "that", "is", "not", &reference(instance)]),
+            owned(&["the", singular(noun), "that", "is", "not", &reference(instance)]),
         );
     }
-    if let Some(noun) = earlier.and_then(noun_of) {
+    if let Some(noun) = &noun {
         for i in 0..words.len() {
             let is_head = matches!(words[i].as_str(), "one" | "ones")
                 && (i > 0 && words[i - 1] != "no" && words[i - 1] != "this")
                 && !matches!(words.get(i + 1).map(String::as_str), Some("of" | "and"));
             if is_head {
-                words[i] = if words[i] == "one" { singular(&noun) } else { noun.clone() };
+                words[i] = if words[i] == "one" { singular(noun).to_owned() } else { noun.clone() };
             }
         }
     }
-    if let Some(noun) = earlier.and_then(noun_of).filter(|noun| Lexicon::get().is_plural(noun)) {
-        replace_plural_pronouns(&mut words, &noun);
+    if let Some(noun) = noun.as_ref().filter(|noun| Lexicon::get().is_plural(noun)) {
+        replace_plural_pronouns(&mut words, noun);
     }
     let meant = selected.or_else(|| earlier.and_then(|earlier| earlier.instance));
     if let Some(meant) = meant {
@@ -78,8 +80,10 @@ pub fn resolve(query: &str, earlier: Option<&Earlier>, selected: Option<Instance
         Some(earlier) if elliptic => {
             let mut object = words.join(" ");
             // "and on the shelf?" after "how many books are on the desk"
-            let of_a_kind = noun_of(earlier).filter(|_| !is_list_of_anything(earlier));
-            if let Some(noun) = of_a_kind.filter(|_| is_place(&object)) {
+            let of_a_kind = noun.filter(|_| !is_list_of_anything(earlier));
+            if let Some(noun) =
+                of_a_kind.filter(|_| is_place(&object.split(' ').collect::<Vec<_>>()))
+            {
                 object = format!("{noun} {object}");
             }
             asked_again(earlier, &object).unwrap_or(object)
@@ -119,18 +123,6 @@ fn noun_of(earlier: &Earlier) -> Option<String> {
         _ if target.head.is_empty() => earlier.name.clone(),
         _ => Some(target.head),
     }
-}
-
-/// Returns a noun in singular, if the lexicon knows it.
-fn singular(noun: &str) -> String {
-    let known = Lexicon::get().find(noun).filter(|_| Lexicon::get().is_plural(noun));
-    known.map_or_else(|| noun.to_owned(), |known| known.name.clone())
-}
-
-/// Returns whether words begin with a place: "on the shelf".
-fn is_place(words: &str) -> bool {
-    let words: Vec<&str> = words.split(' ').collect();
-    matches!(words::longest_match(&words), Some((words::Meaning::Relation(_), _)))
 }
 
 /// Returns whether an earlier question asked for things of any kind: "what is on the desk".
@@ -274,7 +266,7 @@ fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
         }
         Form::List => match &parsed.target.relations[..] {
             [relation, ..] if parsed.target.meaning() == Meaning::Anything => {
-                if is_place(object) {
+                if is_place(&object.split(' ').collect::<Vec<_>>()) {
                     format!("what is {object}")
                 } else {
                     format!("what is {} {object}", relation.text)

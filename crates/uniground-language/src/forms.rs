@@ -9,7 +9,7 @@ mod descriptions;
 mod lists;
 mod measures;
 mod patterns;
-mod words;
+pub(super) mod words;
 
 use super::tokens::BREAK;
 use super::{ParsedQuery, Phrase};

@@ -89,6 +89,7 @@ pub fn parse(query: &str) -> ParsedQuery {
     };
     for later in &mut parsed.later {
         later.form.clone_from(&form);
+        later.except.clone_from(&except);
     }
     ParsedQuery { foreign, form, except, ..parsed }
 }

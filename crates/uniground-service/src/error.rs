@@ -46,7 +46,9 @@ pub enum Error {
         "scene {scene_id} was parsed before its files' own coordinates were kept: parse it again"
     )]
     NoSourceFrame { scene_id: String },
-    #[error("the scene has version {now}, not {asked} as in if_version: read its objects again")]
+    #[error(
+        "the scene has version {now}, but if_version is {asked}: fetch its objects again, then ask with if_version {now}"
+    )]
     ParseChanged { asked: u32, now: u32 },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },

@@ -286,8 +286,8 @@ pub struct GroundRequest {
     /// rejected with `scene_not_ready`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait: Option<WaitFor>,
-    /// What the question leans on: an earlier answer ("and the blue one?", "how big is it?"), or an
-    /// instance that is meant by "this".
+    /// Context of a follow-up question: an earlier answer ("and the blue one?", "how big is it?"), or
+    /// an instance that is meant by "this".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub context: Option<QuestionContext>,
     /// Version of the parse that the question is about. If the scene has another one, the question
@@ -300,12 +300,12 @@ pub struct GroundRequest {
     pub within: Option<Region>,
 }
 
-/// What a question leans on.
+/// Context of a follow-up question.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct QuestionContext {
-    /// Id of an earlier answer about the same scene. "It" is the object of that answer, and "one"
+    /// Id of an earlier answer about the same version of the scene. "It" is the object of that answer, and "one"
     /// has the noun of its question. The answer's own context counts too, so the id of the last
     /// answer is enough.
     #[serde(default, skip_serializing_if = "Option::is_none")]

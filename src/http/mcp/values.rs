@@ -74,7 +74,7 @@ pub(super) struct Ground {
     /// Frame of `observer`, `within` and `in_frame`.
     #[serde(default)]
     pub frame: FrameChoice,
-    /// What the question leans on: the `answer_id` of an earlier answer for "it" and "one", or the
+    /// Context of a follow-up question: the `answer_id` of an earlier answer for "it" and "one", or the
     /// instance that "this" means.
     pub context: Option<QuestionContext>,
     /// Region in which the object has to be.

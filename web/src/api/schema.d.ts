@@ -3554,10 +3554,10 @@ export interface components {
          * @enum {string}
          */
         QueryText: "full" | "target" | "mean";
-        /** @description What a question leans on. */
+        /** @description Context of a follow-up question. */
         QuestionContext: {
             /**
-             * @description Id of an earlier answer about the same scene. "It" is the object of that answer, and "one"
+             * @description Id of an earlier answer about the same version of the scene. "It" is the object of that answer, and "one"
              *     has the noun of its question. The answer's own context counts too, so the id of the last
              *     answer is enough.
              */

@@ -180,7 +180,7 @@ export class Room {
     return request;
   }
 
-  /** What the question may lean on: the selected thing, and the answer on show. */
+  /** Context of a follow-up question: the selected thing, and the answer on show. */
   private context(): GroundRequest["context"] {
     const [answer, instance] = [this.sameParse.value ? this.answer.value : null, this.selected.value];
     if (!answer?.stored && instance === null) return null;

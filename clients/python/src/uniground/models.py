@@ -381,7 +381,8 @@ class BatchItemOptions(TypedDict, total=False):
     candidates: CandidateSource
     """Source of the candidates for a vision-language model. Default: `fused`."""
     context: Optional[QuestionContext]
-    """What the question leans on: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this"."""
+    """Context of a follow-up question: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this".
+    """
     direction_convention: DirectionConvention
     """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
     evidence: EvidenceMode
@@ -833,7 +834,8 @@ class GroundOptions(TypedDict, total=False):
     candidates: CandidateSource
     """Source of the candidates for a vision-language model. Default: `fused`."""
     context: Optional[QuestionContext]
-    """What the question leans on: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this"."""
+    """Context of a follow-up question: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this".
+    """
     direction_convention: DirectionConvention
     """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
     evidence: EvidenceMode
@@ -1614,10 +1616,10 @@ class PromptPart:
 
 
 class QuestionContext(TypedDict, total=False):
-    """What a question leans on."""
+    """Context of a follow-up question."""
     answer_id: Optional[str]
-    """Id of an earlier answer about the same scene. "It" is the object of that answer, and "one" has the noun of its question. The answer's
-    own context counts too, so the id of the last answer is enough.
+    """Id of an earlier answer about the same version of the scene. "It" is the object of that answer, and "one" has the noun of its
+    question. The answer's own context counts too, so the id of the last answer is enough.
     """
     instance: Optional[InstanceId]
     """Id of the instance that is meant by "this", "that" and "it", for example the one that is selected in a viewer."""

@@ -5,12 +5,11 @@ use super::sentences::{be, capitalized};
 use super::{AnswerValue, Grounding, NoMatchReason, Writer, value_of};
 use crate::Unit;
 use crate::fit::colors_fit;
+use crate::reasoner::builtin::ALSO_MEANT;
 use uniground_language::{ComparedBy, Comparison, Dimension, Meaning, Phrase, Reference};
 
 /// A claim with at least this score holds.
 const HOLDS: f32 = 0.5;
-/// An instance with this share of the best score may be the subject too.
-const MAY_BE_MEANT: f32 = 0.5;
 
 impl Writer<'_> {
     /// "Is the mug on the table": whether the claim of the target phrase holds of the subject.
@@ -27,14 +26,14 @@ impl Writer<'_> {
             Err(not_found) => {
                 let (anchor, missing) = *not_found;
                 let reason = missing.reason.unwrap_or(NoMatchReason::Absent);
-                self.choose(best, found.confidence.min(missing.confidence), grounding);
+                self.choose(best, subject, found.confidence.min(missing.confidence), grounding);
                 grounding.text = Self::nothing(&anchor, Some(reason));
                 return;
             }
         };
         let subject_name = |index: usize| capitalized(&self.spoken_name(subject, index));
         let Some((claim, anchor_confidence)) = claim else {
-            self.choose(best, found.confidence, grounding);
+            self.choose(best, subject, found.confidence, grounding);
             grounding.text = format!(
                 "I found {}, but I cannot check what you ask about it.",
                 self.spoken_name(subject, best)
@@ -43,7 +42,7 @@ impl Writer<'_> {
         };
         let top = found.scores[best];
         let holds = (0..claim.len())
-            .filter(|&i| found.scores[i] >= MAY_BE_MEANT * top)
+            .filter(|&i| found.scores[i] >= ALSO_MEANT * top)
             .max_by(|&a, &b| {
                 let joint = |i: usize| claim[i] * found.scores[i];
                 joint(a).total_cmp(&joint(b)).then(b.cmp(&a))
@@ -53,7 +52,7 @@ impl Writer<'_> {
         // A claim at the limit says little; one far from it much.
         let margin = 0.5 + (claim[index] - HOLDS).abs().min(0.5);
         let confidence = found.confidence.min(anchor_confidence) * margin;
-        self.choose(index, confidence, grounding);
+        self.choose(index, subject, confidence, grounding);
         grounding.value = Some(AnswerValue {
             yes: Some(holds.is_some()),
             ..value_of(&[self.instances()[index].id])
@@ -158,7 +157,11 @@ impl Writer<'_> {
         let confidence = grounding.confidence;
         let winner = usize::from(!compared.first_wins);
         let index = compared.ids[winner].0 as usize - 1;
-        self.choose(index, confidence, grounding);
+        let phrase = if winner == 0 { &self.parsed.target } else { &*comparison.other };
+        self.choose(index, phrase, confidence, grounding);
+        if matches!(comparison.by, ComparedBy::Dimension(_)) {
+            grounding.answer.anchor_id = Some(compared.ids[1 - winner]);
+        }
         let [a, b] = &compared.measured;
         let (won, lost) = if winner == 0 { (a, b) } else { (b, a) };
         let name = capitalized(&compared.names[winner]);
@@ -184,7 +187,7 @@ impl Writer<'_> {
                 (Some(other), _) => (a, other),
                 (None, Some(other)) => (other, b),
                 (None, None) => {
-                    self.choose(a, first.confidence, grounding);
+                    self.choose(a, &target, first.confidence, grounding);
                     grounding.text = format!("I found only one of them: {}.", self.names().the(a));
                     return None;
                 }
@@ -246,7 +249,7 @@ impl Writer<'_> {
         // Within the error of the measurement it is a guess.
         let sure = ((x - y).abs() / error.max(1e-3)).min(1.0);
         let ids = [self.instances()[a].id, self.instances()[b].id];
-        self.choose(a, confidence * (0.5 + 0.5 * sure), grounding);
+        self.choose(a, &target, confidence * (0.5 + 0.5 * sure), grounding);
         grounding.answer.anchor_id = grounding.answer.anchor_id.or(Some(ids[1]));
         let first_wins = if comparison.more { x > y } else { x < y };
         Some(Compared { ids, names, measured: [spoken(x, unit), spoken(y, unit)], first_wins })

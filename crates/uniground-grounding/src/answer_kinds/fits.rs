@@ -73,7 +73,8 @@ impl Writer<'_> {
         };
         let shown = if let Guest::Object(index, _) = guest { index } else { place };
         let certainty = if fits.yes.is_some() { FIT_CONFIDENCE } else { 0.0 };
-        self.choose(shown, confidence.min(certainty), grounding);
+        let phrase = if shown == place { &*passage.place } else { &self.parsed.target };
+        self.choose(shown, phrase, confidence.min(certainty), grounding);
         let id = |index: usize| self.instances()[index].id;
         let mut ids = vec![id(shown)];
         ids.extend((shown != place).then(|| id(place)));

@@ -1,6 +1,6 @@
 //! Lists, counts, and whether something exists.
 
-use super::sentences::{capitalized, is_building, joined, with_article};
+use super::sentences::{capitalized, joined, with_article};
 use super::{
     AnswerValue, Grounding, NoMatchReason, Resolved, Status, Writer, is_about_anything, to_target,
     value_of,
@@ -213,8 +213,8 @@ impl Writer<'_> {
         with_article(&super::sentences::spoken(target))
     }
 
-    /// Returns the objects of a list. A model's or the geometry's choice stays where the question
-    /// is about objects of one kind without an exception.
+    /// Returns the objects of a list: of any kind, all that are at the place; of one kind, those that
+    /// were decided on before and are at the place. Exceptions are left out.
     fn listing(&mut self, grounding: &Grounding) -> Listing {
         let target = self.parsed.target.clone();
         let about_anything = is_about_anything(&target);
@@ -266,7 +266,7 @@ impl Writer<'_> {
                 .filter(|&i| {
                     let instance = &self.instances()[i];
                     instance.is_shown()
-                        && (asks_for_building || !is_building(instance))
+                        && instance.structure.is_none()
                         && !anchors.contains(&i)
                         && assessed.nouns[i] > 0.0
                         && assessed.own[i] >= DESCRIBED * assessed.nouns[i]
@@ -289,7 +289,7 @@ impl Writer<'_> {
                 .map(|target| (target.id.0 as usize - 1, target.confidence))
                 .filter(|&(i, _)| {
                     i < self.instances().len()
-                        && (asks_for_building || !is_building(&self.instances()[i]))
+                        && (asks_for_building || self.instances()[i].structure.is_none())
                         && (compares || score(i) > 0.0)
                         && (assessed.nouns[i] >= OF_THE_KIND * best_noun
                             || self.assessor.scene.names.get(i).is_none())
@@ -435,7 +435,7 @@ impl Writer<'_> {
                 Some(first) => {
                     let mean = found.iter().map(|listed| listed.confidence).sum::<f32>()
                         / found.len() as f32;
-                    self.choose(first.index, mean, grounding);
+                    self.choose(first.index, &self.parsed.target, mean, grounding);
                     grounding.targets = found
                         .iter()
                         .map(|listed| super::super::Target {

@@ -29,6 +29,7 @@ pub(super) fn complete(
     parsed: &ParsedQuery,
     grounding: &mut Grounding,
 ) {
+    let decided = (grounding.status, grounding.answer.predicted_id);
     let mut writer = Writer { assessor: assessor_of(scene, question), parsed };
     grounding.kind = kind_of(&parsed.form);
     match &parsed.form {
@@ -55,6 +56,10 @@ pub(super) fn complete(
         Form::Place => grounding.text = writer.place(grounding),
     }
     grounding.text = writer.names().in_place_of_ids(&grounding.text).replace(" the me", " you");
+    if decided != (grounding.status, grounding.answer.predicted_id) {
+        // The explanation of the first decision is of another object.
+        grounding.answer.explanation.clone_from(&grounding.text);
+    }
     grounding.confidence = grounding.confidence.min(question.most_confidence);
 }
 
@@ -79,7 +84,9 @@ fn kind_of(form: &Form) -> AnswerKind {
 pub(super) fn may_be_reviewed(parsed: &ParsedQuery) -> bool {
     match &parsed.form {
         Form::Holds(_) | Form::Comparison(_) | Form::Choice(_) | Form::Fit(_) => false,
-        Form::List | Form::Exists => !is_about_anything(&parsed.target),
+        Form::List | Form::Count | Form::Number(_) | Form::Exists => {
+            !is_about_anything(&parsed.target)
+        }
         _ => true,
     }
 }
@@ -112,18 +119,16 @@ struct Resolved {
 impl Resolved {
     /// Returns indices of all instances that fit like the best.
     fn tied(&self) -> Vec<usize> {
-        const TIE: f32 = 0.97;
         let best = self.scores.iter().copied().fold(0.0, f32::max);
-        (0..self.scores.len()).filter(|&i| self.scores[i] >= TIE * best).collect()
+        (0..self.scores.len()).filter(|&i| self.scores[i] >= builtin::TIE * best).collect()
     }
 
     /// Returns the best instance apart from one, if it fits nearly as well.
     fn next_to(&self, index: usize) -> Option<usize> {
-        const ALSO_MEANT: f32 = 0.5;
         let best = *self.scores.get(index)?;
         (0..self.scores.len())
             .filter(|&i| i != index && self.scores[i] > 0.0)
-            .filter(|&i| self.scores[i] >= ALSO_MEANT * best)
+            .filter(|&i| self.scores[i] >= builtin::ALSO_MEANT * best)
             .max_by(|&a, &b| self.scores[a].total_cmp(&self.scores[b]).then(b.cmp(&a)))
     }
 }
@@ -199,13 +204,15 @@ impl<'a> Writer<'a> {
         Ok((resolved, confidence))
     }
 
-    /// Makes an instance the answer.
-    fn choose(&self, index: usize, confidence: f32, grounding: &mut Grounding) {
+    /// Makes an instance the answer, as what a phrase means.
+    fn choose(&self, index: usize, phrase: &Phrase, confidence: f32, grounding: &mut Grounding) {
         let instance = &self.instances()[index];
         grounding.status = Status::Grounded;
         grounding.no_match_reason = None;
         grounding.confidence = confidence;
         grounding.answer.predicted_id = Some(instance.id);
+        grounding.answer.target_name_matches =
+            Some(builtin::name_matches(self.assessor.scene, phrase, index));
         grounding
             .answer
             .candidate_names

@@ -3,7 +3,7 @@
 use crate::answer::describe_instance;
 use crate::assess::Assessor;
 use crate::solid::Solid;
-use uniground_geometry::scene::{Instance, Structure, Support};
+use uniground_geometry::scene::{Instance, Support};
 use uniground_language::{Aspect, Phrase};
 use uniground_models::attributes::Lexicon;
 
@@ -256,9 +256,4 @@ pub(super) fn capitalized(text: &str) -> String {
     characters
         .next()
         .map_or_else(String::new, |first| first.to_uppercase().chain(characters).collect())
-}
-
-/// Returns whether an instance is a part of the building that is asked for only by name.
-pub(super) fn is_building(instance: &Instance) -> bool {
-    matches!(instance.structure, Some(Structure::Floor | Structure::Ceiling | Structure::Wall))
 }

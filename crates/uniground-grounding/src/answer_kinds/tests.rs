@@ -162,6 +162,9 @@ fn yes_or_no_follows_from_the_room() {
     assert_eq!(yes("is the stool closer to the sofa than the desk?"), Some(true));
     assert_eq!(yes("does the stool fit under the desk?"), Some(true));
     assert_eq!(yes("does the sofa fit under the desk?"), Some(false));
+    assert_eq!(yes("does the laptop fit on the stool?"), Some(true));
+    assert_eq!(yes("does the sofa fit in the desk?"), Some(false));
+    assert_eq!(yes("would the stool fit through the desk?"), Some(true));
     // The gap of 2.3 m between desk and sofa; the free space under a sofa is unknown.
     assert_eq!(yes("would a robot 60 cm wide fit between the desk and the sofa?"), Some(true));
     assert_eq!(
@@ -204,6 +207,11 @@ fn nonsense_is_said_to_be_nonsense() {
 fn choices_return_the_winner() {
     let answer = ask("which is taller, the floor lamp or the sofa?");
     assert_eq!((answer.kind, targets(&answer)), (AnswerKind::Box, vec![7]));
+    let answer = ask("which is taller, the sofa or the floor lamp?");
+    let fields = &answer.answer;
+    assert_eq!((fields.predicted_id, fields.anchor_id), (Some(InstanceId(7)), Some(InstanceId(5))));
+    assert_eq!(fields.target_name_matches, Some(true));
+    assert_eq!(fields.explanation, answer.text);
     let answer = ask("which is closer to the sofa, the desk or the stool?");
     assert_eq!(targets(&answer), [6], "{}", answer.text);
 }

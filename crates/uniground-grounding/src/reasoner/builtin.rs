@@ -37,9 +37,9 @@ const CALLED_BROADER: f32 = 0.6;
 /// A measured relation with a lower score does not hold.
 const PLAINLY_AGAINST: f32 = 0.15;
 /// An instance with at least this share of the best score is tied with it.
-const TIE: f32 = 0.97;
+pub(crate) const TIE: f32 = 0.97;
 /// If a question asks for several, an instance with this share of the best score is one of them.
-const ALSO_MEANT: f32 = 0.5;
+pub(crate) const ALSO_MEANT: f32 = 0.5;
 /// Weight of a score under the less likely reading of the words; the other has 1.
 const OTHER_READING: f32 = 0.92;
 /// Power of the scores that share the belief: the higher, the larger the share of the best.
@@ -289,7 +289,7 @@ fn beliefs(scores: &[f32]) -> Vec<f32> {
 
 /// Returns whether the name of the instance at an index, or one of its guesses, is what the phrase
 /// may mean.
-fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
+pub(crate) fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
     match (target.meaning(), scene.names.get(index)) {
         (Meaning::Anything | Meaning::Instance(_), _) => true,
         (Meaning::Structure(structure), _)

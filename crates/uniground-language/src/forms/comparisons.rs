@@ -30,6 +30,7 @@ const COMPARATIVES: [(&str, Dimension, bool); 20] = [
     ("tallest", Dimension::Height, true),
     ("widest", Dimension::Width, true),
 ];
+
 impl PatternReader<'_> {
     /// "which is taller, the lamp or the shelf", "is the sofa longer than the rug"
     pub(super) fn choice(&mut self, words: &[&str]) -> Found {
@@ -56,8 +57,8 @@ impl PatternReader<'_> {
             let pair = pair.strip_suffix(&[BREAK]).unwrap_or(pair);
             let (target, other) = split_pair(pair, "or")?;
             let target = target.strip_suffix(&[BREAK]).unwrap_or(target);
-            let kind = noun_of(kind).map_or_else(Vec::new, singular);
-            let kind: Vec<&str> = kind.iter().map(String::as_str).collect();
+            let noun = noun_of(kind).map_or_else(String::new, |noun| noun.join(" "));
+            let kind: Vec<&str> = singular(&noun).split_whitespace().collect();
             let (target, other) = if kind.is_empty() {
                 pair_with_nouns(target, other)
             } else {

@@ -13,12 +13,8 @@ impl PatternReader<'_> {
     /// "is the mug on the table", "are the chairs red"
     pub(super) fn holds(&mut self, words: &[&str]) -> Found {
         let rest = after(words, &["is", "are"])?;
-        let (rest, negated) = match rest {
-            ["not", rest @ ..] => (rest, true),
-            rest => (rest, false),
-        };
         // "is not it" and the like say nothing.
-        if negated || !is_article(rest.first()?) || rest.len() < 2 {
+        if rest.first() == Some(&"not") || !is_article(rest.first()?) || rest.len() < 2 {
             return None;
         }
         // "is the armchair beside the door green": the last word is said of the armchair.

@@ -5,6 +5,7 @@ use super::patterns::Found;
 use super::words::{
     after, before, is_comparing_place, is_one_of, is_place, is_plural, owned, skip_placed,
 };
+use crate::words::{self, Meaning};
 
 /// Words for things of any kind.
 const THINGS: [&str; 12] = [
@@ -21,6 +22,7 @@ const THINGS: [&str; 12] = [
     "everything",
     "something",
 ];
+
 pub(super) const PEOPLE: [&str; 13] = [
     "i", "we", "you", "they", "he", "she", "somebody", "someone", "anybody", "anyone", "people",
     "one", "who",
@@ -169,22 +171,21 @@ pub(super) fn list(words: &[&str], is_first: bool) -> Found {
         }
     };
     if rest.is_empty() || matches!(rest, ["there" | "here"]) || is_room(rest) {
-        return (of_a_kind || seen.is_some() || !words.is_empty() && is_room(rest))
-            .then(|| target(&[]))
-            .flatten();
+        return (of_a_kind || seen.is_some() || is_room(rest)).then(|| target(&[])).flatten();
     }
     (is_place(rest) && !is_comparing_place(rest)).then(|| target(rest)).flatten()
 }
 
 /// Reads a number at the beginning of words, and returns the rest.
 fn leading_number<'a, 'b>(words: &'a [&'b str]) -> Option<(u32, &'a [&'b str])> {
-    const WORDS: [&str; 10] =
-        ["one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"];
+    if let Some((Meaning::Number(number), length)) = words::longest_match(words) {
+        return Some((number, &words[length..]));
+    }
     let (first, rest) = words.split_first()?;
-    let number = match WORDS.iter().zip(1..).find(|(word, _)| *word == first) {
-        Some((_, number)) => number,
-        None if *first == "zero" => 0,
-        None => first.parse().ok()?,
+    let number = match *first {
+        "zero" => 0,
+        "one" => 1,
+        number => number.parse().ok()?,
     };
     Some((number, rest))
 }

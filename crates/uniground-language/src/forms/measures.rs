@@ -24,6 +24,7 @@ const DIMENSIONS: [(&str, Dimension); 16] = [
     ("floor area", Dimension::Area),
     ("elevation", Dimension::Elevation),
 ];
+
 impl PatternReader<'_> {
     pub(super) fn distance(&mut self, words: &[&str]) -> Found {
         // "the distance between A and B", "how much space is there between A and B"

@@ -78,6 +78,7 @@ pub(super) const TAILS: [&str; 27] = [
     "can you see",
     "do you think",
 ];
+
 /// Verbs and participles that place an object.
 pub(super) const PLACED: [&str; 28] = [
     "being",
@@ -109,6 +110,7 @@ pub(super) const PLACED: [&str; 28] = [
     "currently",
     "there",
 ];
+
 /// Returns what follows the first of some runs of words with which `words` begin.
 pub(super) fn after<'a, 'b>(words: &'a [&'b str], runs: &[&str]) -> Option<&'a [&'b str]> {
     runs.iter().find_map(|run| {
@@ -222,7 +224,7 @@ pub(super) fn is_article(word: &str) -> bool {
 }
 
 /// Returns whether words begin with a place: "on the desk", "next to the sofa".
-pub(super) fn is_place(words: &[&str]) -> bool {
+pub(crate) fn is_place(words: &[&str]) -> bool {
     matches!(
         words::longest_match(words),
         Some((
@@ -261,9 +263,9 @@ pub(super) fn skip_placed<'a, 'b>(mut words: &'a [&'b str]) -> &'a [&'b str] {
     words
 }
 
-/// Splits contractions, and joins nothing: "what's" is "what is".
+/// Writes out the contractions with which a question begins: "what's" is "what is".
 pub(super) fn expand_contractions(tokens: &mut Vec<String>) {
-    const FORMS: [(&str, &str); 19] = [
+    const FORMS: [(&str, &str); 18] = [
         ("what's", "what is"),
         ("whats", "what is"),
         ("where's", "where is"),
@@ -282,7 +284,6 @@ pub(super) fn expand_contractions(tokens: &mut Vec<String>) {
         ("theres", "there is"),
         ("there's", "there is"),
         ("that's", "that is"),
-        ("metres", "meters"),
     ];
     // Elsewhere in a sentence, the grammar's own tables know the contractions.
     let starts: Vec<usize> = std::iter::once(0)
@@ -345,9 +346,8 @@ pub(super) fn skip_trailing_placed<'a, 'b>(mut words: &'a [&'b str]) -> &'a [&'b
     words
 }
 
-/// Returns a noun in singular.
-pub(super) fn singular(noun: &[&str]) -> Vec<String> {
-    let said = noun.join(" ");
-    let known = Lexicon::get().find(&said).filter(|_| Lexicon::get().is_plural(&said));
-    known.map_or(said, |noun| noun.name.clone()).split(' ').map(str::to_owned).collect()
+/// Returns a noun in singular, if the lexicon knows it.
+pub(crate) fn singular(noun: &str) -> &str {
+    let known = Lexicon::get().find(noun).filter(|_| Lexicon::get().is_plural(noun));
+    known.map_or(noun, |known| &known.name)
 }

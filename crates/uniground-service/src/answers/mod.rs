@@ -191,7 +191,7 @@ impl GroundingService {
         let (understood_as, context_confidence) = match &request.context {
             Some(context) => {
                 let (resolved, confidence) =
-                    self.resolve_follow_up(&scene.id, &said, context, &source.parse).await?;
+                    self.resolve_follow_up(&scene, &said, context, &source).await?;
                 ((resolved != said).then_some(resolved), confidence)
             }
             None => (None, 1.0),
