@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation fit-confidence eyes
+.PHONY: check web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz packages mutants attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation fit-confidence eyes hub-layouts
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/ (a build that is ready sooner, in target/demo)
 	$(CARGO) build --profile demo --locked
@@ -104,6 +104,11 @@ fit-confidence: ## Refits the shares of right answers by belief to the annotated
 eyes: ## Answers with a vision-language model that whoever looks at the pictures plays (ROOMS="a.zip b.zip" BOX=folder; scripts/eyes.py next BOX)
 	$(CARGO) build --release --locked --quiet
 	$(PYTHON) scripts/eyes.py run --box $(BOX) --out target/eyes.json $(FLAGS) $(ROOMS)
+
+hub-layouts: ## Tiny random networks as Transformers.js and Optimum lay them out, with answers of torch, into the tests' data (installs into .venv-hub, 6 GB)
+	[ -x .venv-hub/bin/python ] || $(PYTHON) -m venv .venv-hub
+	.venv-hub/bin/pip install -q $$(grep -oE '[a-z-]+==[0-9.]+' tools/export_hub_layouts.py)
+	.venv-hub/bin/python tools/export_hub_layouts.py crates/uniground-models/tests/data/hub
 
 quality: ## Answers against annotated rooms (ROOMS=folder), held against benches/quality.json; the page is target/quality/index.html
 	$(CARGO) build --release --locked --quiet

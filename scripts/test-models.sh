@@ -56,7 +56,13 @@ ready() {
     return 1
 }
 kserve_port=$(free_port)
-$venv/bin/python tests/kserve/server.py "$kserve_port" crates/uniground-models/tests/data/tiny-dual-encoder crates/uniground-models/tests/data/tiny-segmenter >"$logs/kserve" 2>&1 &
+data=crates/uniground-models/tests/data
+rm -rf target/kserve
+for added in siglip-split:siglip clip-joint:clip-joint sam-split:sam sam2:sam2; do
+    ./target/release/uniground models add "$data/hub/${added%:*}" --as "${added#*:}" --models target/kserve
+done
+$venv/bin/python tests/kserve/server.py "$kserve_port" $data/tiny-dual-encoder $data/tiny-segmenter target/kserve/siglip \
+    target/kserve/clip-joint target/kserve/sam target/kserve/sam2 >"$logs/kserve" 2>&1 &
 kserve=$!
 litellm_port=$(free_port)
 $litellm/bin/litellm --config tests/litellm/config.yaml --host 127.0.0.1 --port "$litellm_port" --telemetry False >"$logs/litellm" 2>&1 &

@@ -4,6 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;
 use std::num::ParseFloatError;
 use uniground_core::models::neural::Provider;
+use uniground_core::models::neural::layouts::Precision;
 use uniground_types::keys::Scope;
 use uniground_types::numbers;
 use uniground_types::problem::FieldError;
@@ -14,6 +15,20 @@ use uniground_types::settings::{ParsePreset, check_metres_per_unit};
 /// Parses an execution provider.
 pub fn provider() -> impl TypedValueParser<Value = Provider> {
     word_parser(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
+}
+
+/// Parses a precision of networks.
+pub fn precision() -> impl TypedValueParser<Value = Precision> {
+    word_parser(&[
+        ("fp32", ""),
+        ("fp16", ""),
+        ("q8", "8 bits"),
+        ("int8", ""),
+        ("uint8", ""),
+        ("q4", "4 bits"),
+        ("q4f16", ""),
+        ("bnb4", ""),
+    ])
 }
 
 /// Parses which parse a question waits for.

@@ -1,9 +1,8 @@
 //! `uniground serve`: runs the service until SIGTERM, SIGHUP or Ctrl-C.
 
-use super::fetching::{fetch_all, missing_parts};
+use super::fetching::fetch_missing;
 use crate::app::{self, RunningService};
-use crate::config::{LIBRARY_FOLDER, ServeConfig};
-use crate::packages::Places;
+use crate::config::ServeConfig;
 use crate::telemetry;
 use std::fs;
 use std::io::{self, Write};
@@ -14,9 +13,7 @@ pub fn fetch(config: &ServeConfig) {
     if !config.fetch_models {
         return;
     }
-    let places =
-        Places { models: config.models.bundles.models.clone(), library: LIBRARY_FOLDER.into() };
-    if let Err(error) = fetch_all(&missing_parts(&config.models), &places, &mut io::stderr()) {
+    if let Err(error) = fetch_missing(&config.models, &mut io::stderr()) {
         eprintln!("{error:#}; the server starts with the models that are installed");
     }
 }

@@ -2,7 +2,10 @@
 
 use super::models::{BundlesConfig, ModelsConfig};
 use super::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
+use crate::bundles::{self, AddOptions, BundleSource, HubSettings};
+use crate::packages::Event;
 use anyhow::Context;
+use camino::Utf8PathBuf;
 use std::io;
 use uniground_core::models::neural::{
     BundleListing, Engine, ModelError, Models, Provider, Role, bundle_folder, list,
@@ -105,14 +108,29 @@ impl ModelsConfig {
     /// Returns whether a bundle would be used if it were in the models folder.
     #[must_use]
     pub fn is_wanted_bundle(&self, role: Role, bundle: &str) -> bool {
-        let wish = match role {
-            Role::Masks => ModelChoice::parse(&self.masks, BUILTIN_MASKS),
-            Role::Encoder => ModelChoice::parse(&self.encoder, BUILTIN_ENCODER),
-        };
-        match wish {
+        match self.choice(role) {
             ModelChoice::Auto => true,
             ModelChoice::Builtin => false,
             ModelChoice::Named(names) => names.split('+').any(|name| name == bundle),
+        }
+    }
+
+    /// Returns whether any working bundle of a role is used.
+    #[must_use]
+    pub fn is_auto(&self, role: Role) -> bool {
+        self.choice(role) == ModelChoice::Auto
+    }
+
+    /// Returns whether a role is filled by a bundle, if there is one.
+    #[must_use]
+    pub fn wants_bundle(&self, role: Role) -> bool {
+        self.choice(role) != ModelChoice::Builtin
+    }
+
+    fn choice(&self, role: Role) -> ModelChoice<'_> {
+        match role {
+            Role::Masks => ModelChoice::parse(&self.masks, BUILTIN_MASKS),
+            Role::Encoder => ModelChoice::parse(&self.encoder, BUILTIN_ENCODER),
         }
     }
 }
@@ -153,8 +171,11 @@ impl ModelChooser<'_> {
                 let names: Vec<&str> =
                     if role == Role::Masks { names_of_masks.collect() } else { vec![names] };
                 for name in &names {
-                    self.models =
-                        self.load_with(role, &bundle_folder(name, &self.bundles.models))?;
+                    let folder = match BundleSource::is_remote(name) {
+                        true => self.install(name)?,
+                        false => bundle_folder(name, &self.bundles.models),
+                    };
+                    self.models = self.load_with(role, &folder)?;
                 }
                 Ok(format!("{} (as configured)", names.join("+")))
             }
@@ -198,6 +219,32 @@ impl ModelChooser<'_> {
             }
         }
         format!("built in (unusable: {names})")
+    }
+
+    /// Installs a bundle from the hub or a zip file, unless it is installed.
+    fn install(&self, source: &str) -> anyhow::Result<Utf8PathBuf> {
+        let source: BundleSource = source.parse().map_err(anyhow::Error::msg)?;
+        let hub = HubSettings::from_environment()?;
+        let options = AddOptions {
+            models: &self.bundles.models,
+            name: None,
+            precision: None,
+            update: false,
+            hub: &hub,
+            pause: &std::thread::sleep,
+        };
+        let added = bundles::add(&source, &options, &mut |event| match event {
+            Event::Described { source, license, bytes } => {
+                let megabytes = bytes / 1_000_000;
+                tracing::info!(source, license, megabytes, "installing a model");
+            }
+            Event::Started(file, _) => tracing::info!(file, "downloading"),
+            Event::Received(_)
+            | Event::Downloaded
+            | Event::Installed(_)
+            | Event::AlreadyInstalled(_) => {}
+        })?;
+        Ok(added.folder)
     }
 
     fn load_with(&self, role: Role, folder: &camino::Utf8Path) -> anyhow::Result<Models> {

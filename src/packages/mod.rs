@@ -21,6 +21,7 @@ pub use parts::{
     Build, CarriedFile, InstallTarget, PARTS, Package, PackagePart, PackagedFile, Source,
 };
 pub use registry::{Registries, Registry};
+pub use unpack::hex;
 
 use camino::{Utf8Path, Utf8PathBuf};
 use std::io;
@@ -68,6 +69,9 @@ pub struct Places {
 /// Progress while a part is fetched.
 #[derive(Debug)]
 pub enum Event<'a> {
+    /// What a source says about a bundle before its files are downloaded: its license, empty if it
+    /// states none, and its size, 0 if unknown.
+    Described { source: &'a str, license: &'a str, bytes: u64 },
     /// All files of the part existed already.
     AlreadyInstalled(&'a Utf8Path),
     /// The download of a package with this many bytes begins.
@@ -125,6 +129,7 @@ pub fn fetch(
 }
 
 /// Describes an error of the client without its address, which may hold a password.
-fn describe_error(error: reqwest::Error) -> String {
+#[must_use]
+pub fn describe_error(error: reqwest::Error) -> String {
     with_causes(&error.without_url())
 }

@@ -19,8 +19,8 @@ pub fn is_right(file: &Utf8Path, sha256: &str) -> bool {
         && hex(sum.0) == sha256
 }
 
-/// Formats a SHA-256 as hexadecimal text.
-pub fn hex(sum: Sha256) -> String {
+/// Formats a hash as hexadecimal text.
+pub fn hex(sum: impl Digest) -> String {
     sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 

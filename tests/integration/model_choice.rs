@@ -134,13 +134,14 @@ async fn a_server_that_cannot_fetch_models_starts_without_them() {
         .current_dir(&work)
         .env_remove("ORT_DYLIB_PATH")
         .env_remove("UNIGROUND_MODELS")
-        .envs([("PIP_INDEX_URL", nobody), ("NPM_CONFIG_REGISTRY", nobody)])
+        .envs([("PIP_INDEX_URL", nobody), ("NPM_CONFIG_REGISTRY", nobody), ("HF_ENDPOINT", nobody)])
         .stderr(File::create(&log).unwrap());
     let process = Process::spawn(&mut command);
     assert!(process.client.models().await.unwrap().models.is_empty());
     process.kill();
     let told = fs::read_to_string(&log).unwrap();
     for expected in [
+        "encoder: the small CLIP from PyPI, because hub:Xenova/clip-vit-base-patch16: http://127.0.0.1:9 cannot be reached",
         "onnxruntime 1.31.1: http://127.0.0.1:9 cannot be reached",
         "The current one comes from NPM_CONFIG_REGISTRY",
         "could not be fetched: onnxruntime, sam2, clip; the server starts with the models that are installed",

@@ -359,53 +359,39 @@ fn local_and_remote_inference_give_the_same_results() {
     let address =
         std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
     let remote = RemoteServer::new(&address, Duration::from_mins(1)).unwrap();
-    let data = repository_root().join("crates/uniground-models/tests/data");
-    let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
-        Models::default()
-            .with_encoder(engine, &data.join("tiny-dual-encoder"))
-            .unwrap()
-            .encoder
-            .unwrap()
-    });
     let pictures: Vec<RgbImage> = (1..12)
         .map(|i| {
             RgbImage::from_fn(70, 50, |x, y| image::Rgb([(x * i) as u8, (y * 2) as u8, i as u8]))
         })
         .collect();
-    for (a, b) in here
-        .embed_pictures(&pictures)
-        .unwrap()
-        .iter()
-        .zip(&there.embed_pictures(&pictures).unwrap())
+    let data = repository_root().join("crates/uniground-models/tests/data");
+    let of_hub = repository_root().join("target/kserve");
+    for bundle in [data.join("tiny-dual-encoder"), of_hub.join("siglip"), of_hub.join("clip-joint")]
     {
-        assert!(cosine(a, b) > 0.999_99, "cosine {}", cosine(a, b));
+        let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
+            Models::default().with_encoder(engine, &bundle).unwrap().encoder.unwrap()
+        });
+        let embedded = [&here, &there].map(|encoder| encoder.embed_pictures(&pictures).unwrap());
+        for (a, b) in embedded[0].iter().zip(&embedded[1]) {
+            assert!(cosine(a, b) > 0.999_99, "{bundle}: cosine {}", cosine(a, b));
+        }
+        let words = [&here, &there]
+            .map(|encoder| encoder.embed_text("the small blue mug").unwrap().vector.unwrap());
+        assert!(cosine(&words[0], &words[1]) > 0.999_99, "{bundle}");
     }
-    let text = "the small blue mug";
-    assert!(
-        cosine(
-            &here.embed_text(text).unwrap().vector.unwrap(),
-            &there.embed_text(text).unwrap().vector.unwrap()
-        ) > 0.999_99
-    );
-    let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
-        Models::default()
-            .with_segmenter(engine, &data.join("tiny-segmenter"))
-            .unwrap()
-            .segmenters
-            .remove(0)
-    });
     let prompts: Vec<Prompt> =
         (0..20).map(|i| Prompt::from_inside_points([(i as f32 * 3.0, 20.0)])).collect();
     let masks = |segmenter: &Segmenter| {
         segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap()
     };
-    for (a, b) in masks(&here).iter().flatten().zip(masks(&there).iter().flatten()) {
-        assert!(
-            (a.predicted_iou - b.predicted_iou).abs() < 1e-4,
-            "{} {}",
-            a.predicted_iou,
-            b.predicted_iou
-        );
-        assert!(a.logits.iter().zip(&b.logits).all(|(x, y)| (x - y).abs() < 1e-3));
+    for bundle in [data.join("tiny-segmenter"), of_hub.join("sam"), of_hub.join("sam2")] {
+        let [here, there] = [&engine() as &dyn Engine, &remote].map(|engine| {
+            Models::default().with_segmenter(engine, &bundle).unwrap().segmenters.remove(0)
+        });
+        for (a, b) in masks(&here).iter().flatten().zip(masks(&there).iter().flatten()) {
+            let differ = (a.predicted_iou - b.predicted_iou).abs();
+            assert!(differ < 1e-4, "{bundle}: {differ}");
+            assert!(a.logits.iter().zip(&b.logits).all(|(x, y)| (x - y).abs() < 1e-3), "{bundle}");
+        }
     }
 }

@@ -45,10 +45,10 @@ class Network(kserve.Model):
 def networks(folder):
     folder = pathlib.Path(folder)
     manifest = json.loads((folder / "model.json").read_text())
-    for part in ("image", "text", "encoder", "decoder"):
-        if part in manifest:
-            file = manifest[part]["file"]
-            yield Network(f"{manifest['name']}-{file.split('.')[0]}", folder / file)
+    parts = [part for part in ("image", "text", "encoder", "decoder") if part in manifest]
+    # Two towers can be one network.
+    for file in dict.fromkeys(manifest[part]["file"] for part in parts):
+        yield Network(f"{manifest['name']}-{pathlib.Path(file).stem}", folder / file)
 
 
 if __name__ == "__main__":

@@ -139,7 +139,8 @@ impl Engine for RemoteServer {
 /// Returns the name of a bundle's network at an inference server: the bundle's name and the file's
 /// name, without its extension.
 fn network_name(bundle: &Bundle, file: &str) -> String {
-    format!("{}-{}", bundle.name(), file.split('.').next().unwrap_or(file))
+    // Exporters of SAM write `NAME.encoder.onnx` and `NAME.decoder.onnx`.
+    format!("{}-{}", bundle.name(), file.rsplit_once('.').map_or(file, |(stem, _)| stem))
 }
 
 struct RemoteNetwork {

@@ -1,9 +1,9 @@
 //! A bundle: a folder with `model.json`, networks and, for text, a tokenizer.
 
 use super::ModelError;
-use super::external_data::external_data;
+use super::onnx_file::read_onnx;
 use camino::{Utf8Path, Utf8PathBuf};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs::{self, File};
 use std::io;
@@ -13,6 +13,7 @@ pub const MANIFEST: &str = "model.json";
 
 /// The content of `model.json`.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::large_enum_variant)] // A process has a handful of manifests.
 pub enum Manifest {
     /// `kind` is `dual-encoder`: pictures and words in one space.
     DualEncoder(DualEncoderManifest),
@@ -21,7 +22,7 @@ pub enum Manifest {
 }
 
 /// `model.json` of a dual encoder.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DualEncoderManifest {
     /// 1 to 100 letters, digits, dots, dashes and underscores.
     pub name: String,
@@ -29,7 +30,8 @@ pub struct DualEncoderManifest {
     pub embedding_dim: usize,
     /// The network that embeds pictures.
     pub image: ImageTower,
-    /// The network that embeds words.
+    /// The network that embeds words. It can be the same file as that of `image`; every call then
+    /// feeds both, with blanks for the other.
     pub text: TextTower,
     /// Factor that cosines are multiplied with before they are compared as likelihoods. 100 for
     /// CLIP and similar models.
@@ -47,8 +49,16 @@ fn default_logit_scale() -> f32 {
     100.0
 }
 
+impl DualEncoderManifest {
+    /// Returns whether both towers are one network.
+    #[must_use]
+    pub fn is_joint(&self) -> bool {
+        self.image.file == self.text.file
+    }
+}
+
 /// The network that embeds pictures, and its input format.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ImageTower {
     /// Name of the network's file, in the bundle's folder.
     pub file: String,
@@ -76,7 +86,7 @@ fn default_true() -> bool {
 }
 
 /// The network that embeds words, and its tokenizer.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TextTower {
     /// Name of the network's file, in the bundle's folder.
     pub file: String,
@@ -87,8 +97,8 @@ pub struct TextTower {
     pub attention_mask: Option<String>,
     /// Name of the tensor of embeddings: `[batch, embedding_dim]`, not yet of unit length.
     pub output: String,
-    /// Name of the tokenizer's file, in the bundle's folder, usually `tokenizer.json`. It pads and
-    /// truncates to `context_length`.
+    /// Name of the tokenizer's file, in the bundle's folder, usually `tokenizer.json`. If it pads,
+    /// then with `pad_id`.
     pub tokenizer: String,
     /// Number of tokens per sentence, including padding, 1 to 65536. Longer sentences are
     /// truncated.
@@ -96,6 +106,9 @@ pub struct TextTower {
     /// Id of the padding token. 0 when not stated.
     #[serde(default)]
     pub pad_id: u32,
+    /// Whether sentences are lower-cased before the tokenizer reads them.
+    #[serde(default)]
+    pub lowercase: bool,
     /// The prompt that a noun is inserted into before it is embedded: "a photo of a {}." for towers
     /// trained on captions.
     #[serde(default = "default_prompt")]
@@ -107,7 +120,7 @@ fn default_prompt() -> String {
 }
 
 /// `model.json` of a promptable segmenter.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SegmenterManifest {
     /// The network's architecture.
     pub family: Family,
@@ -126,7 +139,7 @@ pub struct SegmenterManifest {
 }
 
 /// The architecture of a segmenter. It decides which features the decoder reads.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Family {
     /// SAM and `MobileSAM`: one embedding of the picture.
@@ -136,11 +149,12 @@ pub enum Family {
 }
 
 /// The network that encodes the picture, and its input format.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SegmenterEncoder {
     /// Name of the network's file, in the bundle's folder.
     pub file: String,
-    /// Name of the tensor of the picture: `[1, 3, size, size]`, 32-bit floats.
+    /// Name of the tensor of the picture, 32-bit floats: `[1, 3, size, size]`, or
+    /// `[height, width, 3]` of values 0 to 255 for a network that normalizes and pads itself.
     pub input: String,
     /// Output tensors. `image_embed` must be among them.
     pub outputs: FeatureNames,
@@ -159,7 +173,7 @@ pub struct SegmenterEncoder {
 }
 
 /// Tensor names by role.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FeatureNames {
     /// Embedding of the whole picture.
     pub image_embed: Option<String>,
@@ -167,6 +181,9 @@ pub struct FeatureNames {
     pub high_res_feats_0: Option<String>,
     /// Finer features, an eighth of the input's side; `None` for SAM.
     pub high_res_feats_1: Option<String>,
+    /// Embedding of the positions in `image_embed`, where the encoder makes it.
+    #[serde(default)]
+    pub image_positions: Option<String>,
 }
 
 impl FeatureNames {
@@ -176,6 +193,7 @@ impl FeatureNames {
             ("image_embed", &self.image_embed),
             ("high_res_feats_0", &self.high_res_feats_0),
             ("high_res_feats_1", &self.high_res_feats_1),
+            ("image_positions", &self.image_positions),
         ]
         .into_iter()
         .filter_map(|(role, name)| Some((role, name.as_deref()?)))
@@ -190,7 +208,7 @@ impl FeatureNames {
 }
 
 /// The network that turns prompts into masks.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SegmenterDecoder {
     /// Name of the network's file, in the bundle's folder.
     pub file: String,
@@ -216,44 +234,57 @@ pub struct SegmenterDecoder {
     /// `max_batch`.
     #[serde(default)]
     pub accelerated_batch: Option<u16>,
-    /// Whether prompts without a box get an additional padding point, labeled -1.
+    /// Whether prompts get an additional padding point, labeled -1. For SAM only those without a
+    /// box, for SAM 2 all.
     pub pad_point: bool,
     /// Logit above which a pixel is inside.
     pub mask_threshold: f32,
 }
 
 /// Input tensors of the decoder, by role.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DecoderInputs {
     /// Tensors from the encoder. Each must be among its outputs.
     #[serde(flatten)]
     pub features: FeatureNames,
-    /// Name of the tensor of points: `[batch, points, 2]`, x and y in network pixels.
+    /// Name of the tensor of points: `[batch, points, 2]` or `[1, batch, points, 2]`, x and y in
+    /// network pixels.
     pub point_coords: String,
-    /// Name of the tensor of point labels: `[batch, points]`; 0 outside, 1 inside, 2 and 3 corners
-    /// of a box, -1 padding.
+    /// Name of the tensor of point labels, floats or 64-bit integers, shaped like `point_coords`
+    /// without its last dimension; 0 outside, 1 inside, 2 and 3 corners of a box, -1 padding.
     pub point_labels: String,
+    /// Name of the tensor of boxes, `[1, boxes, 4]`, here always without boxes: corners of a box
+    /// are points. `None` when the network has no such input.
+    #[serde(default)]
+    pub boxes: Option<String>,
+    /// Whether points labeled 2 and 3 are corners of a box. Prompts with a box are refused
+    /// otherwise.
+    #[serde(default = "default_true")]
+    pub box_corners: bool,
     /// Name of the tensor of an initial mask: `[batch, 1, mask_size, mask_size]`, here all 0.
     /// `None` when the network has no such input.
     pub mask_input: Option<String>,
     /// Name of the tensor that says whether `mask_input` is used, here 0. Present exactly when
     /// `mask_input` is.
     pub has_mask_input: Option<String>,
-    /// Must be `None`: masks are enlarged here, not by the network.
+    /// Name of the tensor of the size that the network enlarges masks to, here `mask_size`, because
+    /// `outputs.masks` are read before they are enlarged. `None` when the network has no such
+    /// input.
     pub orig_im_size: Option<String>,
 }
 
 /// Output tensors of the decoder, by role.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DecoderOutputs {
-    /// Name of the tensor of logits: `[batch, num_masks, mask_size, mask_size]`.
+    /// Name of the tensor of logits: `[batch, num_masks, mask_size, mask_size]`, with a leading 1
+    /// where `point_coords` has one.
     pub masks: String,
-    /// Name of the tensor of each mask's predicted IoU: `[batch, num_masks]`.
+    /// Name of the tensor of each mask's predicted IoU: `[batch, num_masks]`, likewise.
     pub iou: String,
 }
 
 /// How a picture is resized to the network's input size.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Resize {
     /// Both sides are scaled to the size, ignoring the aspect ratio.
@@ -266,7 +297,7 @@ pub enum Resize {
 }
 
 /// Resizing filter. It widens when shrinking (antialias), like Pillow's.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Interpolation {
     /// Linear interpolation between two neighbors along each axis.
@@ -276,7 +307,7 @@ pub enum Interpolation {
 }
 
 /// The value range of a segmenter's mean and std.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ValueRange {
     /// Unchanged values, 0 to 255.
     #[serde(rename = "0-255")]
@@ -304,10 +335,22 @@ impl Bundle {
         let file = folder.join(MANIFEST);
         let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
         let text = fs::read_to_string(&file).map_err(|e| wrong(e.to_string()))?;
-        let manifest = Manifest::parse(&text).map_err(wrong)?;
+        let manifest = Manifest::parse_checked(&text).map_err(wrong)?;
+        Ok(Self { folder: folder.to_owned(), manifest })
+    }
+
+    /// Writes a manifest into a folder, as `model.json`.
+    ///
+    /// # Errors
+    /// Returns [`ModelError::Bundle`]: the manifest is not valid, or the file cannot be written.
+    pub fn write(folder: &Utf8Path, manifest: Manifest) -> Result<Self, ModelError> {
+        let file = folder.join(MANIFEST);
+        let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
         manifest
             .check()
             .map_err(|(field, expected)| wrong(format!("{field}: expected {expected}")))?;
+        let text = manifest.to_json().map_err(|e| wrong(e.to_string()))?;
+        fs::write(&file, text).map_err(|e| wrong(e.to_string()))?;
         Ok(Self { folder: folder.to_owned(), manifest })
     }
 
@@ -329,12 +372,7 @@ impl Bundle {
     /// Returns the networks, then the tokenizer if there is one.
     #[must_use]
     pub fn files(&self) -> (Vec<&str>, Option<&str>) {
-        match &self.manifest {
-            Manifest::DualEncoder(m) => {
-                (vec![&m.image.file, &m.text.file], Some(&m.text.tokenizer))
-            }
-            Manifest::PromptableSegmenter(m) => (vec![&m.encoder.file, &m.decoder.file], None),
-        }
+        self.manifest.files()
     }
 
     /// Returns the external files that hold a network's weights, if it is larger than one ONNX file
@@ -346,10 +384,12 @@ impl Bundle {
     pub fn external_weights(&self, network: &str) -> Result<Vec<String>, ModelError> {
         let file = self.path(network);
         let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
-        let named = external_data(&file).map_err(|e| match e.kind() {
-            io::ErrorKind::NotFound => wrong("the file is missing".into()),
-            _ => wrong(e.to_string()),
-        })?;
+        let named = read_onnx(&file)
+            .map_err(|e| match e.kind() {
+                io::ErrorKind::NotFound => wrong("the file is missing".into()),
+                _ => wrong(e.to_string()),
+            })?
+            .external_data;
         for name in &named {
             if !is_file(name) {
                 return Err(wrong(format!(
@@ -406,8 +446,52 @@ impl io::Write for HashWriter<'_> {
 }
 
 const MAX_SIDE: u32 = 4096;
+const DUAL_ENCODER: &str = "dual-encoder";
+const PROMPTABLE_SEGMENTER: &str = "promptable-segmenter";
 
 impl Manifest {
+    /// Returns the networks, then the tokenizer if there is one.
+    #[must_use]
+    pub fn files(&self) -> (Vec<&str>, Option<&str>) {
+        match self {
+            Self::DualEncoder(m) => {
+                let mut networks: Vec<&str> = vec![&m.image.file, &m.text.file];
+                networks.dedup();
+                (networks, Some(&m.text.tokenizer))
+            }
+            Self::PromptableSegmenter(m) => (vec![&m.encoder.file, &m.decoder.file], None),
+        }
+    }
+
+    /// Returns the license of the weights, for people. Empty when not stated.
+    #[must_use]
+    pub fn licence(&self) -> &str {
+        match self {
+            Self::DualEncoder(m) => &m.licence,
+            Self::PromptableSegmenter(m) => &m.licence,
+        }
+    }
+
+    /// Returns the manifest with another name.
+    #[must_use]
+    pub fn named(mut self, name: &str) -> Self {
+        match &mut self {
+            Self::DualEncoder(m) => name.clone_into(&mut m.name),
+            Self::PromptableSegmenter(m) => name.clone_into(&mut m.name),
+        }
+        self
+    }
+
+    /// Parses the text of `model.json` and checks it.
+    ///
+    /// # Errors
+    /// Returns a message that names the field.
+    pub fn parse_checked(text: &str) -> Result<Self, String> {
+        let manifest = Self::parse(text)?;
+        manifest.check().map_err(|(field, expected)| format!("{field}: expected {expected}"))?;
+        Ok(manifest)
+    }
+
     fn parse(text: &str) -> Result<Self, String> {
         fn parse_named<T: serde::de::DeserializeOwned>(
             manifest: serde_json::Value,
@@ -416,10 +500,33 @@ impl Manifest {
         }
         let manifest: serde_json::Value = serde_json::from_str(text).map_err(|e| e.to_string())?;
         match manifest["kind"].as_str() {
-            Some("dual-encoder") => parse_named(manifest).map(Self::DualEncoder),
-            Some("promptable-segmenter") => parse_named(manifest).map(Self::PromptableSegmenter),
-            _ => Err("kind: expected dual-encoder or promptable-segmenter".into()),
+            Some(DUAL_ENCODER) => parse_named(manifest).map(Self::DualEncoder),
+            Some(PROMPTABLE_SEGMENTER) => parse_named(manifest).map(Self::PromptableSegmenter),
+            _ => Err(format!("kind: expected {DUAL_ENCODER} or {PROMPTABLE_SEGMENTER}")),
         }
+    }
+
+    /// Returns the text of `model.json`.
+    ///
+    /// # Errors
+    /// Returns an error for a number that JSON does not have.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        #[derive(Serialize)]
+        struct Tagged<'a, T> {
+            kind: &'static str,
+            #[serde(flatten)]
+            manifest: &'a T,
+        }
+        let mut text = match self {
+            Self::DualEncoder(manifest) => {
+                serde_json::to_string_pretty(&Tagged { kind: DUAL_ENCODER, manifest })
+            }
+            Self::PromptableSegmenter(manifest) => {
+                serde_json::to_string_pretty(&Tagged { kind: PROMPTABLE_SEGMENTER, manifest })
+            }
+        }?;
+        text.push('\n');
+        Ok(text)
     }
 
     fn check(&self) -> Result<(), (&'static str, &'static str)> {
@@ -475,11 +582,6 @@ impl Manifest {
                     m.decoder.inputs.features.high_res_feats_0.is_some()
                         == (m.family == Family::Sam2),
                     "high_res_feats for the family sam2, none for sam",
-                ),
-                (
-                    "decoder.inputs.orig_im_size",
-                    m.decoder.inputs.orig_im_size.is_none(),
-                    "null, because uniground resizes masks itself",
                 ),
                 (
                     "decoder.inputs.has_mask_input",

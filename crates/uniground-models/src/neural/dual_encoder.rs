@@ -1,7 +1,7 @@
 //! Embeds pictures and words in one space (paper: the Perception Encoder; also CLIP and `SigLIP`).
 
 use super::ModelError;
-use super::bundle::{Bundle, DualEncoderManifest, TextTower};
+use super::bundle::{Bundle, DualEncoderManifest, ImageTower, TextTower};
 use super::network::{Direction, Element, Input, Network, Tensor, Values};
 use super::pixels::{append_planes, resize_to_fit};
 use camino::Utf8PathBuf;
@@ -9,7 +9,7 @@ use image::{Rgb, RgbImage};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
-use tokenizers::Tokenizer;
+use tokenizers::{PaddingParams, PaddingStrategy, Tokenizer, TruncationParams};
 
 /// The embedding of a sentence.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,8 +23,12 @@ pub struct TextEmbedding {
 /// An image tower and a text tower.
 pub struct DualEncoder {
     manifest: DualEncoderManifest,
-    image: Box<dyn Network>,
-    text: Box<dyn Network>,
+    image: Arc<dyn Network>,
+    /// The same network as `image` where both towers are one file.
+    text: Arc<dyn Network>,
+    /// What a call for pictures feeds to the text inputs, and the other way round. Empty for
+    /// separate towers.
+    blank: BlankInputs,
     tokenizer: Tokenizer,
     /// Number of pictures per call.
     batch: usize,
@@ -35,10 +39,23 @@ pub struct DualEncoder {
     queries: Mutex<HashMap<String, TextEmbedding>>,
 }
 
+/// Values for the inputs of the tower that a call does not need. A runtime demands all inputs of a
+/// network.
+#[derive(Default)]
+struct BlankInputs {
+    ids: Vec<i64>,
+    mask: Vec<i64>,
+    picture: Vec<f32>,
+}
+
 /// Number of pictures per call if batching does not change the results.
 const BATCH: usize = 8;
 /// Maximum number of cached queries. When it is exceeded, the whole cache is cleared.
 const MAX_QUERIES: usize = 20_000;
+/// Output of a joint network: a picture's logit of every sentence.
+const LOGITS: &str = "logits_per_image";
+/// Factors of cosines that training leads to. Anything else is a rounding error.
+const LOGIT_SCALES: std::ops::RangeInclusive<f32> = 1.0..=1000.0;
 /// Minimum cosine between embeddings of the same picture in different batches. Below it, pictures
 /// are embedded one at a time.
 const INDEPENDENT: f32 = 0.9999;
@@ -51,8 +68,8 @@ impl DualEncoder {
     pub fn new(
         bundle: &Bundle,
         manifest: &DualEncoderManifest,
-        image: Box<dyn Network>,
-        text: Box<dyn Network>,
+        image: Arc<dyn Network>,
+        text: Arc<dyn Network>,
     ) -> Result<Self, ModelError> {
         let [width, height] = manifest.image.size.map(|s| Some(s as usize));
         let (dim, context) = (Some(manifest.embedding_dim), Some(manifest.text.context_length));
@@ -96,16 +113,31 @@ impl DualEncoder {
             &[None, dim],
         )?;
         let tokenizer = load_tokenizer(bundle.path(&manifest.text.tokenizer), &manifest.text)?;
+        let blank = match manifest.is_joint() {
+            true => BlankInputs {
+                ids: vec![i64::from(manifest.text.pad_id); manifest.text.context_length],
+                mask: vec![1; manifest.text.context_length],
+                picture: vec![
+                    0.0;
+                    3 * manifest.image.size.iter().map(|s| *s as usize).product::<usize>()
+                ],
+            },
+            false => BlankInputs::default(),
+        };
         let mut encoder = Self {
             manifest: manifest.clone(),
             image,
             text,
+            blank,
             tokenizer,
             batch: 1,
             picture_s: 0.0,
             queries: Mutex::default(),
         };
         encoder.compute_text("a red chair next to the table")?;
+        if let Some(scale) = encoder.measure_logit_scale()? {
+            encoder.manifest.logit_scale = scale;
+        }
         encoder.batch =
             if manifest.image.dynamic_batch && encoder.is_independent()? { BATCH } else { 1 };
         // After the calls above, which allocate memory.
@@ -155,12 +187,15 @@ impl DualEncoder {
             let fitted = resize_to_fit(picture, tower.size, tower.resize, tower.interpolation);
             append_planes(&fitted.picture, tower.size, 255.0, tower.mean, tower.std, &mut values);
         }
-        let input = Input {
+        let mut inputs = vec![Input {
             name: &tower.input,
             shape: vec![pictures.len(), 3, height, width],
             values: Values::F32(&values),
-        };
-        let made = self.image.run(&[input], &[&tower.output])?;
+        }];
+        if self.manifest.is_joint() {
+            inputs.extend(self.text_inputs(&self.blank.ids, &self.blank.mask));
+        }
+        let made = self.image.run(&inputs, &[&tower.output])?;
         let rows = self.expect_rows(&tower.file, &tower.output, made, pictures.len())?;
         let failed = || ModelError::Run {
             network: tower.file.clone(),
@@ -227,20 +262,37 @@ impl DualEncoder {
     fn compute_text(&self, text: &str) -> Result<TextEmbedding, ModelError> {
         let tower = &self.manifest.text;
         let Tokens { ids, mask, cut } = self.tokenize(text)?;
-        let shape = vec![1, tower.context_length];
-        let mut inputs =
-            vec![Input { name: &tower.input_ids, shape: shape.clone(), values: Values::I64(&ids) }];
-        if let Some(name) = &tower.attention_mask {
-            inputs.push(Input { name, shape, values: Values::I64(&mask) });
+        let mut inputs = self.text_inputs(&ids, &mask);
+        if self.manifest.is_joint() {
+            let ImageTower { input, size: [width, height], .. } = &self.manifest.image;
+            inputs.push(Input {
+                name: input,
+                shape: vec![1, 3, *height as usize, *width as usize],
+                values: Values::F32(&self.blank.picture),
+            });
         }
         let made = self.text.run(&inputs, &[&tower.output])?;
         let row = self.expect_rows(&tower.file, &tower.output, made, 1)?;
         Ok(TextEmbedding { vector: normalize(&row).map(Into::into), cut })
     }
 
+    /// Returns the inputs of the text tower for one sentence.
+    fn text_inputs<'a>(&'a self, ids: &'a [i64], mask: &'a [i64]) -> Vec<Input<'a>> {
+        let tower = &self.manifest.text;
+        let shape = vec![1, tower.context_length];
+        let mut inputs =
+            vec![Input { name: &tower.input_ids, shape: shape.clone(), values: Values::I64(ids) }];
+        if let Some(name) = &tower.attention_mask {
+            inputs.push(Input { name, shape, values: Values::I64(mask) });
+        }
+        inputs
+    }
+
     fn tokenize(&self, text: &str) -> Result<Tokens, ModelError> {
         let failed =
             |why: String| ModelError::Run { network: self.manifest.text.tokenizer.clone(), why };
+        let lowered = self.manifest.text.lowercase.then(|| text.to_lowercase());
+        let text = lowered.as_deref().unwrap_or(text);
         let encoding = self.tokenizer.encode(text, true).map_err(|e| failed(e.to_string()))?;
         if encoding.len() != self.manifest.text.context_length {
             return Err(failed(format!(
@@ -254,6 +306,42 @@ impl DualEncoder {
             mask: encoding.get_attention_mask().iter().copied().map(i64::from).collect(),
             cut: !encoding.get_overflowing().is_empty(),
         })
+    }
+
+    /// Returns the factor between cosines and the logits of a network that computes both. Its
+    /// weights hold the factor, and no file states it.
+    fn measure_logit_scale(&self) -> Result<Option<f32>, ModelError> {
+        let has_logits = self.image.signature().outputs.iter().any(|port| port.name == LOGITS);
+        if !self.manifest.is_joint() || !has_logits {
+            return Ok(None);
+        }
+        let (image, text) = (&self.manifest.image, &self.manifest.text);
+        let [width, height] = image.size.map(|s| s as usize);
+        let tokens = [self.tokenize("a chair")?, self.tokenize("the blue sky over the sea")?];
+        let ids: Vec<i64> = tokens.iter().flat_map(|t| t.ids.iter().copied()).collect();
+        let mask: Vec<i64> = tokens.iter().flat_map(|t| t.mask.iter().copied()).collect();
+        let mut inputs = self.text_inputs(&ids, &mask);
+        inputs.iter_mut().for_each(|input| input.shape[0] = tokens.len());
+        inputs.push(Input {
+            name: &image.input,
+            shape: vec![1, 3, height, width],
+            values: Values::F32(&self.blank.picture),
+        });
+        let made = self.image.run(&inputs, &[LOGITS, &image.output, &text.output])?;
+        let [logits, picture, words] = &made[..] else { return Ok(None) };
+        let dim = self.dim();
+        if logits.values.len() != 2 || words.values.len() != 2 * dim {
+            return Ok(None);
+        }
+        let cosine = |row: &[f32]| Some(dot(&normalize(row)?, &normalize(&picture.values)?));
+        let (Some(first), Some(second)) =
+            (cosine(&words.values[..dim]), cosine(&words.values[dim..]))
+        else {
+            return Ok(None);
+        };
+        // A bias is the same for both.
+        let scale = (logits.values[0] - logits.values[1]) / (first - second);
+        Ok(Some(scale).filter(|scale| LOGIT_SCALES.contains(scale)))
     }
 
     /// Returns whether a picture's embedding is the same alone and in a batch.
@@ -285,25 +373,29 @@ struct Tokens {
     cut: bool,
 }
 
-/// Reads a tokenizer and checks that it pads and truncates to the tower's context length.
+/// Reads a tokenizer that pads and truncates to the tower's context length.
 fn load_tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelError> {
-    let context_length = tower.context_length;
     let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
-    let tokenizer = Tokenizer::from_file(&file).map_err(|e| wrong(e.to_string()))?;
-    let short = tokenizer.encode("a", true).map_err(|e| wrong(e.to_string()))?;
-    let found = short.len();
-    let truncation = tokenizer.get_truncation().map(|t| t.max_length);
-    if found != context_length || truncation != Some(context_length) {
-        let truncation = truncation
-            .map_or("does not truncate".into(), |length| format!("truncates to {length}"));
-        return Err(wrong(format!(
-            "pads to {found} tokens and {truncation}, but the text tower expects {context_length}"
-        )));
+    let mut tokenizer = Tokenizer::from_file(&file).map_err(|e| wrong(e.to_string()))?;
+    let padding = tokenizer.get_padding().cloned();
+    if let Some(pad_id) = padding.as_ref().map(|own| own.pad_id)
+        && pad_id != tower.pad_id
+    {
+        return Err(wrong(format!("pads with {pad_id}, but text.pad_id is {}", tower.pad_id)));
     }
-    match short.get_ids().last() {
-        Some(&pad) if pad == tower.pad_id => Ok(tokenizer),
-        other => Err(wrong(format!("pads with {other:?}, but text.pad_id is {}", tower.pad_id))),
-    }
+    tokenizer.with_padding(Some(PaddingParams {
+        strategy: PaddingStrategy::Fixed(tower.context_length),
+        pad_to_multiple_of: None,
+        pad_id: tower.pad_id,
+        ..padding.unwrap_or_default()
+    }));
+    let truncation = TruncationParams {
+        max_length: tower.context_length,
+        stride: 0,
+        ..tokenizer.get_truncation().cloned().unwrap_or_default()
+    };
+    tokenizer.with_truncation(Some(truncation)).map_err(|e| wrong(e.to_string()))?;
+    Ok(tokenizer)
 }
 
 /// Normalizes to unit length. Returns `None` for the zero vector.

@@ -2,6 +2,7 @@
 
 use super::bundle::{Bundle, Manifest};
 use super::engine::{Engine, Work};
+use super::network::Network;
 use super::{DualEncoder, ModelError, Segmenter};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::sync::Arc;
@@ -85,8 +86,12 @@ impl Models {
         let Manifest::DualEncoder(manifest) = &bundle.manifest else {
             return Err(wrong_kind_error(&bundle, "a dual-encoder"));
         };
-        let image = engine.open(&bundle, &manifest.image.file, 1, Work::Parsing)?;
-        let text = engine.open(&bundle, &manifest.text.file, AT_ONCE, Work::Questions)?;
+        let text: Arc<dyn Network> =
+            engine.open(&bundle, &manifest.text.file, AT_ONCE, Work::Questions)?.into();
+        let image = match manifest.is_joint() {
+            true => text.clone(),
+            false => engine.open(&bundle, &manifest.image.file, 1, Work::Parsing)?.into(),
+        };
         let encoder = DualEncoder::new(&bundle, manifest, image, text)?;
         self.record_model(
             engine,

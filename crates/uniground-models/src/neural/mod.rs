@@ -11,10 +11,11 @@ pub mod bundle;
 mod bundle_listing;
 mod dual_encoder;
 mod engine;
-mod external_data;
+pub mod layouts;
 mod loading;
 pub mod network;
 mod onnx;
+mod onnx_file;
 mod pixels;
 mod segmenter;
 

@@ -21,17 +21,18 @@ pub fn resize_to_fit(
     interpolation: Interpolation,
 ) -> Fitted {
     let (w, h) = picture.dimensions();
-    let by = |k: f64| ((f64::from(w) * k + 0.5) as u32, (f64::from(h) * k + 0.5) as u32);
+    let rounded = |k: f64| ((f64::from(w) * k + 0.5) as u32, (f64::from(h) * k + 0.5) as u32);
     let (new_w, new_h) = match resize {
         Resize::Squash => (size[0], size[1]),
         Resize::ShortestCenterCrop => {
-            let (new_w, new_h) =
-                by((f64::from(size[0]) / f64::from(w)).max(f64::from(size[1]) / f64::from(h)));
-            (new_w.max(size[0]), new_h.max(size[1]))
+            let k = (f64::from(size[0]) / f64::from(w)).max(f64::from(size[1]) / f64::from(h));
+            // The longer side is cut off, not rounded, as in torchvision and Transformers.
+            let cut_off = |side: u32| (f64::from(side) * k + 1e-6) as u32;
+            (cut_off(w).max(size[0]), cut_off(h).max(size[1]))
         }
         Resize::LongestPad => {
             let (new_w, new_h) =
-                by((f64::from(size[0]) / f64::from(w)).min(f64::from(size[1]) / f64::from(h)));
+                rounded((f64::from(size[0]) / f64::from(w)).min(f64::from(size[1]) / f64::from(h)));
             (new_w.clamp(1, size[0]), new_h.clamp(1, size[1]))
         }
     };

@@ -1,9 +1,9 @@
 //! A promptable segmenter: a picture is encoded once, then masks are computed from points in it
-//! (paper: SAM; also SAM 2 and `MobileSAM`).
+//! (paper: SAM; also SAM 2, `MobileSAM` and `EdgeTAM`).
 
 use super::ModelError;
-use super::bundle::{Bundle, SegmenterManifest, ValueRange};
-use super::network::{Direction, Element, Input, Network, Tensor, Values};
+use super::bundle::{Bundle, Family, SegmenterManifest, ValueRange};
+use super::network::{Direction, Element, Input, Network, Pattern, Tensor, Values};
 use super::pixels::{append_planes, resize_to_fit};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -14,8 +14,35 @@ pub struct Segmenter {
     manifest: SegmenterManifest,
     encoder: Box<dyn Network>,
     decoder: Box<dyn Network>,
+    /// Whether the encoder reads pixels, `[height, width, 3]` of values 0 to 255, and normalizes
+    /// and pads them itself.
+    reads_pixels: bool,
+    layout: PromptLayout,
     /// Seconds per picture and per prompt, measured when the networks were loaded.
     measured_s: (f32, f32),
+}
+
+/// The shapes and types that a decoder declares for its prompts.
+#[derive(Debug, Clone, Copy)]
+struct PromptLayout {
+    /// Whether prompts follow a dimension of pictures: `[1, prompts, points, 2]`.
+    by_picture: bool,
+    /// Whether labels are integers.
+    integer_labels: bool,
+}
+
+impl PromptLayout {
+    /// Returns a shape of this layout: `shape` begins with the number of prompts.
+    fn shape(self, shape: &[usize]) -> Vec<usize> {
+        let leading: &[usize] = if self.by_picture { &[1] } else { &[] };
+        [leading, shape].concat()
+    }
+
+    /// Returns a required shape of this layout.
+    fn pattern(self, pattern: Pattern) -> Vec<Option<usize>> {
+        let leading: &[Option<usize>] = if self.by_picture { &[Some(1)] } else { &[] };
+        [leading, pattern].concat()
+    }
 }
 
 /// The encoded picture, the input of the decoder.
@@ -86,13 +113,14 @@ impl Segmenter {
         let (e, d) = (&manifest.encoder, &manifest.decoder);
         let (encoder_file, decoder_file) = (bundle.path(&e.file), bundle.path(&d.file));
         let side = Some(e.size as usize);
-        encoder.signature().expect(
-            &encoder_file,
-            Direction::In,
-            &e.input,
-            Element::F32,
-            &[None, Some(3), side, side],
-        )?;
+        let has_rank = |network: &dyn Network, name: &str, rank: usize| {
+            let port = network.signature().inputs.iter().find(|port| port.name == name);
+            port.is_some_and(|port| port.shape.len() == rank)
+        };
+        let reads_pixels = has_rank(encoder.as_ref(), &e.input, 3);
+        let pixels: Pattern =
+            if reads_pixels { &[None, None, Some(3)] } else { &[None, Some(3), side, side] };
+        encoder.signature().expect(&encoder_file, Direction::In, &e.input, Element::F32, pixels)?;
         for (_, name) in e.outputs.iter() {
             encoder.signature().expect(
                 &encoder_file,
@@ -111,20 +139,35 @@ impl Segmenter {
                 &[None; 4],
             )?;
         }
+        let labels =
+            decoder.signature().inputs.iter().find(|port| port.name == d.inputs.point_labels);
+        let layout = PromptLayout {
+            by_picture: has_rank(decoder.as_ref(), &d.inputs.point_coords, 4),
+            integer_labels: labels.is_some_and(|port| port.element == Element::I64),
+        };
         decoder.signature().expect(
             &decoder_file,
             Direction::In,
             &d.inputs.point_coords,
             Element::F32,
-            &[None, None, Some(2)],
+            &layout.pattern(&[None, None, Some(2)]),
         )?;
         decoder.signature().expect(
             &decoder_file,
             Direction::In,
             &d.inputs.point_labels,
-            Element::F32,
-            &[None, None],
+            if layout.integer_labels { Element::I64 } else { Element::F32 },
+            &layout.pattern(&[None, None]),
         )?;
+        if let Some(name) = &d.inputs.boxes {
+            decoder.signature().expect(
+                &decoder_file,
+                Direction::In,
+                name,
+                Element::F32,
+                &[None, None, Some(4)],
+            )?;
+        }
         let low = Some(d.mask_size);
         if let Some(name) = &d.inputs.mask_input {
             decoder.signature().expect(
@@ -140,17 +183,23 @@ impl Segmenter {
             Direction::Out,
             &d.outputs.masks,
             Element::F32,
-            &[None, Some(d.num_masks), low, low],
+            &layout.pattern(&[None, Some(d.num_masks), low, low]),
         )?;
         decoder.signature().expect(
             &decoder_file,
             Direction::Out,
             &d.outputs.iou,
             Element::F32,
-            &[None, Some(d.num_masks)],
+            &layout.pattern(&[None, Some(d.num_masks)]),
         )?;
-        let mut segmenter =
-            Self { manifest: manifest.clone(), encoder, decoder, measured_s: (0.0, 0.0) };
+        let mut segmenter = Self {
+            manifest: manifest.clone(),
+            encoder,
+            decoder,
+            reads_pixels,
+            layout,
+            measured_s: (0.0, 0.0),
+        };
         // Full batches in two sessions at once: the memory that a parse needs is allocated now, or
         // its lack is reported.
         let start = Instant::now();
@@ -211,10 +260,14 @@ impl Segmenter {
             ValueRange::Unit => 255.0,
         };
         let mut values = Vec::new();
-        append_planes(&fitted.picture, size, divisor, e.mean, e.std, &mut values);
-        let side = e.size as usize;
-        let input =
-            Input { name: &e.input, shape: vec![1, 3, side, side], values: Values::F32(&values) };
+        let shape = if self.reads_pixels {
+            values.extend(fitted.picture.as_raw().iter().map(|value| f32::from(*value)));
+            vec![fitted.picture.height() as usize, fitted.picture.width() as usize, 3]
+        } else {
+            append_planes(&fitted.picture, size, divisor, e.mean, e.std, &mut values);
+            vec![1, 3, e.size as usize, e.size as usize]
+        };
+        let input = Input { name: &e.input, shape, values: Values::F32(&values) };
         let names: Vec<&str> = self.roles().filter_map(|(role, _)| e.outputs.get(role)).collect();
         let made = self.encoder.run(&[input], &names)?;
         let features =
@@ -257,8 +310,12 @@ impl Segmenter {
         prompts: &[Prompt],
     ) -> Result<Vec<Vec<LowMask>>, ModelError> {
         let d = &self.manifest.decoder;
+        if !d.inputs.box_corners && prompts.iter().any(Prompt::has_box) {
+            return Err(self.decoder_error("this network takes no boxes".into()));
+        }
         let (count, low) = (prompts.len(), d.mask_size);
-        let padded = d.pad_point && !prompts[0].has_box();
+        // SAM 2 reads a box as two points; SAM has embeddings of its own for it.
+        let padded = d.pad_point && (self.manifest.family == Family::Sam2 || !prompts[0].has_box());
         let points = prompts[0].points.len() + usize::from(padded);
         let (mut coords, mut labels) =
             (Vec::with_capacity(count * points * 2), Vec::with_capacity(count * points));
@@ -283,14 +340,25 @@ impl Segmenter {
             .collect();
         inputs.push(Input {
             name: &d.inputs.point_coords,
-            shape: vec![count, points, 2],
+            shape: self.layout.shape(&[count, points, 2]),
             values: Values::F32(&coords),
         });
+        let integers: Vec<i64> = labels.iter().map(|label| *label as i64).collect();
         inputs.push(Input {
             name: &d.inputs.point_labels,
-            shape: vec![count, points],
-            values: Values::F32(&labels),
+            shape: self.layout.shape(&[count, points]),
+            values: match self.layout.integer_labels {
+                true => Values::I64(&integers),
+                false => Values::F32(&labels),
+            },
         });
+        if let Some(name) = &d.inputs.boxes {
+            inputs.push(Input { name, shape: vec![1, 0, 4], values: Values::F32(&[]) });
+        }
+        let enlarged = [low as f32; 2];
+        if let Some(name) = &d.inputs.orig_im_size {
+            inputs.push(Input { name, shape: vec![2], values: Values::F32(&enlarged) });
+        }
         let no_mask = vec![0.0; count * low * low];
         if let (Some(mask), Some(has_mask)) = (&d.inputs.mask_input, &d.inputs.has_mask_input) {
             inputs.push(Input {
@@ -302,10 +370,12 @@ impl Segmenter {
         }
         let made = self.decoder.run(&inputs, &[&d.outputs.masks, &d.outputs.iou])?;
         let [masks, iou] = &made[..] else {
-            return Err(self.wrong_output_error("expected two outputs".into()));
+            return Err(self.decoder_error("expected two outputs".into()));
         };
-        if masks.shape != [count, d.num_masks, low, low] || iou.shape != [count, d.num_masks] {
-            return Err(self.wrong_output_error(format!(
+        if masks.shape != self.layout.shape(&[count, d.num_masks, low, low])
+            || iou.shape != self.layout.shape(&[count, d.num_masks])
+        {
+            return Err(self.decoder_error(format!(
                 "unexpected output shapes {:?} and {:?}",
                 masks.shape, iou.shape
             )));
@@ -330,7 +400,7 @@ impl Segmenter {
             .collect())
     }
 
-    fn wrong_output_error(&self, why: String) -> ModelError {
+    fn decoder_error(&self, why: String) -> ModelError {
         ModelError::Run { network: self.manifest.decoder.file.clone(), why }
     }
 

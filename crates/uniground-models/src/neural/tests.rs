@@ -37,7 +37,7 @@ fn picture(path: &str) -> RgbImage {
     image::open(data(path)).unwrap().into_rgb8()
 }
 
-fn cosine(a: &[f32], b: &[f32]) -> f32 {
+pub fn cosine(a: &[f32], b: &[f32]) -> f32 {
     let norm = |v: &[f32]| v.iter().map(|x| x * x).sum::<f32>().sqrt();
     a.iter().zip(b).map(|(x, y)| x * y).sum::<f32>() / (norm(a) * norm(b))
 }
@@ -195,7 +195,7 @@ fn replace(file: &Utf8Path, from: &str, to: &str) {
 #[test]
 fn bundle_errors_are_reported_at_load() {
     type Spoil = fn(&Utf8Path);
-    let cases: [(&str, Spoil, &[&str]); 13] = [
+    let cases: [(&str, Spoil, &[&str]); 12] = [
         ("tiny-dual-encoder", |p| fs::remove_file(p.join("model.json")).unwrap(), &["model.json"]),
         (
             "tiny-dual-encoder",
@@ -226,12 +226,7 @@ fn bundle_errors_are_reported_at_load() {
         (
             "tiny-dual-encoder",
             |p| replace(&p.join("model.json"), "\"pad_id\": 0", "\"pad_id\": 7"),
-            &["tokenizer.json", "pads with Some(0)"],
-        ),
-        (
-            "tiny-dual-encoder",
-            |p| replace(&p.join("model.json"), "\"context_length\": 16", "\"context_length\": 20"),
-            &["tokenizer.json", "pads to 16 tokens"],
+            &["tokenizer.json", "pads with 0"],
         ),
         (
             "tiny-dual-encoder",

@@ -1,0 +1,257 @@
+//! Installs a bundle from its source. Files are brought into a staging folder, which becomes the
+//! bundle's folder when all of them are there and verified: a bundle is never half of one revision
+//! and half of another, and one that is in use keeps its files.
+
+use super::lock::{Lock, LockedBundle, LockedFile};
+use super::origin::Origin;
+use super::plan::{Plan, base_name};
+use super::source::{BundleSource, HubName};
+use super::{AddError, HubSettings};
+use crate::packages::Event;
+use camino::{Utf8Path, Utf8PathBuf};
+use rustix::fs::{FlockOperation, flock};
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io;
+use std::time::Duration;
+use uniground_core::models::neural::bundle::{Bundle, MANIFEST};
+use uniground_core::models::neural::layouts::{About, Precision, external_weights};
+
+/// How to install bundles.
+pub struct AddOptions<'a> {
+    /// The folder of bundles.
+    pub models: &'a Utf8Path,
+    /// Name of the bundle. `None`: that of the repository, folder or file.
+    pub name: Option<&'a str>,
+    /// `None`: the most exact one that exists.
+    pub precision: Option<Precision>,
+    /// Whether a revision is looked up again instead of taking the pinned commit.
+    pub update: bool,
+    pub hub: &'a HubSettings,
+    /// Waits between attempts to download.
+    pub pause: &'a dyn Fn(Duration),
+}
+
+/// An installed bundle.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Added {
+    pub name: String,
+    pub folder: Utf8PathBuf,
+}
+
+/// Folder of bundles that are not complete yet, in the folder of bundles.
+const STAGING: &str = ".staging";
+
+/// Installs a bundle. Does nothing if it is installed, and requests nothing then.
+///
+/// # Errors
+/// Returns [`AddError`]. An installed bundle is unchanged then, and what was downloaded is there for
+/// the next attempt.
+pub fn add(
+    source: &BundleSource,
+    options: &AddOptions,
+    on_event: &mut dyn FnMut(Event),
+) -> Result<Added, AddError> {
+    let source = &resolved(source)?;
+    let lock = Lock::read(options.models)?;
+    let name = name_of(source, &lock, options);
+    let folder = options.models.join(&name);
+    let pinned = lock.bundles.get(&name).filter(|locked| locked.source == source.identity());
+    if folder.join(MANIFEST).is_file() {
+        let Some(pinned) = pinned else {
+            return Err(AddError::Source {
+                source_name: source.to_string(),
+                why: format!("{folder} is another bundle. Choose another name with --as."),
+            });
+        };
+        let is_wanted = !options.update
+            && requested(source).is_none_or(|revision| pinned.has_revision(revision))
+            && options.precision.is_none_or(|precision| pinned.precision == Some(precision));
+        if is_wanted && pinned.missing_file(&folder).is_none() {
+            on_event(Event::AlreadyInstalled(&folder));
+            return Ok(Added { name, folder });
+        }
+    }
+    let staging = options.models.join(STAGING).join(&name);
+    fs::create_dir_all(&staging).map_err(|why| AddError::File { file: staging.clone(), why })?;
+    let _guard = lock_folder(&staging, FlockOperation::NonBlockingLockExclusive).map_err(|_| {
+        AddError::Source {
+            source_name: source.to_string(),
+            why: format!("another process installs {name}"),
+        }
+    })?;
+    let pinned = pinned.filter(|_| !options.update);
+    let mut origin = Origin::open(source, pinned, &staging, options, on_event)?;
+    let installation = Installation { source, staging: &staging, installed: &folder };
+    let locked = installation.complete(&mut origin, &name, options, on_event)?;
+    publish(&staging, &folder)?;
+    on_event(Event::Installed(&folder));
+    pin(options.models, &name, locked)?;
+    Ok(Added { name, folder })
+}
+
+/// Installs every bundle of `models.lock` that is not complete, with the pinned revisions and
+/// hashes.
+///
+/// # Errors
+/// Returns the first error.
+pub fn install_locked(
+    options: &AddOptions,
+    on_event: &mut dyn FnMut(Event),
+) -> Result<Vec<Added>, AddError> {
+    let mut added = Vec::new();
+    for (name, locked) in Lock::read(options.models)?.bundles {
+        let source = locked
+            .source
+            .parse()
+            .map_err(|why| AddError::Source { source_name: locked.source.clone(), why })?;
+        let options = AddOptions { name: Some(&name), precision: locked.precision, ..*options };
+        added.push(add(&source, &options, on_event)?);
+    }
+    Ok(added)
+}
+
+/// Returns the source with an absolute path, so that `models.lock` holds from any folder.
+fn resolved(source: &BundleSource) -> Result<BundleSource, AddError> {
+    match source {
+        BundleSource::Folder(folder) => folder
+            .canonicalize_utf8()
+            .map(BundleSource::Folder)
+            .map_err(|why| AddError::File { file: folder.clone(), why }),
+        BundleSource::Hub(_) | BundleSource::Zip(_) => Ok(source.clone()),
+    }
+}
+
+/// Returns the name that the user gives, that the source is installed under, or the source's own.
+fn name_of(source: &BundleSource, lock: &Lock, options: &AddOptions) -> String {
+    let AddOptions { name, precision, .. } = options;
+    let is_meant = |locked: &LockedBundle| {
+        locked.source == source.identity()
+            && precision.is_none_or(|precision| locked.precision == Some(precision))
+    };
+    let installed =
+        || lock.bundles.iter().find(|(_, locked)| is_meant(locked)).map(|(name, _)| name);
+    let own = || match precision {
+        None | Some(Precision::Fp32) => source.default_name(),
+        Some(precision) => format!("{}-{precision}", source.default_name()),
+    };
+    name.map(str::to_owned).or_else(|| installed().cloned()).unwrap_or_else(own)
+}
+
+/// Returns the revision that a source names.
+fn requested(source: &BundleSource) -> Option<&str> {
+    match source {
+        BundleSource::Hub(HubName { revision, .. }) => revision.as_deref(),
+        BundleSource::Folder(_) | BundleSource::Zip(_) => None,
+    }
+}
+
+/// Locks a folder until the result is dropped.
+fn lock_folder(folder: &Utf8Path, operation: FlockOperation) -> io::Result<File> {
+    let guard = File::open(folder)?;
+    flock(&guard, operation)?;
+    Ok(guard)
+}
+
+/// Makes the staging folder the bundle's folder.
+fn publish(staging: &Utf8Path, folder: &Utf8Path) -> Result<(), AddError> {
+    let failed = |why: io::Error| AddError::File { file: folder.to_owned(), why };
+    if folder.exists() {
+        let old = Utf8PathBuf::from(format!("{staging}.old"));
+        fs::rename(folder, &old).map_err(failed)?;
+        fs::rename(staging, folder).map_err(failed)?;
+        // A rest takes space, but does no harm.
+        let _gone = fs::remove_dir_all(&old);
+    } else {
+        fs::rename(staging, folder).map_err(failed)?;
+    }
+    Ok(())
+}
+
+/// Adds a bundle to `models.lock`. Other processes may do the same.
+fn pin(models: &Utf8Path, name: &str, locked: LockedBundle) -> Result<(), AddError> {
+    let _guard = lock_folder(models, FlockOperation::LockExclusive)
+        .map_err(|why| AddError::File { file: models.to_owned(), why })?;
+    let mut lock = Lock::read(models)?;
+    lock.bundles.insert(name.to_owned(), locked);
+    lock.write(models)
+}
+
+/// A bundle on its way into its folder.
+struct Installation<'a> {
+    source: &'a BundleSource,
+    staging: &'a Utf8Path,
+    /// The bundle's folder, which may hold another revision.
+    installed: &'a Utf8Path,
+}
+
+impl Installation<'_> {
+    /// Brings all files and writes the manifest.
+    fn complete(
+        &self,
+        origin: &mut Origin,
+        name: &str,
+        options: &AddOptions,
+        on_event: &mut dyn FnMut(Event),
+    ) -> Result<LockedBundle, AddError> {
+        let layout = |why: String| AddError::Layout { source_name: self.source.to_string(), why };
+        let listed = origin.list()?;
+        let own = Plan::of_manifest(origin, &listed, self.staging, on_event)?;
+        let plan = match own {
+            Some(plan) => plan,
+            None => Plan::of_layout(&listed, options.precision).map_err(layout)?,
+        };
+        on_event(Event::Described {
+            source: &self.source.to_string(),
+            license: origin.license(),
+            bytes: plan.paths().iter().filter_map(|path| origin.bytes(path)).sum(),
+        });
+        let mut files = BTreeMap::new();
+        for path in plan.paths() {
+            self.bring(origin, &path, &mut files, on_event)?;
+        }
+        let networks: Vec<String> = plan.networks().iter().map(|path| base_name(path)).collect();
+        let weights =
+            external_weights(self.staging, &networks).map_err(|e| layout(e.to_string()))?;
+        for weights in weights {
+            let path = plan.beside_networks(&weights).find(|path| listed.contains(path));
+            let path = path.ok_or_else(|| {
+                layout(format!("{weights} is missing, which holds the weights of a network"))
+            })?;
+            self.bring(origin, &path, &mut files, on_event)?;
+        }
+        let identity = self.source.identity();
+        let revision = origin.revision().map(str::to_owned);
+        let about = About {
+            name: name.to_owned(),
+            licence: origin.license().to_owned(),
+            source: match &revision {
+                Some(commit) => format!("{identity}@{commit}"),
+                None => identity.clone(),
+            },
+        };
+        let precision = plan.precision();
+        let manifest = plan.manifest(self.staging, &about).map_err(|e| layout(e.to_string()))?;
+        let license = manifest.licence().to_owned();
+        Bundle::write(self.staging, manifest).map_err(|e| layout(e.to_string()))?;
+        origin.close();
+        let requested = requested(self.source).map(str::to_owned);
+        Ok(LockedBundle { source: identity, requested, revision, precision, license, files })
+    }
+
+    /// Brings a file into the staging folder and records it.
+    fn bring(
+        &self,
+        origin: &mut Origin,
+        path: &str,
+        files: &mut BTreeMap<String, LockedFile>,
+        on_event: &mut dyn FnMut(Event),
+    ) -> Result<(), AddError> {
+        let name = base_name(path);
+        let to = self.staging.join(&name);
+        let sha256 = origin.bring(path, &to, &self.installed.join(&name), on_event)?;
+        let bytes = to.metadata().map_err(|why| AddError::File { file: to.clone(), why })?.len();
+        files.insert(name, LockedFile { path: path.to_owned(), bytes, sha256 });
+        Ok(())
+    }
+}
