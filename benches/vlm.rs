@@ -341,6 +341,7 @@ impl Server {
             access: AccessConfig::default(),
             models,
             fetch_models: false,
+            vlm_check: false,
             parse: ParseChoice::FullOnly,
             vlm: VlmConfig {
                 vlm_url: Some(url),

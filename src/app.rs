@@ -14,6 +14,7 @@ use tokio_util::sync::CancellationToken;
 use uniground_core::background;
 use uniground_endpoints::chat::{ChatClient, ReplayCache};
 use uniground_endpoints::inference::Probe;
+use uniground_evaluation::model_check::check_pictures;
 use uniground_jobs::{JobKind, Jobs};
 use uniground_service::{
     BatchJob, Dependencies, FullParseJob, Keyring, NamingJob, ParseJob, Services, Vlm, VlmSettings,
@@ -174,7 +175,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         ));
     }
     if let Some(chat) = chat {
-        tokio::spawn(check_model_server(chat, services.clone()));
+        tokio::spawn(check_model_server(chat, services.clone(), config.vlm_check));
     }
     if let Some(webhook) = webhook {
         tokio::spawn(
@@ -267,7 +268,7 @@ async fn handle_notifications(
 
 /// Checks the vision-language model's server at startup, not on the first question. Logs a warning
 /// if it is unreachable or has a limit that requests will exceed.
-async fn check_model_server(chat: Arc<ChatClient>, services: Services) {
+async fn check_model_server(chat: Arc<ChatClient>, services: Services, shows_pictures: bool) {
     let Some(vlm) = services.vlm() else { return };
     if let Err(error) = chat.check_reachable().await {
         tracing::warn!(
@@ -278,6 +279,19 @@ async fn check_model_server(chat: Arc<ChatClient>, services: Services) {
     }
     for limit in chat.describe_limits().await {
         tracing::warn!(limit, "vision-language model server has a limit that requests will exceed");
+    }
+    if !shows_pictures {
+        return;
+    }
+    match check_pictures(vlm.own_model().as_ref(), vlm.json()).await {
+        Ok((findings, _)) => findings.iter().for_each(|finding| match finding.is_right {
+            true => tracing::info!("vision-language model: {finding}"),
+            false => tracing::warn!("vision-language model: {finding}"),
+        }),
+        Err(failure) => tracing::warn!(
+            error = &failure.error as &dyn std::error::Error,
+            "vision-language model could not be checked"
+        ),
     }
 }
 

@@ -73,6 +73,9 @@ pub struct ServeConfig {
     pub parse: ParseChoice,
     #[command(flatten)]
     pub vlm: VlmConfig,
+    /// Show the vision-language model three pictures at startup, and warn of what it gets wrong
+    #[arg(long, env = "UNIGROUND_VLM_CHECK")]
+    pub vlm_check: bool,
     #[command(flatten)]
     pub webhook: WebhookConfig,
     #[command(flatten)]

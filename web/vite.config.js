@@ -18,6 +18,8 @@ const licences = {
 const server = process.env.UNIGROUND_URL ?? "http://127.0.0.1:8080";
 
 export default defineConfig({
+  // Relative, for a service below a prefix of a proxy.
+  base: "./",
   plugins: [licences],
   // Its sources: what it offers first is written for browsers of ten years ago.
   resolve: { alias: { "tus-js-client": "tus-js-client/lib/browser/index.js" } },

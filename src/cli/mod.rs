@@ -3,6 +3,7 @@
 mod approach;
 mod backup;
 mod batch;
+mod check_vlm;
 mod completions;
 mod demo;
 mod doctor;
@@ -86,7 +87,7 @@ enum Command {
     Parse(parse::ParseArgs),
     /// Evaluate on expressions with known answers
     Eval(Box<eval::EvalArgs>),
-    /// Fetch, list and verify model bundles
+    /// Fetch, add, list and verify models, and check a vision-language model
     Models(models::ModelsArgs),
     /// Check the consistency of a data folder, and repair it
     Doctor(doctor::DoctorArgs),

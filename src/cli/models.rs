@@ -1,7 +1,9 @@
 //! `uniground models`: fetches, adds, lists, describes and verifies model bundles.
 
+use super::check_vlm::{self, CheckVlmArgs};
 use super::fetching::{ProgressBarView, fetch_all};
 use super::output::print_json;
+use super::run_async;
 use crate::bundles::{
     self, AddOptions, Added, BundleSource, HubSettings, KNOWN, Lock, Measurements,
 };
@@ -41,6 +43,8 @@ enum ModelsCommand {
     List(ListArgs),
     /// Verify that bundles load and run
     Verify(VerifyArgs),
+    /// Check a vision-language model: what it sees, how it replies, and what it costs
+    CheckVlm(Box<CheckVlmArgs>),
 }
 
 #[derive(Debug, Args)]
@@ -132,6 +136,7 @@ pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
         ModelsCommand::Describe(args) => print_description(args),
         ModelsCommand::List(args) => print_list(args),
         ModelsCommand::Verify(args) => print_verified(args),
+        ModelsCommand::CheckVlm(args) => run_async(check_vlm::run(args)),
     }
 }
 

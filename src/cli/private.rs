@@ -20,6 +20,18 @@ impl PrivateServer {
     /// # Errors
     /// Returns an error if the folder or a model cannot be used.
     pub async fn start(data_dir: Utf8PathBuf, models: ModelsConfig) -> anyhow::Result<Self> {
+        Self::start_with(data_dir, models, VlmConfig::default()).await
+    }
+
+    /// Starts a service with a vision-language model.
+    ///
+    /// # Errors
+    /// Like [`start`](Self::start).
+    pub async fn start_with(
+        data_dir: Utf8PathBuf,
+        models: ModelsConfig,
+        vlm: VlmConfig,
+    ) -> anyhow::Result<Self> {
         let config = ServeConfig {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
             data_dir,
@@ -30,7 +42,8 @@ impl PrivateServer {
             models,
             fetch_models: false,
             parse: ParseChoice::FullOnly,
-            vlm: VlmConfig::default(),
+            vlm,
+            vlm_check: false,
             webhook: WebhookConfig::default(),
             limits: LimitsConfig::default(),
             log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },

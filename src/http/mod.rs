@@ -211,7 +211,7 @@ pub fn router(app: App) -> Router {
     // The online validator is disabled.
     let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
-        .config(Config::default().validator_url("none"));
+        .config(Config::from("../openapi.json").validator_url("none"));
     // Health, the description and the page need no key. Keys protect scans and questions.
     with_layers(app, router, Router::from(description).merge(page::router()))
 }

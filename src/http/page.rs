@@ -130,7 +130,7 @@ mod tests {
         let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
         let named: Vec<&str> = index
             .split('"')
-            .filter_map(|text| text.strip_prefix('/'))
+            .filter_map(|text| text.strip_prefix("./"))
             .filter(|path| path.starts_with("assets/"))
             .collect();
         assert!(named.len() >= 2, "{index}");
@@ -145,7 +145,7 @@ mod tests {
             "{index}"
         );
         assert!(
-            index.split("<script").skip(1).all(|script| script.contains("src=\"/assets/")),
+            index.split("<script").skip(1).all(|script| script.contains("src=\"./assets/")),
             "{index}"
         );
     }

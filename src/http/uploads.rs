@@ -137,7 +137,7 @@ pub async fn create(
     // Checked before an upload is created, whose URL the client would not learn.
     let checksum = tus::checksum(&headers)?;
     let upload = app.services.uploads.begin_upload(NewUpload { length, wanted }, &caller).await?;
-    let location = format!("/v1/uploads/{}", upload.id);
+    let location = format!("{}/v1/uploads/{}", forwarded_prefix(&headers), upload.id);
     let mut response = match tus::is_part(&headers) {
         true => {
             let part = UploadPart {
@@ -157,6 +157,19 @@ pub async fn create(
         .headers_mut()
         .extend(HeaderValue::from_str(&location).ok().map(|location| (header::LOCATION, location)));
     Ok(response)
+}
+
+/// What a proxy has removed from the beginning of the path.
+const FORWARDED_PREFIX: &str = "x-forwarded-prefix";
+
+/// Returns the prefix below which a proxy serves this server, without a slash at its end. Empty
+/// without one, and for anything that is not a plain path.
+fn forwarded_prefix(headers: &HeaderMap) -> &str {
+    let prefix = headers.get(FORWARDED_PREFIX).and_then(|value| value.to_str().ok());
+    let prefix = prefix.unwrap_or_default().trim_end_matches('/');
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/-._~".contains(c);
+    let is_path = prefix.starts_with('/') && !prefix.contains("//") && prefix.chars().all(is_plain);
+    if is_path { prefix } else { "" }
 }
 
 /// Returns the tus capabilities of this server.
@@ -378,4 +391,26 @@ fn content_length(headers: &HeaderMap) -> u64 {
         .get(header::CONTENT_LENGTH)
         .and_then(|bytes| bytes.to_str().ok()?.parse().ok())
         .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_plain_prefixes_are_believed() {
+        let prefix = |value: &'static str| {
+            let headers = HeaderMap::from_iter([(
+                header::HeaderName::from_static(FORWARDED_PREFIX),
+                HeaderValue::from_static(value),
+            )]);
+            forwarded_prefix(&headers).to_owned()
+        };
+        assert_eq!(prefix("/rooms"), "/rooms");
+        assert_eq!(prefix("/a/rooms/"), "/a/rooms");
+        for wrong in ["", "/", "rooms", "//evil.example", "/a?b", "https://evil.example", "/a b"] {
+            assert_eq!(prefix(wrong), "", "{wrong}");
+        }
+        assert_eq!(forwarded_prefix(&HeaderMap::new()), "");
+    }
 }

@@ -60,7 +60,7 @@ struct Served {
 
 impl Served {
     fn is_large(&self, path: &str) -> bool {
-        path.ends_with(".onnx") || self.files.get(path).is_some_and(|bytes| bytes.len() > 1 << 20)
+        path.contains(".onnx") || self.files.get(path).is_some_and(|bytes| bytes.len() > 1 << 20)
     }
 
     fn description(&self) -> Value {
@@ -193,12 +193,11 @@ pub fn files_below(root: &Utf8Path) -> BTreeMap<String, Vec<u8>> {
     while let Some(folder) = folders.pop() {
         for entry in folder.read_dir_utf8().unwrap() {
             let path = entry.unwrap().into_path();
-            match path.is_dir() {
-                true => folders.push(path),
-                false => {
-                    let name = path.strip_prefix(root).unwrap().to_string();
-                    files.insert(name, fs::read(path).unwrap());
-                }
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(root).unwrap().to_string();
+                files.insert(name, fs::read(path).unwrap());
             }
         }
     }

@@ -10,6 +10,7 @@ mod backups;
 mod batch_defaults;
 mod batches;
 mod chat_models;
+mod check_vlm;
 mod cluster;
 mod command_line;
 mod concurrency;

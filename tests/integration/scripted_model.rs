@@ -49,8 +49,13 @@ pub struct Script {
 impl Script {
     /// Serves these responses in order and then repeats the last one. Returns the base URL.
     pub async fn serve(&self, answers: Vec<Scripted>) -> String {
+        self.serve_at("127.0.0.1:0", answers).await
+    }
+
+    /// The same at an address.
+    pub async fn serve_at(&self, address: &str, answers: Vec<Scripted>) -> String {
         self.next(answers);
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let listener = tokio::net::TcpListener::bind(address).await.unwrap();
         let address = listener.local_addr().unwrap();
         let router = axum::Router::new()
             .route("/v1/chat/completions", post(complete))

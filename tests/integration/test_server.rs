@@ -94,6 +94,7 @@ pub fn serve_config(data_dir: &Utf8Path) -> ServeConfig {
         access: AccessConfig::default(),
         models: ModelsConfig::builtin(),
         fetch_models: false,
+        vlm_check: false,
         parse: ParseChoice::FullOnly,
         vlm: VlmConfig::default(),
         webhook: WebhookConfig::default(),

@@ -67,7 +67,7 @@ function Head() {
         <a href={address(["batches"])} aria-current={current("batches")}>
           {t.nav.batches}
         </a>
-        <a href="/docs/" target="_blank" rel="noopener" title={t.nav.newTab}>
+        <a href="docs/" target="_blank" rel="noopener" title={t.nav.newTab}>
           {t.nav.api}
           <span class="offscreen"> ({t.nav.newTab})</span>
         </a>

@@ -78,15 +78,21 @@ pub struct Client {
 }
 
 impl Client {
-    /// Creates a client of a server at an address like `http://127.0.0.1:8080`.
+    /// Creates a client of a server at an address like `http://127.0.0.1:8080` or
+    /// `https://host/prefix`.
     ///
     /// # Errors
     /// [`ClientError::BadAddress`].
     pub fn new(server: &str, api_key: Option<String>) -> Result<Self, ClientError> {
-        let base = Url::parse(server)
+        let mut base = Url::parse(server)
             .ok()
             .filter(|url| !url.cannot_be_a_base())
             .ok_or_else(|| ClientError::BadAddress(server.into()))?;
+        // Paths are relative to it: without the slash, the last folder would be replaced.
+        if !base.path().ends_with('/') {
+            let path = format!("{}/", base.path());
+            base.set_path(&path);
+        }
         install_crypto_provider();
         let http = http_client(server).build()?;
         Ok(Self { http, base, api_key })
@@ -607,6 +613,15 @@ impl Client {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_prefix_of_the_address_is_kept() {
+        for server in ["http://host/rooms", "http://host/rooms/"] {
+            let client = Client::new(server, None).unwrap();
+            let request = client.request(Method::GET, "v1/scenes").build().unwrap();
+            assert_eq!(request.url().as_str(), "http://host/rooms/v1/scenes");
+        }
+    }
 
     #[test]
     fn addresses_of_this_machine_are_recognized() {

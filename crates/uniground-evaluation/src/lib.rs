@@ -10,6 +10,7 @@ pub mod comparison;
 pub mod configuration;
 pub mod digest;
 pub mod measures;
+pub mod model_check;
 pub mod pictures;
 pub mod records;
 pub mod reliability;

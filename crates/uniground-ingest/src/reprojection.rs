@@ -28,8 +28,14 @@ const SUSPICIOUS: f32 = 0.4;
 const NOTHING_FITS: f32 = 0.03;
 /// Plausible median depth of an indoor scan, meters. A scale that leads outside is rejected.
 const PLAUSIBLE_DEPTH_M: std::ops::RangeInclusive<f32> = 0.15..=30.0;
-/// Common depth units: millimeters, meters, TUM's 1/5000, Replica's 1/6553.5.
-const DEPTH_SCALES_M: [f32; 4] = [0.001, 1.0, 1.0 / 5000.0, 1.0 / 6553.5];
+/// Common depth units: millimeters, meters, `RealSense` L515's 1/4000, TUM's 1/5000, Replica's
+/// 1/6553.5, `RealSense` D405's 1/10000.
+const DEPTH_SCALES_M: [f32; 6] =
+    [0.001, 1.0, 1.0 / 4000.0, 1.0 / 5000.0, 1.0 / 6553.5, 1.0 / 10_000.0];
+/// Width of the window, in logarithms of distances, that a fitted unit of depth agrees within.
+const FIT_WINDOW: f32 = 0.05;
+/// Minimum share of the compared points in that window. Of unrelated distances 2 to 5 % are.
+const MIN_FIT: f32 = 0.3;
 
 /// Common units of length of positions, meters.
 const LENGTHS_M: [f64; 2] = [0.001, 0.01];
@@ -102,6 +108,15 @@ pub(super) fn check(
     let mut best = best_of(
         SourceConvention::all(declared.metres_per_unit).filter(|r| *r != declared).collect(),
     );
+    // None of the common units fits well: the cloud tells which one does.
+    if best.is_none_or(|(other, _)| other.max(fits) < CLEARLY_RIGHT) {
+        let fitted = best_of(sample.fitted_units());
+        if fitted.is_some_and(|(other, _)| {
+            other >= CLEARLY_RIGHT && best.is_none_or(|(common, _)| other > common)
+        }) {
+            best = fitted;
+        }
+    }
     let mut wanted = CLEARLY_BETTER.max(fits * TIMES_BETTER);
     if best.is_none_or(|(other, _)| other < wanted) && fits < CLEARLY_BETTER {
         let other_units = best_of(
@@ -256,6 +271,33 @@ impl ReprojectionSample<'_> {
         (seen * 50 >= points.len()).then(|| agree as f32 / seen.max(1) as f32)
     }
 
+    /// Returns the interpretations whose unit of depth follows from the archive's own cloud: the
+    /// most frequent ratio of a point's distance to the depth there.
+    fn fitted_units(&self) -> Vec<SourceConvention> {
+        let Some(points) = &self.cloud else { return Vec::new() };
+        let with_unit = |reading: SourceConvention| {
+            let mut ratios = Vec::new();
+            for (raw, frame, depth) in &self.frames {
+                let (camera, _) = self.camera(raw, frame, &reading)?;
+                ratios.extend(points.iter().filter_map(|point| {
+                    let pixel = camera.project(point)?;
+                    let measured_m = depth.at(pixel.cell());
+                    (measured_m > 0.0 && pixel.z_m > 0.0).then(|| (pixel.z_m / measured_m).ln())
+                }));
+            }
+            let ratio = densest(&mut ratios)?.exp();
+            Some(SourceConvention { depth_scale_m: reading.depth_scale_m * ratio, ..reading })
+        };
+        SourceConvention::all(self.declared.metres_per_unit)
+            .filter(|reading| reading.depth_scale_m == DEPTH_SCALES_M[0])
+            .map(|reading| SourceConvention {
+                depth_scale_m: self.declared.depth_scale_m,
+                ..reading
+            })
+            .filter_map(with_unit)
+            .collect()
+    }
+
     /// Returns the frame's camera under an interpretation of its pose, in the world of the files.
     fn camera(
         &self,
@@ -266,5 +308,37 @@ impl ReprojectionSample<'_> {
         let units = Units { origin: self.scan.origin, metres_per_unit: reading.metres_per_unit };
         let camera_to_world = raw.camera_to_world(reading.pose, reading.axes, &units).ok()?;
         Some((Camera::new(frame.depth_intrinsics, &camera_to_world), camera_to_world))
+    }
+}
+
+/// Returns the middle of the window that holds the most numbers, if enough of them are in it.
+fn densest(numbers: &mut [f32]) -> Option<f32> {
+    numbers.sort_by(f32::total_cmp);
+    let (mut start, mut best) = (0, (0, 0));
+    for end in 0..numbers.len() {
+        while numbers[end] - numbers[start] > FIT_WINDOW {
+            start += 1;
+        }
+        if end + 1 - start > best.1 - best.0 {
+            best = (start, end + 1);
+        }
+    }
+    let window = &numbers[best.0..best.1];
+    (window.len() as f32 >= MIN_FIT * numbers.len() as f32).then_some(())?;
+    window.get(window.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::densest;
+
+    #[test]
+    fn the_most_frequent_value_is_found_among_scattered_ones() {
+        let mut numbers: Vec<f32> = (0..60).map(|i| i as f32 * 0.1 - 3.0).collect();
+        numbers.extend((0..40).map(|i| 0.7 + i as f32 * 0.001));
+        assert!((densest(&mut numbers).unwrap() - 0.72).abs() < 0.02);
+        let mut scattered: Vec<f32> = (0..100).map(|i| i as f32 * 0.1).collect();
+        assert_eq!(densest(&mut scattered), None);
+        assert_eq!(densest(&mut []), None);
     }
 }

@@ -7,9 +7,12 @@ use super::scan::{Scan, Units, picture_size};
 use super::{IngestError, UPLOADED, clouds};
 use crate::scan::RawFrame;
 use camino::Utf8Path;
+use image::{ColorType, ImageDecoder, ImageReader};
 use rayon::prelude::*;
 use uniground_geometry::MAX_COORDINATE_M;
-use uniground_geometry::scene::{DepthSensor, FrameIndex, Intrinsics, PoseConvention};
+use uniground_geometry::scene::{
+    DepthSensor, FrameIndex, Intrinsics, LEAST_UNIT_OF_BYTES_M, PoseConvention,
+};
 
 /// Maximum share of damaged frames that are left out. With more, the scan is refused.
 const MAX_DAMAGED: f32 = 0.1;
@@ -50,7 +53,7 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     let root = &scan.root;
     let checked: Vec<Result<RawFrame, IngestError>> = std::mem::take(&mut scan.frames)
         .into_par_iter()
-        .map(|frame| checked(root, frame, scan.pose, &units))
+        .map(|frame| checked(root, frame, scan.pose, &units, scan.depth_scale_m))
         .collect();
     for frame in checked {
         scan.add(frame)?;
@@ -108,6 +111,7 @@ fn checked(
     mut frame: RawFrame,
     pose: PoseConvention,
     units: &Units,
+    depth_scale_m: f32,
 ) -> Result<RawFrame, IngestError> {
     let bad_pose =
         |source| IngestError::BadPose { frame: frame.index, file: frame.pose_file.clone(), source };
@@ -145,10 +149,37 @@ fn checked(
         }
     }
     whole::check_is_complete(root, &frame.depth)?;
+    check_depth_pixels(root, &frame.depth, depth_scale_m)?;
     if let Some(confidence) = &frame.optics.confidence {
         picture_size(root, &confidence.file)?;
     }
     Ok(frame)
+}
+
+/// Refuses a picture whose pixels are not distances, such as a colored one, from its header.
+fn check_depth_pixels(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    depth_scale_m: f32,
+) -> Result<(), IngestError> {
+    // Other readers read floats and other formats, and report what they cannot read.
+    let decoder = ImageReader::open(root.join(file))
+        .and_then(ImageReader::with_guessed_format)
+        .ok()
+        .and_then(|reader| reader.into_decoder().ok());
+    let found = match decoder.map(|decoder| decoder.color_type()) {
+        None | Some(ColorType::L16) => return Ok(()),
+        Some(ColorType::L8) if depth_scale_m >= LEAST_UNIT_OF_BYTES_M => return Ok(()),
+        Some(ColorType::L8) => "8-bit gray with a smaller unit".into(),
+        Some(other) => format!("{other:?}"),
+    };
+    Err(IngestError::malformed(
+        file,
+        format!(
+            "not a depth picture: it must be 16-bit gray, floats (EXR, TIFF), or 8-bit gray with a `depth_scale_m` of \
+             {LEAST_UNIT_OF_BYTES_M} or more; this is {found}"
+        ),
+    ))
 }
 
 /// Returns the intrinsics at the picture's own resolution. A picture of the same aspect ratio can

@@ -95,3 +95,34 @@ async fn a_lost_connection_causes_no_second_call() {
     assert!(!read_answer(send_question(client, &scene, "f", &asked).await).await.1);
     server.stop().await;
 }
+
+/// An endpoint that comes up after the service is used at its first sign of life, by everybody, and
+/// a question that only it can answer waits for it.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_endpoint_that_comes_up_is_used_at_once() {
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let mut vlm = vlm_config(&format!("http://{free}/v1"));
+    vlm.vlm_attempts = 1;
+    let (server, scene) = start_server(vlm).await;
+    let client = &server.client;
+    let id = builtin_answer(&server, &scene).await.answer.predicted_id.unwrap();
+    let asked = request_by(ReasonerChoice::Vlm);
+    let refused = send_question(client, &scene, "a", &asked).await;
+    assert!([502, 503].contains(&refused.status().as_u16()), "{}", refused.status());
+    let waiting = GroundRequest { timeout_s: Some(30.0), ..asked.clone() };
+    let waiting = tokio::spawn({
+        let (client, scene) = (client.clone(), scene.clone());
+        async move { client.ground(&scene, &waiting).await }
+    });
+    sleep(Duration::from_millis(300)).await;
+    assert!(!waiting.is_finished());
+    let script = Script::default();
+    let reply =
+        Scripted::Slowly(Duration::from_millis(300), Box::new(six_field_reply(id, "", true, 1)));
+    script.serve_at(&free.to_string(), vec![reply]).await;
+    waiting.await.unwrap().unwrap();
+    let all = (0..12).map(|_| client.ground(&scene, &asked));
+    let answers = futures::future::join_all(all).await;
+    assert!(answers.iter().all(|answer| !answer.as_ref().unwrap().degraded), "{answers:?}");
+    server.stop().await;
+}

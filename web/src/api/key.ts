@@ -22,9 +22,13 @@ export function forgetKey(): void {
   sessionStorage.removeItem(PLACE);
 }
 
-/** The address a path means, refused where it is not this origin's: a link in an answer must not carry the key away. */
+/**
+ * The address a path of the service means. The page may be below a prefix of a proxy, and so are all paths. Refused where it is not this
+ * origin's: a link in an answer must not carry the key away.
+ */
 export function ownAddress(path: string): string {
-  const address = new URL(path, location.origin);
+  const page = new URL(".", location.href);
+  const address = new URL(path.replace(/^\/+/, ""), page);
   if (address.origin !== location.origin) throw new TypeError(`not of this server: ${path}`);
   return address.href;
 }

@@ -340,6 +340,16 @@ impl ChatModel for ChatClient {
         self.endpoint.prices
     }
 
+    fn is_alive(&self) -> BoxFuture<'_, Option<bool>> {
+        async move {
+            match self.replay_cache.is_replay() {
+                true => None,
+                false => Some(self.check_reachable().await.is_ok()),
+            }
+        }
+        .boxed()
+    }
+
     /// Asks the model, or returns the recorded reply.
     fn ask<'a>(
         &'a self,

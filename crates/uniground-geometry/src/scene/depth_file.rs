@@ -14,7 +14,7 @@ const LZFSE_MAGIC: &[u8; 3] = b"bvx";
 
 /// Minimum unit of 8-bit depth: its largest value is then one meter. With a smaller unit, the
 /// picture is a visualization, stretched over the depth range of the scene.
-const LEAST_UNIT_OF_BYTES_M: f32 = 0.004;
+pub const LEAST_UNIT_OF_BYTES_M: f32 = 0.004;
 
 /// Returns whether a file is LZFSE. Such a file does not contain its size in pixels.
 ///

@@ -29,7 +29,7 @@ pub use camera::{Camera, Intrinsics, Pixel};
 pub use cell_mask::CellMask;
 pub use cloud::PointCloud;
 pub use corrected::{correct, merge_views, parts_of};
-pub use depth_file::is_compressed_floats;
+pub use depth_file::{LEAST_UNIT_OF_BYTES_M, is_compressed_floats};
 pub use embeddings::{Embeddings, Norms};
 pub use even_points::{evenly_spread_order, write_even_points};
 pub use export::write as write_ply;

@@ -50,6 +50,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             None => PoseFiles::Files(Vec::new()),
         },
     };
+    check_kinds(folder, COLOR, &pictures.color, PICTURES)?;
+    check_kinds(folder, DEPTH, &pictures.depth, DEPTHS)?;
+    if let PoseFiles::Files(files) = &poses {
+        check_kinds(folder, POSE, files, &["txt"])?;
+    }
     let Some(first) = pictures.color.first() else {
         return match pictures.depth.first() {
             Some(depth) => Err(pictures.count_mismatch_error(&poses, depth.clone())),
@@ -65,6 +70,23 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         UnmatchedImages::Damaged,
     )?;
     Ok(scan)
+}
+
+/// Refuses a folder that holds only files of kinds that are not read, such as `.npy` or `.webp`.
+fn check_kinds(
+    folder: &FolderListing,
+    names: &[&'static str],
+    found: &[Utf8PathBuf],
+    kinds: &[&str],
+) -> Result<(), IngestError> {
+    let Some(name) = folder.first_folder(names).filter(|_| found.is_empty()) else {
+        return Ok(());
+    };
+    let Some(kind) = folder.most_frequent_ending(name)? else { return Ok(()) };
+    Err(IngestError::malformed(
+        name,
+        format!("its files end in .{kind}, which is not read; expected {}", kinds.join(", ")),
+    ))
 }
 
 /// Returns the cloud next to posed pictures, found by its name.

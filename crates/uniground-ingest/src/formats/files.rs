@@ -5,6 +5,7 @@ use crate::IngestError;
 use crate::clouds::CloudKind;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
 use std::fs;
 
 /// A folder of a scan: its entries, without hidden files and files that operating systems create.
@@ -88,6 +89,17 @@ impl FolderListing {
         check_frames(folder, files.len())?;
         files.sort_by_cached_key(|file| super::pairing::natural_sort_key(file));
         Ok(files)
+    }
+
+    /// Returns the most frequent ending of the files in a folder, if any has one.
+    pub fn most_frequent_ending(&self, folder: &str) -> Result<Option<String>, IngestError> {
+        let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+        for name in list_names(&self.root.join(folder))? {
+            if let Some(ending) = extension_of(&name) {
+                *counts.entry(ending).or_default() += 1;
+            }
+        }
+        Ok(counts.into_iter().max_by_key(|(_, count)| *count).map(|(ending, _)| ending))
     }
 
     /// Returns the clouds and meshes in this folder. Names that begin or end with a preferred name

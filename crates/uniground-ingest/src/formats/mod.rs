@@ -20,6 +20,7 @@ mod replica;
 mod rtabmap;
 mod scanner_app;
 mod scannet;
+mod scannetpp;
 mod seven_scenes;
 mod stray_scanner;
 mod task_folder;
@@ -38,11 +39,12 @@ struct Layout {
 }
 
 /// All layouts, in the order in which they are tried.
-const LAYOUTS: [Layout; 18] = [
+const LAYOUTS: [Layout; 19] = [
     Layout { can_read: neutral::can_read, read: neutral::read },
     Layout { can_read: nerfstudio::can_read, read: nerfstudio::read },
     Layout { can_read: polycam::can_read, read: polycam::read },
     Layout { can_read: record3d::can_read, read: record3d::read },
+    Layout { can_read: scannetpp::can_read, read: scannetpp::read },
     Layout { can_read: arkit_scenes::can_read, read: arkit_scenes::read },
     Layout { can_read: stray_scanner::can_read, read: stray_scanner::read },
     Layout { can_read: tum::can_read, read: tum::read },

@@ -1,5 +1,7 @@
-//! Record3D `.r3d`, unpacked: `rgbd/{i}.jpg|.depth|.conf` and `metadata`. Depth is LZFSE-compressed
-//! 32-bit meters. Cameras are OpenGL. The first pose defines the world, so the world is not level.
+//! Record3D: a `.r3d`, unpacked (`rgbd/{i}.jpg|.depth|.conf` and `metadata`, depth as
+//! LZFSE-compressed 32-bit meters), or its export as EXR and JPEG (`rgb/{i}.jpg`, `depth/{i}.exr`
+//! and `metadata.json`). Cameras are OpenGL. The first pose defines the world, so the world is not
+//! level.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::FolderListing;
@@ -7,13 +9,15 @@ use super::numbers::pose_from_quaternion;
 use super::{entry_path, incomplete};
 use crate::IngestError;
 use crate::limited_reader::read_text;
-use crate::scan::{CameraAxes, RawFrame, Scan};
+use crate::scan::{CameraAxes, RawFrame, Scan, picture_size};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
 use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
 
 const LOOKS_LIKE: &str = "a Record3D recording";
+/// The metadata of a `.r3d`, and of an export.
 const FILE: &str = "metadata";
+const EXPORTED_FILE: &str = "metadata.json";
 const MAX_BYTES: u64 = 64 << 20;
 /// Size of a phone's depth pictures, used if the recording does not state it.
 const USUAL_DEPTH: (u32, u32) = (192, 256);
@@ -40,14 +44,37 @@ struct Metadata {
 }
 
 pub(super) fn can_read(folder: &FolderListing) -> bool {
-    folder.has_folder("rgbd")
-        && (folder.has_file(FILE)
-            || folder.files("rgbd", &["depth"]).is_ok_and(|files| !files.is_empty()))
+    let has = |name: &str, ending: &str| {
+        folder.has_folder(name)
+            && folder.files(name, &[ending]).is_ok_and(|files| !files.is_empty())
+    };
+    (folder.has_folder("rgbd") && (folder.has_file(FILE) || has("rgbd", "depth")))
+        || is_export(folder)
+}
+
+fn is_export(folder: &FolderListing) -> bool {
+    folder.has_file(EXPORTED_FILE)
+        && folder.has_folder("rgb")
+        && folder.has_folder("depth")
+        && folder.files("depth", &["exr"]).is_ok_and(|files| !files.is_empty())
+}
+
+/// Returns color, depth and confidence of a frame.
+fn files_of(frame: usize, is_export: bool) -> [Utf8PathBuf; 3] {
+    match is_export {
+        false => ["jpg", "depth", "conf"].map(|ending| format!("rgbd/{frame}.{ending}").into()),
+        true => [
+            format!("rgb/{frame}.jpg").into(),
+            format!("depth/{frame}.exr").into(),
+            format!("conf/{frame}.png").into(),
+        ],
+    }
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
-    let file = Utf8Path::new(FILE);
-    if !folder.has_file(FILE) {
+    let is_export = is_export(folder) && !folder.has_folder("rgbd");
+    let file = Utf8Path::new(if is_export { EXPORTED_FILE } else { FILE });
+    if !folder.has_file(file.as_str()) {
         return Err(incomplete(LOOKS_LIKE, "the file metadata is missing"));
     }
     let metadata: Metadata = serde_json::from_str(&read_text(&folder.root, file, MAX_BYTES)?)
@@ -64,6 +91,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     let (portrait, usual) = (whole.height >= whole.width, USUAL_DEPTH);
     let usual = if portrait { usual } else { (usual.1, usual.0) };
+    // An EXR picture states its own size.
+    let stated = match is_export {
+        true => picture_size(&folder.root, &files_of(0, is_export)[1]).ok().flatten(),
+        false => None,
+    };
+    let usual = stated.unwrap_or(usual);
     let (dw, dh) = (metadata.dw.unwrap_or(usual.0), metadata.dh.unwrap_or(usual.1));
     if dw == 0 || dh == 0 || u64::from(dw) * u64::from(dh) > 40_000_000 {
         return Err(IngestError::malformed(
@@ -81,8 +114,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             }
             _ => whole,
         };
-        let [color, depth, confidence] =
-            ["jpg", "depth", "conf"].map(|ending| Utf8PathBuf::from(format!("rgbd/{i}.{ending}")));
+        let [color, depth, confidence] = files_of(i, is_export);
         let confidence = folder
             .root
             .join(&confidence)

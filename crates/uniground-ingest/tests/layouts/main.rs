@@ -58,7 +58,7 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
 type Write = fn(&Out);
 
 /// Description, writer, and the format that must be recognized.
-const LAYOUTS: [(&str, Write, &str); 22] = [
+const LAYOUTS: [(&str, Write, &str); 23] = [
     ("plain", writers::plain, "color-depth-pose"),
     ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
     ("plain, depth as EXR", writers::plain_exr, "color-depth-pose"),
@@ -81,6 +81,7 @@ const LAYOUTS: [(&str, Write, &str); 22] = [
     ("Polycam, partly corrected", writers::polycam_partly_corrected, "polycam"),
     ("TUM RGB-D, nanoseconds", writers::tum_nanoseconds, "tum-rgbd"),
     ("plain beside documents", writers::plain_beside_documents, "color-depth-pose"),
+    ("ScanNet++ of an iPhone", writers::scannetpp, "scannetpp"),
 ];
 
 #[test]
@@ -143,8 +144,70 @@ fn eight_bit_depth_requires_a_unit() {
         );
     });
     with_import(write(None), |found| {
-        let message = found.unwrap().frames[0].decode_depth().unwrap_err().to_string();
+        let message = found.unwrap_err().to_string();
         assert!(message.contains("depth/0.png") && message.contains("depth_scale_m"), "{message}");
+    });
+}
+
+/// A unit of depth that nobody uses follows from the cloud.
+#[test]
+fn the_unit_of_depth_is_fitted_to_the_cloud() {
+    // That of a RealSense L515, and one that nobody uses.
+    for (scale_m, used) in
+        [(1.0 / 4000.0, "depth_scale_m 0.00025"), (1.0 / 2700.0, "depth_scale_m 0.0003")]
+    {
+        with_import(
+            |out| writers::plain_with_cloud(out, scale_m),
+            |found| {
+                let InspectedScan { report, frames, .. } = found.unwrap();
+                assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
+                assert!(report.warnings.iter().any(|w| w.contains(used)), "{report:?}");
+                let found = frames[0].decode_depth().unwrap();
+                let there = room::depth_m(&CAMERA, &pose(0));
+                let off = |(a, b): (&f32, &f32)| (a - b).abs() > 0.03 * b;
+                let wrong = found.depth_m.iter().zip(&there).filter(|pair| off(*pair)).count();
+                assert!(wrong * 50 < there.len(), "{wrong} of {}", there.len());
+            },
+        );
+    }
+}
+
+/// What cannot be depth, and files of kinds that are not read, are refused before a parse, by name.
+#[test]
+fn pictures_of_other_kinds_are_named() {
+    let replaced = |folder: &'static str, from: &'static str, to: &'static str| {
+        move |out: &Out| {
+            writers::plain(out);
+            for i in 0..FRAMES {
+                fs::rename(
+                    out.0.join(format!("{folder}/{i}.{from}")),
+                    out.0.join(format!("{folder}/{i}.{to}")),
+                )
+                .unwrap();
+            }
+        }
+    };
+    for (folder, from, to) in
+        [("depth", "png", "npy"), ("color", "jpg", "webp"), ("pose", "txt", "npy")]
+    {
+        with_import(replaced(folder, from, to), |found| {
+            let message = found.unwrap_err().to_string();
+            assert!(
+                message.contains(folder) && message.contains(&format!("end in .{to}")),
+                "{message}"
+            );
+        });
+    }
+    let colored = |out: &Out| {
+        writers::plain(out);
+        for i in 0..FRAMES {
+            let picture = room::encoded(&room::color(&CAMERA, &pose(i)), image::ImageFormat::Png);
+            out.put(&format!("depth/{i}.png"), picture);
+        }
+    };
+    with_import(colored, |found| {
+        let message = found.unwrap_err().to_string();
+        assert!(message.contains("not a depth picture") && message.contains("Rgb8"), "{message}");
     });
 }
 
@@ -181,7 +244,13 @@ fn float_images_with_false_headers_are_refused() {
 /// poses.
 #[test]
 fn a_recording_without_gravity_is_leveled() {
-    with_import(writers::record3d, |found| {
+    for write in [writers::record3d as Write, writers::record3d_export] {
+        check_leveled(write);
+    }
+}
+
+fn check_leveled(write: Write) {
+    with_import(write, |found| {
         let InspectedScan { frames, report, .. } = found.unwrap();
         assert_eq!((report.format.as_str(), frames.len()), ("record3d", FRAMES));
         let level = report.levelling.clone().unwrap();

@@ -506,3 +506,73 @@ pub fn tum_nanoseconds(out: &Out) {
         .collect();
     fs::write(file, text).unwrap();
 }
+
+/// Writes the plain layout with another depth unit and a cloud in meters.
+pub fn plain_with_cloud(out: &Out, scale_m: f32) {
+    plain(out);
+    let mut points = String::new();
+    let mut count = 0;
+    for i in 0..FRAMES {
+        out.put(&format!("depth/{i}.png"), encoded(&depth(&CAMERA, &pose(i), scale_m), Png));
+        let depth = depth_m(&CAMERA, &pose(i));
+        for (at, z) in depth.iter().enumerate().step_by(23).filter(|(_, z)| **z > 0.0) {
+            let (u, v) = (at as u32 % CAMERA.width, at as u32 / CAMERA.width);
+            let point = pose(i).cast::<f32>() * CAMERA.unproject(u as f32, v as f32, *z);
+            let _ = writeln!(points, "{} {} {} 120 110 100", point.x, point.y, point.z);
+            count += 1;
+        }
+    }
+    let header = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\nproperty float x\nproperty float y\nproperty float z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+    );
+    out.put("cloud.ply", header + &points);
+}
+
+/// Writes Record3D's export as EXR and JPEG.
+pub fn record3d_export(out: &Out) {
+    let first = (matrix(&pose(0)) * opengl()).try_inverse().unwrap();
+    let mut poses = Vec::new();
+    for i in 0..FRAMES {
+        out.put(&format!("EXR_RGBD/rgb/{i}.jpg"), encoded(&color(&CAMERA, &pose(i)), Jpeg));
+        let depth = exr::image::FlatSamples::F32(depth_m(&half(), &pose(i)));
+        out.put(&format!("EXR_RGBD/depth/{i}.exr"), exr_of(&half(), [("Y", depth)]));
+        let [x, y, z, qx, qy, qz, qw] =
+            position_and_quaternion(&(first * matrix(&pose(i)) * opengl()));
+        poses.push([qx, qy, qz, qw, x, y, z]);
+    }
+    let c = CAMERA;
+    let k = [c.fx, 0.0, 0.0, 0.0, c.fy, 0.0, c.cx, c.cy, 1.0];
+    out.put(
+        "EXR_RGBD/metadata.json",
+        json!({"w": 160, "h": 120, "K": k, "fps": 60, "poses": poses}).to_string(),
+    );
+}
+
+/// Writes `ScanNet`++ of an iPhone: every second frame is extracted, and poses are of all.
+pub fn scannetpp(out: &Out) {
+    let c = CAMERA;
+    let mut entries = json!({});
+    for i in 0..FRAMES {
+        out.pictures(
+            i,
+            (
+                &format!("iphone/rgb/frame_{:06}.jpg", 2 * i),
+                &format!("iphone/depth/frame_{:06}.png", 2 * i),
+            ),
+            &CAMERA,
+            &half(),
+            0.001,
+        );
+        let m = matrix(&pose(i));
+        let rows: Vec<Vec<f64>> =
+            (0..4).map(|row| (0..4).map(|column| m[(row, column)]).collect()).collect();
+        let entry = json!({
+            "timestamp": i, "pose": rows, "aligned_pose": rows,
+            "intrinsic": [[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]],
+        });
+        entries[format!("frame_{:06}", 2 * i)] = entry.clone();
+        entries[format!("frame_{:06}", 2 * i + 1)] = entry;
+    }
+    out.put("iphone/pose_intrinsic_imu.json", entries.to_string());
+}

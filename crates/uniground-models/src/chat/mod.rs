@@ -128,6 +128,12 @@ pub trait ChatModel: Send + Sync {
     /// Returns the prices of tokens. All are 0 if they are unknown.
     fn prices(&self) -> Prices;
 
+    /// Returns whether the model's server shows a sign of life. Costs nothing. `None` if that
+    /// cannot be told.
+    fn is_alive(&self) -> BoxFuture<'_, Option<bool>> {
+        Box::pin(std::future::ready(None))
+    }
+
     /// Sends a request. Retries and timeouts are up to the implementation.
     ///
     /// # Errors

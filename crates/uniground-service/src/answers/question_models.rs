@@ -86,7 +86,13 @@ impl QuestionModels {
                 ReasonerChoice::Vlm => WithoutModel::Fail,
                 ReasonerChoice::Auto | ReasonerChoice::Builtin => WithoutModel::BuiltIn,
             };
-            let review = Review { model: vlm.model_for(caller), budgets, options, without_model };
+            // Nothing but the model will do, and the question's own limit ends the wait.
+            let is_patient = request.reasoner == ReasonerChoice::Vlm && request.timeout_s.is_some();
+            let model = match is_patient {
+                true => vlm.patient_model_for(caller),
+                false => vlm.model_for(caller),
+            };
+            let review = Review { model, budgets, options, without_model };
             (vlm, review)
         });
         Ok(Self { reviewer, parser })

@@ -1,5 +1,6 @@
 //! A circuit breaker for the model's server. While the server is down, questions do not wait for
-//! it. From time to time one question tries it again.
+//! it. A server that could not be reached is up again at its first sign of life; one that fails is
+//! tried again by one question from time to time.
 
 use jiff::Timestamp;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -21,6 +22,8 @@ pub enum CallSignal {
 /// The wait before the server is first tried again. Each later wait is twice as long.
 const MIN_BACKOFF: Duration = Duration::from_secs(5);
 const MAX_BACKOFF: Duration = Duration::from_mins(2);
+/// The interval between two looks for a server that could not be reached.
+pub const LOOK_INTERVAL: Duration = Duration::from_secs(1);
 /// Failed calls in a row after which a reachable server counts as down.
 const FAILURES: u32 = 5;
 
@@ -40,6 +43,10 @@ struct CircuitState {
 
 /// The circuit is open: calls are rejected.
 struct OpenCircuit {
+    /// Whether the server could not be reached. Otherwise it answers, but fails.
+    is_unreachable: bool,
+    /// When the server was last looked for.
+    looked_for: Instant,
     until: Instant,
     wait: Duration,
     /// Start time of the probe, a call that tries the server again.
@@ -71,6 +78,29 @@ impl CircuitBreaker {
         Ok(())
     }
 
+    /// Returns whether the server could not be reached and has not been seen since.
+    pub fn is_unreachable(&self) -> bool {
+        self.state().open.as_ref().is_some_and(|open| open.is_unreachable)
+    }
+
+    /// Returns whether it is time to look for a sign of life of a server that could not be reached.
+    pub fn wants_look(&self, now: Instant) -> bool {
+        self.state().open.as_ref().is_some_and(|open| {
+            open.is_unreachable && now.duration_since(open.looked_for) >= LOOK_INTERVAL
+        })
+    }
+
+    /// Records a look for the server. It is called again if it was seen.
+    pub fn record_look(&self, is_alive: bool, now: Instant) {
+        let mut state = self.state();
+        if is_alive {
+            *state = CircuitState::default();
+        } else if let Some(open) = &mut state.open {
+            // No question has to find out what the look has shown.
+            (open.looked_for, open.until) = (now, now + LOOK_INTERVAL);
+        }
+    }
+
     /// Records the outcome of a call, with a word for it.
     pub fn record(&self, sign: CallSignal, word: &'static str, now: Instant) {
         let mut state = self.state();
@@ -88,7 +118,13 @@ impl CircuitBreaker {
         };
         let is_down = sign == CallSignal::Unreachable || state.down >= FAILURES;
         let wait = state.open.as_ref().map_or(MIN_BACKOFF, |open| (open.wait * 2).min(MAX_BACKOFF));
-        state.open = is_down.then(|| OpenCircuit { until: now + wait, wait, trying: None });
+        state.open = is_down.then(|| OpenCircuit {
+            is_unreachable: sign == CallSignal::Unreachable,
+            looked_for: now,
+            until: now + wait,
+            wait,
+            trying: None,
+        });
     }
 
     /// Records that a probe was abandoned before its answer. The next call becomes the probe.
@@ -132,6 +168,23 @@ mod tests {
                 && circuit.admit(after(17)).is_ok()
                 && circuit.condition().is_ok()
         );
+    }
+
+    #[test]
+    fn an_unreachable_server_is_up_at_its_first_sign_of_life() {
+        let (circuit, start) = (CircuitBreaker::default(), Instant::now());
+        let after = |seconds| start + Duration::from_secs(seconds);
+        assert!(!circuit.wants_look(start), "nobody is looked for while all is well");
+        circuit.record(CallSignal::Unreachable, "unreachable", start);
+        assert!(!circuit.wants_look(start) && circuit.wants_look(after(1)));
+        circuit.record_look(false, after(1));
+        assert!(!circuit.wants_look(after(1)) && circuit.admit(after(1)).is_err());
+        assert!(circuit.wants_look(after(2)));
+        circuit.record_look(true, after(2));
+        assert!((0..3).all(|_| circuit.admit(after(2)).is_ok()), "everybody is admitted");
+        // A server that answers with errors shows signs of life all the time.
+        (0..FAILURES).for_each(|_| circuit.record(CallSignal::Failing, "refused", after(3)));
+        assert!(!circuit.wants_look(after(60)));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Records calls of the model before they are made, and counts them when they end.
 
-use super::circuit::{CallSignal, CircuitBreaker};
+use super::circuit::{CallSignal, CircuitBreaker, LOOK_INTERVAL};
 use super::{OF_EVERYBODY, OF_KEY, today};
 use crate::Caller;
 use crate::keys::KnownKey;
@@ -75,10 +75,14 @@ pub struct MeteredModel {
     ids: IdGenerator,
     metrics: Arc<Metrics>,
     circuit: Arc<CircuitBreaker>,
+    /// Held while one call looks for the server. The others wait for what it finds.
+    looking: Arc<tokio::sync::Mutex<()>>,
     /// The daily spending limit (UTC day), in US dollars.
     daily_usd: Option<f64>,
     /// The key of the caller.
     key: Option<Arc<KnownKey>>,
+    /// Whether a call waits for a server that cannot be reached. Its caller has a limit of time.
+    waits: bool,
 }
 
 impl MeteredModel {
@@ -90,12 +94,13 @@ impl MeteredModel {
     ) -> Self {
         metrics.vlm.register(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
         let (spending, ids) = (store.spending.clone(), store.ids.clone());
-        Self { model, spending, ids, metrics, circuit: Arc::default(), daily_usd, key: None }
+        let (circuit, looking) = (Arc::default(), Arc::default());
+        Self { model, spending, ids, metrics, circuit, looking, daily_usd, key: None, waits: false }
     }
 
     /// Returns the same model for a caller, to whom the cost of calls is charged too.
-    pub fn for_caller(&self, caller: &Caller) -> Self {
-        Self { key: caller.key.clone(), ..self.clone() }
+    pub fn for_caller(&self, caller: &Caller, waits: bool) -> Self {
+        Self { key: caller.key.clone(), waits, ..self.clone() }
     }
 
     /// Returns the circuit breaker of the model's server.
@@ -159,6 +164,33 @@ impl MeteredModel {
         }
     }
 
+    /// Admits a call, after a look for a server that could not be reached.
+    ///
+    /// # Errors
+    /// The time to wait.
+    async fn admit(&self) -> Result<(), Duration> {
+        loop {
+            self.look().await;
+            match self.circuit.admit(Instant::now()) {
+                Err(_) if self.waits && self.circuit.is_unreachable() => sleep(LOOK_INTERVAL).await,
+                admitted => return admitted,
+            }
+        }
+    }
+
+    async fn look(&self) {
+        if !self.circuit.wants_look(Instant::now()) {
+            return;
+        }
+        let _alone = self.looking.lock().await;
+        // Another call may have looked meanwhile.
+        if self.circuit.wants_look(Instant::now())
+            && let Some(is_alive) = self.model.is_alive().await
+        {
+            self.circuit.record_look(is_alive, Instant::now());
+        }
+    }
+
     fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
         self.metrics.vlm.record_call(outcome, attempts, start.elapsed());
         self.metrics.vlm.record_spending(usd);
@@ -179,7 +211,7 @@ impl ChatModel for MeteredModel {
         request: &'a ChatRequest,
     ) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
-            if let Err(wait) = self.circuit.admit(Instant::now()) {
+            if let Err(wait) = self.admit().await {
                 self.metrics.vlm.record_call(NOT_ASKED, 0, Duration::ZERO);
                 let error = ChatError::Down { again_in_s: wait.as_secs().max(1) };
                 return Err(ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 });

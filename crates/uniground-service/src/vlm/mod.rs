@@ -65,6 +65,12 @@ impl Vlm {
         Self { model, spending, settings, places: Arc::new(Semaphore::new(MAX_WAITING)) }
     }
 
+    /// Returns the model for calls of the server itself, which count as its own spending.
+    #[must_use]
+    pub fn own_model(&self) -> Arc<dyn ChatModel> {
+        Arc::new(self.model.clone())
+    }
+
     /// Records that a probe could not reach the server, so that no question has to find out.
     pub fn record_unreachable(&self) {
         self.model.circuit().record(
@@ -84,7 +90,13 @@ impl Vlm {
 
     /// Returns the model for a caller.
     pub(super) fn model_for(&self, caller: &Caller) -> Arc<dyn ChatModel> {
-        Arc::new(self.model.for_caller(caller))
+        Arc::new(self.model.for_caller(caller, false))
+    }
+
+    /// Returns the model for a caller who waits, as long as there is time, for a server that cannot
+    /// be reached.
+    pub(super) fn patient_model_for(&self, caller: &Caller) -> Arc<dyn ChatModel> {
+        Arc::new(self.model.for_caller(caller, true))
     }
 
     /// Returns whether the model answered its last call. Otherwise describes since when it has not.
@@ -96,7 +108,9 @@ impl Vlm {
         self.settings.names
     }
 
-    pub(super) fn json(&self) -> bool {
+    /// Returns whether replies are requested as JSON.
+    #[must_use]
+    pub fn json(&self) -> bool {
         self.settings.json
     }
 
