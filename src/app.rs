@@ -284,10 +284,15 @@ async fn check_model_server(chat: Arc<ChatClient>, services: Services, shows_pic
         return;
     }
     match check_pictures(vlm.own_model().as_ref(), vlm.json()).await {
-        Ok((findings, _)) => findings.iter().for_each(|finding| match finding.is_right {
-            true => tracing::info!("vision-language model: {finding}"),
-            false => tracing::warn!("vision-language model: {finding}"),
-        }),
+        Ok((findings, _)) => {
+            for finding in findings {
+                if finding.is_right {
+                    tracing::info!("vision-language model: {finding}");
+                } else {
+                    tracing::warn!("vision-language model: {finding}");
+                }
+            }
+        }
         Err(failure) => tracing::warn!(
             error = &failure.error as &dyn std::error::Error,
             "vision-language model could not be checked"
