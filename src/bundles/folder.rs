@@ -1,6 +1,7 @@
 //! Folders and zip files as sources: their files, brought into a bundle's folder.
 
 use super::AddError;
+use super::install::MAX_JSON_BYTES;
 use super::transfer::partial_of;
 use camino::Utf8Path;
 use std::fs::{self, File};
@@ -26,7 +27,8 @@ pub fn list(root: &Utf8Path) -> Result<Vec<String>, AddError> {
             let path = entry.map_err(failed)?.into_path();
             match path.is_dir() {
                 true if depth < MAX_DEPTH => folders.push((path, depth + 1)),
-                false if found.len() < MAX_FILES => {
+                // Not a pipe or a device, which may never end.
+                false if path.is_file() && found.len() < MAX_FILES => {
                     found.extend(path.strip_prefix(root).map(ToString::to_string));
                 }
                 _ => {}
@@ -70,6 +72,11 @@ pub fn copy(from: &Utf8Path, to: &Utf8Path) -> Result<(), AddError> {
     fs::rename(&partial, to).map_err(failed)
 }
 
+/// Returns whether a file only exists because an archive was made on macOS.
+fn is_macos_companion(path: &str) -> bool {
+    path.starts_with("__MACOSX/") || path.rsplit('/').next().is_some_and(|f| f.starts_with("._"))
+}
+
 /// A zip file on this machine. One folder around all its files is left out of their paths.
 pub struct Archive {
     zip: ZipArchive<BufReader<File>>,
@@ -90,8 +97,11 @@ impl Archive {
             why: format!("not a zip file: {e}"),
         })?;
         // Names that are not text belong to no network.
-        let names: Vec<String> =
-            zip.file_names().filter_map(|name| Some(name.ok()?.into_owned())).collect();
+        let names: Vec<String> = zip
+            .file_names()
+            .filter_map(|name| Some(name.ok()?.into_owned()))
+            .filter(|name| !is_macos_companion(name))
+            .collect();
         let around = match names.first().and_then(|name| name.split_once('/')) {
             Some((folder, _)) if names.iter().all(|n| n.starts_with(&format!("{folder}/"))) => {
                 format!("{folder}/")
@@ -128,8 +138,10 @@ impl Archive {
             .by_name(&format!("{}{path}", self.around))
             .map_err(|e| broken(format!("{path}: {e}")))?;
         let bytes = entry.size();
-        if bytes > MAX_FILE_BYTES {
-            return Err(broken(format!("{path} is larger than {} GB", MAX_FILE_BYTES >> 30)));
+        let is_json = Utf8Path::new(path).extension() == Some("json");
+        let limit = if is_json { MAX_JSON_BYTES } else { MAX_FILE_BYTES };
+        if bytes > limit {
+            return Err(broken(format!("{path} is larger than {} MB", limit >> 20)));
         }
         let partial = partial_of(to);
         let failed = |why: io::Error| AddError::File { file: to.to_owned(), why };

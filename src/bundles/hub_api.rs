@@ -4,6 +4,7 @@ use super::AddError;
 use super::hub_settings::HubSettings;
 use super::source::HubName;
 use super::transfer::{Hash, RemoteFile, Transfer};
+use crate::packages::Event;
 use reqwest::blocking::Response;
 use reqwest::{StatusCode, Url};
 use serde::Deserialize;
@@ -13,8 +14,13 @@ use std::collections::BTreeMap;
 const MAX_DESCRIPTION_BYTES: u64 = 16 << 20;
 /// The revision of a repository that nothing pins.
 const MAIN: &str = "main";
-/// Says why a request was refused.
-const ERROR_CODE: &str = "X-Error-Code";
+/// Longest name of a license.
+const MAX_LICENSE_CHARS: usize = 100;
+
+/// Returns the hub's word for why a request was refused, or an empty text.
+fn error_code(response: &Response) -> &str {
+    response.headers().get("X-Error-Code").and_then(|v| v.to_str().ok()).unwrap_or_default()
+}
 
 /// A repository at one commit.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -34,8 +40,7 @@ struct ModelInfo {
     siblings: Vec<Sibling>,
     #[serde(default, rename = "cardData")]
     card: serde_json::Value,
-    #[serde(default)]
-    tags: Vec<String>,
+    tags: Option<Vec<String>>,
 }
 
 #[derive(Deserialize)]
@@ -68,9 +73,12 @@ impl ModelInfo {
             Some("other") => own().or(of_card),
             _ => of_card,
         };
-        let of_tags =
-            || self.tags.iter().find_map(|tag| Some(tag.strip_prefix("license:")?.into()));
-        of_card.or_else(of_tags).unwrap_or_default()
+        let of_tags = || {
+            self.tags.iter().flatten().find_map(|tag| Some(tag.strip_prefix("license:")?.into()))
+        };
+        let license: String = of_card.or_else(of_tags).unwrap_or_default();
+        // It is printed to terminals.
+        license.chars().filter(|c| !c.is_control()).take(MAX_LICENSE_CHARS).collect()
     }
 }
 
@@ -86,16 +94,31 @@ impl Hub<'_> {
     ///
     /// # Errors
     /// Returns an error when the hub is unreachable, or when it refuses or does not have it.
-    pub fn describe(&self, pinned: Option<&str>) -> Result<Repository, AddError> {
+    pub fn describe(
+        &self,
+        pinned: Option<&str>,
+        on_event: &mut dyn FnMut(Event),
+    ) -> Result<Repository, AddError> {
         let HubName { owner, name, revision } = self.name;
         let revision = revision.as_deref().or(pinned).unwrap_or(MAIN);
         let mut url = self.url(&["api", "models", owner, name, "revision", revision])?;
         url.set_query(Some("blobs=true"));
-        let text = self
-            .transfer
-            .fetch_text(&url, MAX_DESCRIPTION_BYTES, &|response| self.explain(response))?;
-        let info: ModelInfo = serde_json::from_str(&text)
-            .map_err(|e| self.refused(format!("its description cannot be read: {e}")))?;
+        let explain = |response: &Response| match error_code(response) {
+            "RevisionNotFound" if pinned == Some(revision) => Some(self.refused(format!(
+                "the pinned commit {revision} does not exist any more; --update takes the newest"
+            ))),
+            "RevisionNotFound" => {
+                Some(self.refused(format!("there is no branch, tag or full commit {revision}")))
+            }
+            _ => self.explain(response),
+        };
+        let text = self.transfer.fetch_text(&url, MAX_DESCRIPTION_BYTES, &explain, on_event)?;
+        let info: ModelInfo = serde_json::from_str(&text).map_err(|_| {
+            self.refused(
+                "the answer does not describe a repository: is there a proxy or a login page in \
+                 between?",
+            )
+        })?;
         if !(info.sha.len() == 40 && info.sha.chars().all(|c| c.is_ascii_hexdigit())) {
             return Err(self.refused("its description has no commit"));
         }
@@ -142,9 +165,8 @@ impl Hub<'_> {
 
     /// Returns the error for a status that will not change by itself.
     pub fn explain(&self, response: &Response) -> Option<AddError> {
-        let HubName { owner, name, revision } = self.name;
-        let code =
-            response.headers().get(ERROR_CODE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+        let HubName { owner, name, .. } = self.name;
+        let code = error_code(response);
         let page = format!("{}/{owner}/{name}", self.settings.display_endpoint());
         let has_token = self.settings.token.is_some();
         let why = match (response.status(), code) {
@@ -157,17 +179,19 @@ impl Hub<'_> {
                     "its authors ask for consent to terms. Give it at {page}, then set HF_TOKEN."
                 ),
             },
-            (StatusCode::NOT_FOUND, "RevisionNotFound") => {
-                format!("there is no revision {}", revision.as_deref().unwrap_or(MAIN))
+            (StatusCode::NOT_FOUND, "EntryNotFound") => {
+                "a file does not exist at this commit".into()
             }
-            (StatusCode::NOT_FOUND, "EntryNotFound") => "a file does not exist any more".into(),
             (StatusCode::UNAUTHORIZED | StatusCode::NOT_FOUND, _) => match has_token {
                 true => format!("does not exist, or the token has no access: see {page}"),
                 false => format!(
                     "does not exist, or is private: see {page}. For a private one set HF_TOKEN."
                 ),
             },
-            (StatusCode::FORBIDDEN, _) => format!("the token has no access: see {page}"),
+            (StatusCode::FORBIDDEN, _) => match has_token {
+                true => format!("the token has no access: see {page}"),
+                false => format!("access is denied: see {page}. For a private one set HF_TOKEN."),
+            },
             (status, _)
                 if status.is_client_error()
                     && status != StatusCode::TOO_MANY_REQUESTS

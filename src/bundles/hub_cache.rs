@@ -57,6 +57,21 @@ impl CachedRepository {
         found
     }
 
+    /// Returns the license in the model card of a commit, as the hub states it, or an empty text.
+    #[must_use]
+    pub fn license(&self, commit: &str) -> String {
+        let card = self.folder.join("snapshots").join(commit).join("README.md");
+        let text = fs::read_to_string(card).unwrap_or_default();
+        let mut lines = text.lines();
+        if lines.next().map(str::trim) != Some("---") {
+            return String::new();
+        }
+        let license = lines
+            .take_while(|line| line.trim() != "---")
+            .find_map(|line| line.strip_prefix("license:"));
+        license.unwrap_or_default().trim().trim_matches(['"', '\'']).to_owned()
+    }
+
     /// Returns where a file of a commit is, if it is here: by its path, or by its hash, under which
     /// other commits may have it.
     #[must_use]

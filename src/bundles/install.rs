@@ -5,7 +5,7 @@
 use super::lock::{Lock, LockedBundle, LockedFile};
 use super::origin::Origin;
 use super::plan::{Plan, base_name};
-use super::source::{BundleSource, HubName};
+use super::source::{BundleSource, HubName, check_name};
 use super::{AddError, HubSettings};
 use crate::packages::Event;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -39,6 +39,9 @@ pub struct Added {
     pub folder: Utf8PathBuf,
 }
 
+/// Largest configuration or tokenizer. They are read into memory; those of large vocabularies have
+/// 35 MB.
+pub const MAX_JSON_BYTES: u64 = 64 << 20;
 /// Folder of bundles that are not complete yet, in the folder of bundles.
 const STAGING: &str = ".staging";
 
@@ -55,23 +58,40 @@ pub fn add(
     let source = &resolved(source)?;
     let lock = Lock::read(options.models)?;
     let name = name_of(source, &lock, options);
+    let refused = |why: String| AddError::Source { source_name: source.to_string(), why };
+    check_name(&name).map_err(refused)?;
     let folder = options.models.join(&name);
     let pinned = lock.bundles.get(&name).filter(|locked| locked.source == source.identity());
+    let pinned_precision = pinned.and_then(|locked| locked.precision);
     if folder.join(MANIFEST).is_file() {
-        let Some(pinned) = pinned else {
-            return Err(AddError::Source {
-                source_name: source.to_string(),
-                why: format!("{folder} is another bundle. Choose another name with --as."),
-            });
+        let is_there = match pinned {
+            Some(pinned) => {
+                requested(source).is_none_or(|revision| pinned.has_revision(revision))
+                    && pinned.missing_file(&folder).is_none()
+            }
+            // Somebody has copied the folder without the lock.
+            None if comes_from(&folder, source) => true,
+            None => {
+                return Err(refused(format!(
+                    "{folder} is another bundle. Choose another name with --as."
+                )));
+            }
         };
-        let is_wanted = !options.update
-            && requested(source).is_none_or(|revision| pinned.has_revision(revision))
-            && options.precision.is_none_or(|precision| pinned.precision == Some(precision));
-        if is_wanted && pinned.missing_file(&folder).is_none() {
+        let another = options.precision.filter(|wanted| pinned_precision != Some(*wanted));
+        if let Some(wanted) = another.filter(|_| !options.update) {
+            let there = pinned_precision.map_or("another precision", Precision::name);
+            return Err(refused(format!(
+                "{folder} has {there}. For {wanted} too, choose another name with --as; to replace \
+                 it, say --update."
+            )));
+        }
+        if is_there && !options.update {
             on_event(Event::AlreadyInstalled(&folder));
             return Ok(Added { name, folder });
         }
     }
+    // A bundle that is gone comes back as it was pinned.
+    let options = &AddOptions { precision: options.precision.or(pinned_precision), ..*options };
     let staging = options.models.join(STAGING).join(&name);
     fs::create_dir_all(&staging).map_err(|why| AddError::File { file: staging.clone(), why })?;
     let _guard = lock_folder(&staging, FlockOperation::NonBlockingLockExclusive).map_err(|_| {
@@ -83,7 +103,12 @@ pub fn add(
     let pinned = pinned.filter(|_| !options.update);
     let mut origin = Origin::open(source, pinned, &staging, options, on_event)?;
     let installation = Installation { source, staging: &staging, installed: &folder };
-    let locked = installation.complete(&mut origin, &name, options, on_event)?;
+    let completed = installation.complete(&mut origin, &name, options, on_event);
+    if let Err(AddError::Layout { .. }) = &completed {
+        // Another attempt would find the same files, which can be large.
+        let _gone = fs::remove_dir_all(&staging);
+    }
+    let locked = completed?;
     publish(&staging, &folder)?;
     on_event(Event::Installed(&folder));
     pin(options.models, &name, locked)?;
@@ -91,24 +116,32 @@ pub fn add(
 }
 
 /// Installs every bundle of `models.lock` that is not complete, with the pinned revisions and
-/// hashes.
+/// hashes. One that cannot be installed does not keep the others from it.
 ///
 /// # Errors
-/// Returns the first error.
+/// Returns an error if the lock cannot be read.
 pub fn install_locked(
     options: &AddOptions,
     on_event: &mut dyn FnMut(Event),
-) -> Result<Vec<Added>, AddError> {
-    let mut added = Vec::new();
-    for (name, locked) in Lock::read(options.models)?.bundles {
+) -> Result<Vec<Result<Added, AddError>>, AddError> {
+    let install = |(name, locked): (String, LockedBundle)| {
         let source = locked
             .source
             .parse()
             .map_err(|why| AddError::Source { source_name: locked.source.clone(), why })?;
         let options = AddOptions { name: Some(&name), precision: locked.precision, ..*options };
-        added.push(add(&source, &options, on_event)?);
-    }
-    Ok(added)
+        add(&source, &options, on_event)
+    };
+    Ok(Lock::read(options.models)?.bundles.into_iter().map(install).collect())
+}
+
+/// Returns whether the manifest of an installed bundle names this source.
+fn comes_from(folder: &Utf8Path, source: &BundleSource) -> bool {
+    let identity = source.identity();
+    Bundle::read(folder).is_ok_and(|bundle| {
+        let there = bundle.manifest.source();
+        there.strip_prefix(&identity).is_some_and(|rest| rest.is_empty() || rest.starts_with('@'))
+    })
 }
 
 /// Returns the source with an absolute path, so that `models.lock` holds from any folder.
@@ -118,7 +151,7 @@ fn resolved(source: &BundleSource) -> Result<BundleSource, AddError> {
             .canonicalize_utf8()
             .map(BundleSource::Folder)
             .map_err(|why| AddError::File { file: folder.clone(), why }),
-        BundleSource::Hub(_) | BundleSource::Zip(_) => Ok(source.clone()),
+        BundleSource::Hub(_) | BundleSource::Zip(..) => Ok(source.clone()),
     }
 }
 
@@ -142,7 +175,7 @@ fn name_of(source: &BundleSource, lock: &Lock, options: &AddOptions) -> String {
 fn requested(source: &BundleSource) -> Option<&str> {
     match source {
         BundleSource::Hub(HubName { revision, .. }) => revision.as_deref(),
-        BundleSource::Folder(_) | BundleSource::Zip(_) => None,
+        BundleSource::Folder(_) | BundleSource::Zip(..) => None,
     }
 }
 
@@ -194,7 +227,12 @@ impl Installation<'_> {
         options: &AddOptions,
         on_event: &mut dyn FnMut(Event),
     ) -> Result<LockedBundle, AddError> {
-        let layout = |why: String| AddError::Layout { source_name: self.source.to_string(), why };
+        // The staging folder means nothing to people.
+        let place = format!("{}/", self.staging);
+        let layout = |why: String| AddError::Layout {
+            source_name: self.source.to_string(),
+            why: why.replace(&place, ""),
+        };
         let listed = origin.list()?;
         let own = Plan::of_manifest(origin, &listed, self.staging, on_event)?;
         let plan = match own {
@@ -204,8 +242,15 @@ impl Installation<'_> {
         on_event(Event::Described {
             source: &self.source.to_string(),
             license: origin.license(),
-            bytes: plan.paths().iter().filter_map(|path| origin.bytes(path)).sum(),
+            bytes: listed
+                .iter()
+                .filter(|path| plan.includes(path))
+                .filter_map(|path| origin.bytes(path))
+                .sum(),
         });
+        if plan.paths().iter().any(|path| !origin.is_verifiable(path)) {
+            on_event(Event::NotVerified { source: &self.source.to_string() });
+        }
         let mut files = BTreeMap::new();
         for path in plan.paths() {
             self.bring(origin, &path, &mut files, on_event)?;
@@ -216,7 +261,7 @@ impl Installation<'_> {
         for weights in weights {
             let path = plan.beside_networks(&weights).find(|path| listed.contains(path));
             let path = path.ok_or_else(|| {
-                layout(format!("{weights} is missing, which holds the weights of a network"))
+                layout(format!("a network keeps weights in {weights:?}, which is not beside it"))
             })?;
             self.bring(origin, &path, &mut files, on_event)?;
         }
@@ -248,6 +293,13 @@ impl Installation<'_> {
         on_event: &mut dyn FnMut(Event),
     ) -> Result<(), AddError> {
         let name = base_name(path);
+        let is_json = Utf8Path::new(&name).extension() == Some("json");
+        if is_json && origin.bytes(path).is_some_and(|b| b > MAX_JSON_BYTES) {
+            return Err(AddError::Layout {
+                source_name: self.source.to_string(),
+                why: format!("{path} is larger than {} MB", MAX_JSON_BYTES >> 20),
+            });
+        }
         let to = self.staging.join(&name);
         let sha256 = origin.bring(path, &to, &self.installed.join(&name), on_event)?;
         let bytes = to.metadata().map_err(|why| AddError::File { file: to.clone(), why })?.len();

@@ -1,12 +1,14 @@
 //! `models.lock`: what is installed in a folder of bundles, so that it can be installed again.
 
 use super::AddError;
+use super::source::check_name;
 use super::transfer::hashes_of;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, Permissions};
 use std::io::{self, Write};
+use std::os::unix::fs::PermissionsExt;
 use uniground_core::models::neural::layouts::Precision;
 
 /// Name of the file, in the folder of bundles.
@@ -75,12 +77,18 @@ impl Lock {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Self::default()),
             text => text.map_err(wrong)?,
         };
-        let lock: Self = serde_json::from_str(&text).map_err(|e| wrong(e.into()))?;
-        match lock.version {
-            VERSION => Ok(lock),
-            other => Err(wrong(io::Error::other(format!(
-                "version {other} is not supported, expected {VERSION}"
-            )))),
+        let unreadable = |why: String| {
+            wrong(io::Error::other(format!(
+                "{why}. Repair the file, or delete it: `uniground models add` writes it again"
+            )))
+        };
+        let lock: Self = serde_json::from_str(&text).map_err(|e| unreadable(e.to_string()))?;
+        if lock.version != VERSION {
+            return Err(unreadable(format!("version {} is not supported", lock.version)));
+        }
+        match lock.bundles.keys().find_map(|name| check_name(name).err()) {
+            None => Ok(lock),
+            Some(why) => Err(unreadable(why)),
         }
     }
 
@@ -95,6 +103,8 @@ impl Lock {
             text.push('\n');
             let mut new = tempfile::NamedTempFile::new_in(models)?;
             new.write_all(text.as_bytes())?;
+            // Like every other file of a bundle: readable by whoever runs the service.
+            new.as_file().set_permissions(Permissions::from_mode(0o644))?;
             new.as_file().sync_all()?;
             new.persist(&file)?;
             Ok(())
@@ -120,12 +130,13 @@ impl LockedBundle {
             let found =
                 hashes_of(&path).map_err(|why| AddError::File { file: path.clone(), why })?;
             if found.sha256 != file.sha256 {
-                return Err(AddError::WrongHash {
-                    source_name: self.source.clone(),
-                    file: path.to_string(),
-                    algorithm: "SHA-256",
-                    found: found.sha256,
-                    expected: file.sha256.clone(),
+                return Err(AddError::Source {
+                    source_name: path.to_string(),
+                    why: format!(
+                        "was changed after installation: the SHA-256 is {}, pinned is {}. Remove \
+                         the folder, and `uniground models add` installs it again",
+                        found.sha256, file.sha256
+                    ),
                 });
             }
         }

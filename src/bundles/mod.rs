@@ -26,7 +26,7 @@ pub use install::{AddOptions, Added, add, install_locked};
 pub use known::{KNOWN, KnownModel};
 pub use lock::{Lock, LockedBundle};
 pub use measurements::Measurements;
-pub use source::{BundleSource, HubName};
+pub use source::{BundleSource, HubName, check_name};
 
 use camino::Utf8PathBuf;
 use std::io;
@@ -39,6 +39,8 @@ pub enum AddError {
     Source { source_name: String, why: String },
     #[error("{source_name}: {address} cannot be reached: {why}. {remedy}")]
     Unreachable { source_name: String, address: String, why: String, remedy: &'static str },
+    #[error("{source_name}: {address} {why}")]
+    Failing { source_name: String, address: String, why: String },
     #[error(
         "{source_name}: {file} has the {algorithm} {found}, expected {expected}: it differs from \
          the published file and was not installed"
@@ -60,6 +62,6 @@ impl AddError {
     /// Returns whether the source could not be reached, so that another one can be tried.
     #[must_use]
     pub fn is_unreachable(&self) -> bool {
-        matches!(self, Self::Unreachable { .. })
+        matches!(self, Self::Unreachable { .. } | Self::Failing { .. })
     }
 }

@@ -60,25 +60,26 @@ impl<'a> Origin<'a> {
                     settings.token.as_deref(),
                 )?;
                 let hub = Hub { settings, name, transfer };
-                HubOrigin::open(hub, pinned).map(Box::new).map(Self::Hub)
+                HubOrigin::open(hub, pinned, on_event).map(Box::new).map(Self::Hub)
             }
             BundleSource::Folder(folder) => Ok(Self::Folder(folder.clone())),
-            BundleSource::Zip(url) => {
+            BundleSource::Zip(url, sha256) => {
                 let host = url.host_str().unwrap_or_default().to_owned();
                 let remedy = "Check the network connection and the address.";
-                Self::open_zip(url, &transfer(host, remedy, None)?, staging, on_event)
+                let transfer = transfer(host, remedy, None)?;
+                Self::open_zip(url, sha256.as_deref(), &transfer, staging, on_event)
             }
         }
     }
 
     fn open_zip(
         url: &Url,
+        sha256: Option<&str>,
         transfer: &Transfer,
         staging: &Utf8Path,
         on_event: &mut dyn FnMut(Event),
     ) -> Result<Self, AddError> {
         let file = staging.join(ARCHIVE);
-        let sha256 = url.fragment().and_then(|fragment| fragment.strip_prefix("sha256="));
         let remote = RemoteFile {
             name: "the archive".into(),
             bytes: None,
@@ -116,6 +117,17 @@ impl<'a> Origin<'a> {
             Self::Hub(hub) => hub.repository.files.get(path)?.bytes,
             Self::Folder(folder) => folder.join(path).metadata().ok().map(|m| m.len()),
             Self::Zip { .. } => None,
+        }
+    }
+
+    /// Returns whether a file can be compared with a hash that its source states. Files of this
+    /// machine need none.
+    #[must_use]
+    pub fn is_verifiable(&self, path: &str) -> bool {
+        match self {
+            Self::Hub(hub) if hub.hub.settings.is_offline => true,
+            Self::Hub(hub) => hub.repository.files.get(path).is_some_and(|f| f.hash.is_some()),
+            Self::Folder(_) | Self::Zip { .. } => true,
         }
     }
 
@@ -169,12 +181,16 @@ impl<'a> Origin<'a> {
 }
 
 impl<'a> HubOrigin<'a> {
-    fn open(hub: Hub<'a>, pinned: Option<&'a LockedBundle>) -> Result<Self, AddError> {
+    fn open(
+        hub: Hub<'a>,
+        pinned: Option<&'a LockedBundle>,
+        on_event: &mut dyn FnMut(Event),
+    ) -> Result<Self, AddError> {
         let HubSettings { cache, is_offline, .. } = hub.settings;
         let cache = cache.as_ref().map(|cache| CachedRepository::new(cache, hub.name));
         let pinned_commit = pinned.and_then(|locked| locked.revision.as_deref());
         let repository = match is_offline {
-            false => hub.describe(pinned_commit)?,
+            false => hub.describe(pinned_commit, on_event)?,
             true => {
                 cached_repository(cache.as_ref(), hub.name, pinned_commit).ok_or_else(|| {
                     let why = "HF_HUB_OFFLINE is set, and the revision is not in the hub's cache";
@@ -201,10 +217,13 @@ impl<'a> HubOrigin<'a> {
         if let Some(pinned) = self.pinned_file(path) {
             file.hash = Some(Hash::Sha256(pinned.sha256.clone()));
         }
-        let cached = || cache.as_ref()?.find(&repository.commit, path, &file);
+        let cached = cache.as_ref().and_then(|c| c.find(&repository.commit, path, &file));
+        // The cache calls its files by their hashes.
+        let named = cached.as_deref().and_then(hash_in_name);
+        file.hash = file.hash.or(named);
         // Without a hash, only the cache is known to have this commit's file.
         let known = |there: &Utf8Path| file.hash.is_some().then(|| there.to_owned());
-        for there in [known(to), known(installed), cached()].into_iter().flatten() {
+        for there in [known(to), known(installed), cached].into_iter().flatten() {
             if there.is_file()
                 && let Ok(sha256) = hub.transfer.verify(&file, &there)
             {
@@ -230,6 +249,16 @@ impl<'a> HubOrigin<'a> {
     }
 }
 
+/// Returns the hash that a file of the cache is called by.
+fn hash_in_name(file: &Utf8Path) -> Option<Hash> {
+    let name = file.file_name().filter(|name| name.chars().all(|c| c.is_ascii_hexdigit()))?;
+    match name.len() {
+        64 => Some(Hash::Sha256(name.to_owned())),
+        40 => Some(Hash::GitBlob(name.to_owned())),
+        _ => None,
+    }
+}
+
 /// Returns the part of a repository that the hub's own tools have downloaded.
 fn cached_repository(
     cache: Option<&CachedRepository>,
@@ -243,5 +272,6 @@ fn cached_repository(
         (path, file)
     };
     let files = cache.files(&commit).into_iter().map(unknown).collect();
-    Some(Repository { commit, files, license: String::new() })
+    let license = cache.license(&commit);
+    Some(Repository { commit, files, license })
 }

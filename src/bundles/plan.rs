@@ -83,6 +83,17 @@ impl Plan {
         })
     }
 
+    /// Returns whether a file belongs to the bundle, as far as names tell: external weights are
+    /// called like their network.
+    #[must_use]
+    pub fn includes(&self, path: &str) -> bool {
+        let is_beside = |network: &str| {
+            path.strip_prefix(network)
+                .is_some_and(|rest| rest.starts_with("_data") || rest.starts_with(".data"))
+        };
+        self.paths().iter().any(|own| own == path) || self.networks().into_iter().any(is_beside)
+    }
+
     /// Returns the precision of the networks, if the layout states it.
     #[must_use]
     pub fn precision(&self) -> Option<Precision> {

@@ -92,6 +92,17 @@ impl Transfer<'_> {
         }
     }
 
+    fn failing(&self, why: String) -> AddError {
+        let (source_name, address) = (self.source_name.clone(), self.address.clone());
+        AddError::Failing { source_name, address, why: format!("{why}; tried {ATTEMPTS} times") }
+    }
+
+    /// Waits before the next attempt.
+    fn wait(&self, why: &str, pause: Duration, on_event: &mut dyn FnMut(Event)) {
+        on_event(Event::Retrying { why, seconds: pause.as_secs() });
+        (self.pause)(pause);
+    }
+
     fn refused(&self, why: impl Into<String>) -> AddError {
         AddError::Source { source_name: self.source_name.clone(), why: why.into() }
     }
@@ -114,34 +125,39 @@ impl Transfer<'_> {
         url: &Url,
         limit: u64,
         explain: &dyn Fn(&Response) -> Option<AddError>,
+        on_event: &mut dyn FnMut(Event),
     ) -> Result<String, AddError> {
         let mut last = String::new();
         for attempt in 0..ATTEMPTS {
-            match self.request(url.clone()).send() {
-                Ok(response) if response.status().is_success() => {
-                    let mut text = String::new();
-                    let read = response.take(limit + 1).read_to_string(&mut text);
-                    match read {
-                        Ok(length) if length as u64 > limit => {
-                            return Err(self.refused("the description of its files is too long"));
-                        }
-                        Ok(_) => return Ok(text),
-                        Err(error) => last = format!("its response cannot be read: {error}"),
+            // A host that does not exist or does not listen will not do so a second later.
+            let response = self
+                .request(url.clone())
+                .send()
+                .map_err(|error| self.unreachable(describe_error(error)))?;
+            let mut asked = None;
+            if response.status().is_success() {
+                let mut bytes = Vec::new();
+                match response.take(limit + 1).read_to_end(&mut bytes) {
+                    Ok(length) if length as u64 > limit => {
+                        return Err(self.refused("the description of its files is too long"));
                     }
-                    (self.pause)(backoff(attempt, None));
-                }
-                Ok(response) => {
-                    if let Some(error) = explain(&response) {
-                        return Err(error);
+                    Ok(_) => {
+                        return String::from_utf8(bytes)
+                            .map_err(|_| self.refused("the description of its files is not text"));
                     }
-                    last = format!("it answers {}", response.status());
-                    (self.pause)(backoff(attempt, retry_after(&response)));
+                    Err(error) => last = format!("broke off its answer: {error}"),
                 }
-                // A host that does not exist or does not listen will not do so a second later.
-                Err(error) => return Err(self.unreachable(describe_error(error))),
+            } else if let Some(error) = explain(&response) {
+                return Err(error);
+            } else {
+                last = format!("answers {}", response.status());
+                asked = retry_after(&response);
+            }
+            if attempt + 1 < ATTEMPTS {
+                self.wait(&format!("{} {last}", self.address), backoff(attempt, asked), on_event);
             }
         }
-        Err(self.unreachable(last))
+        Err(self.failing(last))
     }
 
     /// Downloads a file to `to`, and returns its SHA-256. What an earlier attempt left beside `to`
@@ -171,32 +187,61 @@ impl Transfer<'_> {
             format!("{} of {}", file.name, self.source_name),
             file.bytes.unwrap_or_default(),
         ));
-        let (mut idle, mut validator) = (0, None);
+        let mut resumed = length(&target)? > 0;
         loop {
-            let before = length(&target)?;
-            if file.bytes == Some(before) {
-                break;
+            self.receive(url, file, &mut target, &partial, explain, on_event)?;
+            on_event(Event::Downloaded);
+            target.sync_all().map_err(failed)?;
+            match self.verify(file, &partial) {
+                Ok(sha256) => {
+                    fs::rename(&partial, to).map_err(failed)?;
+                    return Ok(sha256);
+                }
+                // The beginning may come from another file, which an earlier attempt left.
+                Err(AddError::WrongHash { .. }) if resumed => {
+                    target.set_len(0).map_err(failed)?;
+                    resumed = false;
+                }
+                Err(error) => {
+                    // The next attempt begins anew.
+                    let _gone = fs::remove_file(&partial);
+                    return Err(error);
+                }
             }
-            let ended = self.attempt(url, file, &mut target, &mut validator, explain, on_event)?;
-            let Attempt::Again(why, wait) = ended else { break };
-            idle = if length(&target)? > before { 0 } else { idle + 1 };
-            if idle >= ATTEMPTS {
-                return Err(self.unreachable(format!("{}: {why}", file.name)));
-            }
-            (self.pause)(backoff(idle, wait));
         }
-        on_event(Event::Downloaded);
-        target.sync_all().map_err(failed)?;
-        match self.verify(file, &partial) {
-            Ok(sha256) => {
-                fs::rename(&partial, to).map_err(failed)?;
-                Ok(sha256)
+    }
+
+    /// Appends the rest of a file, in as many attempts as bring something.
+    fn receive(
+        &self,
+        url: &Url,
+        file: &RemoteFile,
+        target: &mut File,
+        partial: &Utf8Path,
+        explain: &dyn Fn(&Response) -> Option<AddError>,
+        on_event: &mut dyn FnMut(Event),
+    ) -> Result<(), AddError> {
+        let length = |target: &File| {
+            target
+                .metadata()
+                .map(|m| m.len())
+                .map_err(|why| AddError::File { file: partial.to_owned(), why })
+        };
+        let (mut idle, mut most, mut validator) = (0, length(target)?, None);
+        loop {
+            if file.bytes == Some(length(target)?) {
+                return Ok(());
             }
-            Err(error) => {
-                // The next attempt begins anew.
-                let _gone = fs::remove_file(&partial);
-                Err(error)
+            let ended = self.attempt(url, file, target, &mut validator, explain, on_event)?;
+            let Attempt::Again(why, asked) = ended else { return Ok(()) };
+            // Only bytes that no attempt had before are progress.
+            let received = length(target)?;
+            idle = if received > most { 0 } else { idle + 1 };
+            most = most.max(received);
+            if idle >= ATTEMPTS {
+                return Err(self.failing(format!("does not give {}: {why}", file.name)));
             }
+            self.wait(&format!("{}: {why}", file.name), backoff(idle, asked), on_event);
         }
     }
 
@@ -221,6 +266,9 @@ impl Transfer<'_> {
         }
         let mut response = match request.send() {
             Ok(response) => response,
+            Err(error) if error.is_redirect() || error.is_builder() => {
+                return Err(self.unreachable(describe_error(error)));
+            }
             Err(error) => return Ok(Attempt::Again(describe_error(error), None)),
         };
         let goes_on = response.status() == StatusCode::PARTIAL_CONTENT
@@ -245,6 +293,14 @@ impl Transfer<'_> {
         if !goes_on {
             target.set_len(0).map_err(unwritten)?;
             received = 0;
+            if let (Some(whole), Some(stated)) = (response.content_length(), file.bytes)
+                && whole != stated
+            {
+                return Err(self.refused(format!(
+                    "{} has {whole} bytes, but {stated} are stated; it was not installed",
+                    file.name
+                )));
+            }
         }
         *validator = response
             .headers()

@@ -128,17 +128,21 @@ impl<'a> ProgressBarView<'a> {
                 let license = if license.is_empty() { "not stated" } else { license };
                 let size = match bytes {
                     0 => String::new(),
-                    _ => format!(", {:.1} MB", bytes as f64 / 1e6),
+                    _ => format!(", {}", megabytes(bytes)),
                 };
                 eprintln!("{source}: license {license}{size}");
             }
+            Event::NotVerified { source } => {
+                eprintln!("{source} states no hashes: its files are not verified");
+            }
+            Event::Retrying { why, seconds } => eprintln!("{why}; retrying in {seconds} s"),
             Event::Installed(file) => self.print_line(file.as_str()),
             Event::Started(package, bytes) if io::stderr().is_terminal() => {
                 self.bar = Some(progress_bar(package, bytes));
             }
             Event::Started(package, 0) => eprintln!("fetching {package}"),
             Event::Started(package, bytes) => {
-                eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6);
+                eprintln!("fetching {package}, {}", megabytes(bytes));
             }
             Event::Received(bytes) => self.bar.iter().for_each(|bar| bar.set_position(bytes)),
             Event::Downloaded => self.finish(),
@@ -148,6 +152,13 @@ impl<'a> ProgressBarView<'a> {
     fn print_line(&mut self, text: &str) {
         // A closed output does not matter: the files are installed.
         let _told = writeln!(self.out, "{text}");
+    }
+}
+
+fn megabytes(bytes: u64) -> String {
+    match bytes {
+        0..100_000 => format!("{:.1} kB", bytes as f64 / 1e3),
+        _ => format!("{:.1} MB", bytes as f64 / 1e6),
     }
 }
 

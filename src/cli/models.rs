@@ -17,7 +17,7 @@ use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use serde_json::json;
 use std::io::{self, Write};
-use uniground_core::models::neural::bundle::Bundle;
+use uniground_core::models::neural::bundle::{Bundle, MANIFEST};
 use uniground_core::models::neural::layouts::{About, Precision, describe, select};
 use uniground_core::models::neural::{
     BundleListing, Engine, LoadedModel, Models, OnnxRuntime, bundle_folder, list, verify,
@@ -172,17 +172,28 @@ fn add(args: &AddArgs) -> anyhow::Result<()> {
     let mut out = io::stderr();
     let mut progress = ProgressBarView::new(&mut out);
     let mut on_event = |event: crate::packages::Event| progress.handle_event(event);
-    let added = match source {
-        Some(source) => vec![bundles::add(source, &options, &mut on_event)?],
+    let attempts = match source {
+        Some(source) => vec![Ok(bundles::add(source, &options, &mut on_event)?)],
         None => bundles::install_locked(&options, &mut on_event)?,
     };
     progress.finish();
-    if added.is_empty() {
-        eprintln!(
-            "{} has no models.lock: name a source, such as {}",
-            config.models, KNOWN[0].source
-        );
+    let (mut added, mut failed) = (Vec::new(), 0);
+    for attempt in attempts {
+        match attempt {
+            Ok(bundle) => added.push(bundle),
+            Err(error) => {
+                eprintln!("{error}");
+                failed += 1;
+            }
+        }
     }
+    ensure!(failed == 0, "{failed} of {} bundles could not be installed", added.len() + failed);
+    ensure!(
+        !added.is_empty(),
+        "{} has no models.lock: name a source, such as {}",
+        config.models,
+        KNOWN[0].source
+    );
     // Without a library, the networks can still be copied to a machine that has one.
     let can_run =
         config.inference_url.is_some() || OnnxRuntime::find(&config.runtime.settings()).is_ok();
@@ -190,7 +201,14 @@ fn add(args: &AddArgs) -> anyhow::Result<()> {
     let mut loaded = Vec::new();
     for Added { folder, .. } in &added {
         match &engine {
-            Some(engine) => loaded.extend(run_once(engine.as_ref(), folder, &config.models)?),
+            Some(engine) => {
+                let verified = run_once(engine.as_ref(), folder, &config.models);
+                loaded.extend(verified.with_context(|| {
+                    format!(
+                        "{folder} is installed, but does not run (to remove it: rm -r {folder})"
+                    )
+                })?);
+            }
             None => eprintln!(
                 "{folder} was not run, because ONNX Runtime is missing: `uniground models fetch \
                  onnxruntime`"
@@ -258,13 +276,21 @@ fn print_description(args: &DescribeArgs) -> anyhow::Result<()> {
     files.sort();
     let selection = select(&files, *precision).map_err(|why| {
         let inside = folder.join("onnx").is_dir();
-        let advice = if inside { " `uniground models add` also reads onnx/." } else { "" };
+        let advice = match inside {
+            true => ". `uniground models add` also takes networks in onnx/; here, move them up",
+            false => "",
+        };
         anyhow::anyhow!("{folder}: {why}{advice}")
     })?;
     let about = About {
         name: BundleSource::Folder(folder.canonicalize_utf8()?).default_name(),
         ..About::default()
     };
+    let is_bundle = folder.join(MANIFEST).exists();
+    ensure!(
+        !(*write && is_bundle),
+        "{folder} has a {MANIFEST}: delete it to have it written again"
+    );
     let manifest = describe(folder, &selection, &about)?;
     let text = manifest.to_json()?;
     if *write {
@@ -374,6 +400,15 @@ fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
     let engine = config.engine()?;
     let lock = Lock::read(&config.models)?;
     let (mut loaded, mut failed) = (Vec::new(), 0);
+    for name in
+        lock.bundles.keys().filter(|name| bundles.is_empty() && !config.models.join(name).exists())
+    {
+        eprintln!(
+            "{name} is in models.lock, but not in {}: `uniground models add` installs it",
+            config.models
+        );
+        failed += 1;
+    }
     for folder in folders {
         let pinned = folder.file_name().and_then(|name| lock.bundles.get(name));
         let intact = pinned.map_or(Ok(()), |pinned| pinned.verify(&folder)).map_err(Into::into);

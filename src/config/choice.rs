@@ -4,9 +4,10 @@ use super::models::{BundlesConfig, ModelsConfig};
 use super::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
 use crate::bundles::{self, AddOptions, BundleSource, HubSettings};
 use crate::packages::Event;
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use camino::Utf8PathBuf;
 use std::io;
+use uniground_core::models::neural::bundle::Bundle;
 use uniground_core::models::neural::{
     BundleListing, Engine, ModelError, Models, Provider, Role, bundle_folder, list,
 };
@@ -239,6 +240,10 @@ impl ModelChooser<'_> {
                 tracing::info!(source, license, megabytes, "installing a model");
             }
             Event::Started(file, _) => tracing::info!(file, "downloading"),
+            Event::NotVerified { source } => {
+                tracing::warn!(source, "the source states no hashes: files are not verified");
+            }
+            Event::Retrying { why, seconds } => tracing::warn!(why, seconds, "retrying"),
             Event::Received(_)
             | Event::Downloaded
             | Event::Installed(_)
@@ -250,6 +255,11 @@ impl ModelChooser<'_> {
     fn load_with(&self, role: Role, folder: &camino::Utf8Path) -> anyhow::Result<Models> {
         let engine = self.engine.as_deref().context("no runtime for neural networks")?;
         let models = self.models.clone();
+        // A bundle of the other kind is installed by its source before that is known.
+        if let Ok(bundle) = Bundle::read(folder) {
+            let own = bundle.manifest.role();
+            ensure!(own == role, "{} is for --{own}, not for --{role}", bundle.name());
+        }
         let loaded: Result<Models, ModelError> = match role {
             Role::Masks => models.with_segmenter(engine, folder),
             Role::Encoder => models.with_encoder(engine, folder),

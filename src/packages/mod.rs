@@ -72,6 +72,10 @@ pub enum Event<'a> {
     /// What a source says about a bundle before its files are downloaded: its license, empty if it
     /// states none, and its size, 0 if unknown.
     Described { source: &'a str, license: &'a str, bytes: u64 },
+    /// A source states no hashes for its files, so they cannot be verified.
+    NotVerified { source: &'a str },
+    /// A download goes on after a pause, for this reason.
+    Retrying { why: &'a str, seconds: u64 },
     /// All files of the part existed already.
     AlreadyInstalled(&'a Utf8Path),
     /// The download of a package with this many bytes begins.

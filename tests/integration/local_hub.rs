@@ -40,6 +40,10 @@ pub enum Mood {
     Gated,
     /// The first request of each kind is refused for two seconds.
     Busy,
+    /// The stated sizes of large files are larger than the files.
+    WrongSize,
+    /// Every request for a file gets an error of the server.
+    Down,
     /// Files of a repository have changed without a new commit.
     Rewritten,
 }
@@ -74,7 +78,8 @@ impl Served {
                         Mood::Rewritten => "0".repeat(64),
                         _ => hex(Sha256::new_with_prefix(bytes)),
                     };
-                    json!({"rfilename": path, "size": bytes.len(), "lfs": {"sha256": sha256, "size": bytes.len()}})
+                    let size = bytes.len() + if mood == Mood::WrongSize { 1000 } else { 0 };
+                    json!({"rfilename": path, "size": size, "lfs": {"sha256": sha256, "size": size}})
                 } else {
                     let blob = [format!("blob {}\0", bytes.len()).as_bytes(), bytes].concat();
                     json!({"rfilename": path, "size": bytes.len(), "blobId": hex(Sha1::new_with_prefix(blob))})
@@ -155,6 +160,9 @@ async fn answer_as_hub(State(served): State<Arc<Served>>, request: Request) -> R
             "main" | FIRST | SECOND => served.description().to_string().into_response(),
             _ => (StatusCode::NOT_FOUND, [("x-error-code", "RevisionNotFound")]).into_response(),
         };
+    }
+    if mood == Mood::Down {
+        return StatusCode::SERVICE_UNAVAILABLE.into_response();
     }
     let Some(file) = path.strip_prefix(&format!("/acme/tiny-clip/resolve/{commit}/")) else {
         return (StatusCode::NOT_FOUND, [("x-error-code", "RepoNotFound")]).into_response();

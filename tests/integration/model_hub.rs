@@ -160,7 +160,7 @@ fn refusals_say_what_to_do_and_never_show_the_token() {
     bench.add().unwrap();
     assert!(!bench.hub.has_leaked(), "the storage must not see the token");
     for (source, expected) in [
-        ("hub:acme/tiny-clip@no-such-tag", "there is no revision no-such-tag"),
+        ("hub:acme/tiny-clip@no-such-tag", "there is no branch, tag or full commit no-such-tag"),
         ("hub:acme/nothing", "does not exist"),
     ] {
         let error = bench.add_as(source, |options| options.name = Some("x")).unwrap_err();
@@ -198,13 +198,30 @@ fn the_cache_of_the_hub_is_used_offline() {
     let repository = bench.settings.cache.clone().unwrap().join("models--acme--tiny-clip");
     fs::create_dir_all(repository.join("refs")).unwrap();
     fs::write(repository.join("refs/main"), SECOND).unwrap();
+    let snapshot = repository.join("snapshots").join(SECOND);
+    fs::create_dir_all(&snapshot).unwrap();
+    fs::write(snapshot.join("README.md"), "---\ntags: [a]\nlicense: mit\n---\n# CLIP\n").unwrap();
     for (path, bytes) in bench.hub.files() {
         let file = repository.join("snapshots").join(SECOND).join(path);
         fs::create_dir_all(file.parent().unwrap()).unwrap();
         fs::write(file, bytes).unwrap();
     }
+    // The cache calls its files by their hashes, so a damaged one is noticed.
+    let network = repository.join("snapshots").join(SECOND).join("onnx/vision_model.onnx");
+    let mut bytes = fs::read(&network).unwrap();
+    let blob = repository.join("blobs").join(hex(Sha256::new_with_prefix(&bytes)));
+    fs::create_dir(blob.parent().unwrap()).unwrap();
+    bytes[100] ^= 1;
+    fs::write(&blob, &bytes).unwrap();
+    fs::remove_file(&network).unwrap();
+    std::os::unix::fs::symlink(&blob, &network).unwrap();
+    let error = bench.add().unwrap_err().to_string();
+    assert!(error.contains("vision_model.onnx is not in the hub's cache"), "{error}");
+    bytes[100] ^= 1;
+    fs::write(&blob, &bytes).unwrap();
     bench.add().unwrap();
     assert_eq!(bench.lock().bundles["tiny-clip"].revision.as_deref(), Some(SECOND));
+    assert_eq!(list(&bench.models).unwrap()[0].licence, "mit", "from the model card");
     assert!(bench.hub.take_requests().is_empty());
     // With a connection, only the description is requested.
     bench.settings.is_offline = false;
@@ -224,8 +241,23 @@ fn another_revision_replaces_the_files_of_the_first() {
         (options.name, options.update, options.precision) =
             (Some("mine"), true, Some(Precision::Q8));
     };
+    let silently = |options: &mut AddOptions| {
+        q8(options);
+        options.update = false;
+    };
+    let error = bench.add_as(MODEL, silently).unwrap_err().to_string();
+    assert!(error.contains("has fp32") && error.contains("--update"), "{error}");
     bench.add_as(MODEL, q8).unwrap();
     assert_eq!(bench.lock().bundles["mine"].revision.as_deref(), Some(SECOND));
+    // A bundle that is gone comes back as it was pinned.
+    fs::remove_dir_all(bench.models.join("mine")).unwrap();
+    bench.add_as(MODEL, |options| options.name = Some("mine")).unwrap();
+    assert_eq!(bench.lock().bundles["mine"].precision, Some(Precision::Q8));
+    // Without the lock, the manifest still says where it comes from.
+    fs::remove_file(bench.models.join("models.lock")).unwrap();
+    bench.hub.take_requests();
+    bench.add_as(MODEL, |options| options.name = Some("mine")).unwrap();
+    assert!(bench.hub.take_requests().is_empty());
     assert!(!bench.names("mine").contains(&"vision_model.onnx".to_owned()));
     // A folder that something else made is left alone.
     fs::create_dir(bench.models.join("own")).unwrap();
@@ -287,6 +319,7 @@ fn a_lock_reinstalls_what_it_pins() {
         pause: &pause,
     };
     let added = install_locked(&options, &mut |_: Event| {}).unwrap();
+    let added: Vec<Added> = added.into_iter().map(Result::unwrap).collect();
     assert_eq!(added.iter().map(|a| a.name.as_str()).collect::<Vec<_>>(), ["tiny-clip-q8"]);
     assert_eq!(bench.lock(), pinned);
     pinned.bundles["tiny-clip-q8"].verify(&added[0].folder).unwrap();
@@ -295,6 +328,43 @@ fn a_lock_reinstalls_what_it_pins() {
     fs::write(bench.models.join("models.lock"), r#"{"version": 2, "bundles": {}}"#).unwrap();
     let error = Lock::read(&bench.models).unwrap_err().to_string();
     assert!(error.contains("models.lock") && error.contains("version 2"), "{error}");
+}
+
+/// Names become folders: none leads out of the folder of bundles, from the command line or from a
+/// lock of somebody else.
+#[test]
+fn names_of_bundles_stay_in_their_folder() {
+    let bench = Bench::new("clip-split", Mood::Fine);
+    fs::create_dir_all(&bench.models).unwrap();
+    let outside = bench.models.parent().unwrap().join("precious");
+    fs::create_dir(&outside).unwrap();
+    fs::write(outside.join("config.json"), "mine").unwrap();
+    for name in ["../precious", outside.as_str(), "", ".", "..", ".staging", "auto", "models.lock"]
+    {
+        let error = bench.add_as(MODEL, |options| options.name = Some(name)).unwrap_err();
+        assert!(error.to_string().contains("cannot be the name of a bundle"), "{error}");
+    }
+    let lock = serde_json::json!({"version": 1, "bundles": {"../precious": {"source": MODEL, "files": {}}}});
+    fs::write(bench.models.join("models.lock"), lock.to_string()).unwrap();
+    let error = bench.add().unwrap_err().to_string();
+    assert!(error.contains("models.lock") && error.contains("cannot be the name"), "{error}");
+    assert_eq!(files_below(&outside), [("config.json".into(), b"mine".to_vec())].into());
+    assert!(bench.hub.take_requests().is_empty());
+}
+
+/// A size that is not that of the file ends the download at once, and other answers after a few
+/// attempts.
+#[test]
+fn downloads_end_whatever_the_server_does() {
+    for (mood, expected) in [
+        (Mood::WrongSize, "bytes, but"),
+        (Mood::Down, "answers 503 Service Unavailable; tried 5 times"),
+    ] {
+        let bench = Bench::new("clip-split", mood);
+        let error = bench.add().unwrap_err().to_string();
+        assert!(error.contains(expected), "{mood:?}: {error}");
+        assert!(bench.hub.take_requests().len() < 12, "{mood:?}");
+    }
 }
 
 /// The program in an empty folder, with the hub's variables and without this machine's bundles.
@@ -350,7 +420,7 @@ fn the_program_adds_and_verifies_every_layout() {
         if config.is_file() {
             fs::write(config, "{}").unwrap();
             let (ok, _, err) = output_of(&mut program(work, &endpoint, &["models", "verify"]));
-            assert!(!ok && err.contains("config.json has the SHA-256"), "{layout}: {err}");
+            assert!(!ok && err.contains("was changed after installation"), "{layout}: {err}");
         }
     }
 }

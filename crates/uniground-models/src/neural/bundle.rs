@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fs::{self, File};
 use std::io;
+use uniground_types::models::Role;
 
 /// The file that describes a bundle. A folder without it is not a bundle.
 pub const MANIFEST: &str = "model.json";
@@ -469,6 +470,24 @@ impl Manifest {
         match self {
             Self::DualEncoder(m) => &m.licence,
             Self::PromptableSegmenter(m) => &m.licence,
+        }
+    }
+
+    /// Returns what the bundle can be used for.
+    #[must_use]
+    pub fn role(&self) -> Role {
+        match self {
+            Self::DualEncoder(_) => Role::Encoder,
+            Self::PromptableSegmenter(_) => Role::Masks,
+        }
+    }
+
+    /// Returns the source of the weights, for people. Empty when not stated.
+    #[must_use]
+    pub fn source(&self) -> &str {
+        match self {
+            Self::DualEncoder(m) => &m.source,
+            Self::PromptableSegmenter(m) => &m.source,
         }
     }
 

@@ -80,10 +80,9 @@ fn listing(folder: &Utf8Path) -> BundleListing {
     let missing: Vec<&str> =
         files.iter().filter(|f| f.bytes.is_none()).map(|f| f.name.as_str()).collect();
     let problem = (!missing.is_empty()).then(|| format!("missing: {}", missing.join(", ")));
-    let (role, licence, source) = match &bundle.manifest {
-        Manifest::DualEncoder(m) => (Role::Encoder, m.licence.clone(), m.source.clone()),
-        Manifest::PromptableSegmenter(m) => (Role::Masks, m.licence.clone(), m.source.clone()),
-    };
+    let manifest = &bundle.manifest;
+    let (role, licence, source) =
+        (manifest.role(), manifest.licence().to_owned(), manifest.source().to_owned());
     BundleListing {
         folder: folder.to_owned(),
         name: bundle.name().to_owned(),

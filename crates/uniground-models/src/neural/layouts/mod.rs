@@ -24,7 +24,8 @@ use super::bundle::Manifest;
 use super::onnx_file::{OnnxFile, read_onnx};
 use camino::Utf8Path;
 use side_files::SideFiles;
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 
 /// What people know about a bundle, and its files do not state.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -100,13 +101,29 @@ impl Graph {
             },
         })?;
         if content.signature.outputs.is_empty() {
-            return Err(ModelError::Bundle { file, why: "not an ONNX network".into() });
+            return Err(ModelError::Bundle { why: what_it_is(&file), file });
         }
         Ok(Self { name: name.to_owned(), file, content })
     }
 
+    /// Returns the error for a network that cannot be described.
     fn wrong(&self, why: impl Into<String>) -> ModelError {
         ModelError::Bundle { file: self.file.clone(), why: why.into() }
+    }
+}
+
+/// Describes a file that is not an ONNX network.
+fn what_it_is(file: &Utf8Path) -> String {
+    const LFS_POINTER: &[u8] = b"version https://git-lfs";
+    let mut head = Vec::new();
+    let read =
+        File::open(file).and_then(|f| f.take(LFS_POINTER.len() as u64).read_to_end(&mut head));
+    match read {
+        Ok(0) => "the file is empty".into(),
+        Ok(_) if head == LFS_POINTER => {
+            "the file is a pointer of Git LFS, not a network: run `git lfs pull`".into()
+        }
+        _ => "not an ONNX network, or cut off".into(),
     }
 }
 

@@ -75,6 +75,14 @@ impl Graph {
     pub fn expect_only(&self, known: &[&str]) -> Result<(), ModelError> {
         match self.inputs().iter().find(|port| !known.contains(&port.name.as_str())) {
             None => Ok(()),
+            Some(port) if port.name == "pixel_attention_mask" => Err(self.wrong(
+                "has the input pixel_attention_mask: SigLIP 2 NaFlex is not supported; take a \
+                 model of a fixed resolution",
+            )),
+            Some(port) if port.name == "input_points" => Err(self.wrong(
+                "is one network for pictures and prompts, which would encode a picture for every \
+                 prompt: export encoder and decoder separately",
+            )),
             Some(port) => Err(self.wrong(format!(
                 "has the input {}, which uniground does not feed; expected only {}",
                 port.name,

@@ -204,7 +204,7 @@ fn not_recognized(files: &[String], networks: &[&str]) -> String {
     const SHOWN: usize = 8;
     if networks.is_empty() {
         let weights =
-            files.iter().any(|path| ["safetensors", "bin", "pt"].contains(&extension(path)));
+            files.iter().any(|path| ["safetensors", "bin", "pt", "pth"].contains(&extension(path)));
         let advice = if weights {
             " The weights are there in another format: look for a repository of the same model \
              with ONNX files, or export it (docs/MODELS.md)."

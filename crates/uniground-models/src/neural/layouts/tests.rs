@@ -268,7 +268,7 @@ fn unknown_layouts_are_refused() {
             |p| {
                 fs::copy(p.join("text_model.onnx"), p.join("vision_model.onnx")).unwrap();
             },
-            &["vision_model.onnx", "expected an input pixel_values, found input_ids"],
+            &["vision_model.onnx", "has the input input_ids", "expected only pixel_values"],
         ),
         (
             "clip-split",

@@ -2,12 +2,12 @@
 
 use super::super::ModelError;
 use super::super::bundle::{DualEncoderManifest, ImageTower, TextTower};
+use super::super::dual_encoder::read_tokenizer;
 use super::super::network::{Element, Port};
 use super::pictures::Preprocessing;
 use super::ports::{find, fixed};
 use super::side_files::SideFiles;
 use super::{About, Graph};
-use tokenizers::Tokenizer;
 
 /// What a family of models has in common, and their files do not state.
 struct Family {
@@ -64,18 +64,19 @@ pub fn describe(
     about: &About,
 ) -> Result<DualEncoderManifest, ModelError> {
     let family = Family::of(side.model_type());
+    let known: &[&str] = match image.name == text.name {
+        true => &["pixel_values", "input_ids", "attention_mask"],
+        false => &["pixel_values"],
+    };
+    image.expect_only(known)?;
     let pixels = image.input(&["pixel_values"], Element::F32)?;
     let ids = text.input(&["input_ids"], Element::I64)?;
     let mask = match find(text.inputs(), &["attention_mask"]) {
         Some(_) => Some(text.input(&["attention_mask"], Element::I64)?.name.clone()),
         None => None,
     };
-    for graph in [image, text] {
-        graph.expect_only(match image.name == text.name {
-            true => &["pixel_values", "input_ids", "attention_mask"],
-            false if graph.name == image.name => &["pixel_values"],
-            false => &["input_ids", "attention_mask"],
-        })?;
+    if image.name != text.name {
+        text.expect_only(&["input_ids", "attention_mask"])?;
     }
     let names = |projected: &'static str| match family.is_pooled {
         true => vec![projected, "pooler_output"],
@@ -161,7 +162,7 @@ fn pad_id(side: &SideFiles) -> Result<u32, ModelError> {
     if !file.is_file() {
         return Err(wrong("the file is missing; it cuts sentences into tokens".into()));
     }
-    let tokenizer = Tokenizer::from_file(&file).map_err(|e| wrong(e.to_string()))?;
+    let tokenizer = read_tokenizer(&file)?;
     if let Some(padding) = tokenizer.get_padding() {
         return Ok(padding.pad_id);
     }
