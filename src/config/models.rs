@@ -16,11 +16,12 @@ pub const LIBRARY_FOLDER: &str = "./.onnxruntime";
 #[derive(Debug, Clone, clap::Args)]
 pub struct ModelsConfig {
     /// Source of 2D masks: auto (the first segmentation bundle in --models that works, else
-    /// builtin), builtin, or a bundle by name or folder. Join several with + to combine their masks
+    /// builtin), builtin, or a bundle by name, folder or source (hub:OWNER/NAME). Join several with
+    /// + to combine their masks
     #[arg(long, env = "UNIGROUND_MASKS", default_value = AUTO, value_name = "BUNDLE")]
     pub masks: String,
     /// Image and text encoder: auto (the first encoder bundle in --models that works, else
-    /// builtin), builtin, or a bundle by name or folder
+    /// builtin), builtin, or a bundle by name, folder or source (hub:OWNER/NAME)
     #[arg(long, env = "UNIGROUND_ENCODER", default_value = AUTO, value_name = "BUNDLE")]
     pub encoder: String,
     #[command(flatten)]
