@@ -4,6 +4,7 @@
 mod blobs;
 mod choice;
 mod database;
+mod hub;
 mod models;
 mod process_role;
 mod registries;
@@ -12,6 +13,7 @@ mod retention;
 pub use blobs::BlobsConfig;
 pub use choice::ChosenModels;
 pub use database::{DatabaseConfig, Vectors};
+pub use hub::hub_settings;
 pub use models::{BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
 pub use process_role::{JobType, ProcessRole, Role, WorkerConfig};
 pub use registries::registries;

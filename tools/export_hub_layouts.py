@@ -768,6 +768,20 @@ def edgetam(folder, check):
         return sam2_like(folder, check, model.eval())
 
 
+class PixelEncoder(torch.nn.Module):
+    """An encoder that reads pixels [height, width, 3], 0 to 255, whose longer side has the network's size."""
+
+    def __init__(self, sam):
+        super().__init__()
+        self.sam = sam
+
+    def forward(self, input_image):
+        planes = input_image.permute(2, 0, 1)[None]
+        planes = (planes - self.sam.pixel_mean) / self.sam.pixel_std
+        height, width = planes.shape[-2:]
+        return self.sam.image_encoder(torch.nn.functional.pad(planes, (0, LARGE - width, 0, LARGE - height)))
+
+
 def sam_official(folder, check):
     from segment_anything.modeling import ImageEncoderViT, MaskDecoder, PromptEncoder, Sam, TwoWayTransformer
     from segment_anything.utils.onnx import SamOnnxModel
@@ -802,6 +816,13 @@ def sam_official(folder, check):
     encoder, decoder = folder / "encoder.onnx", folder / "decoder.onnx"
     generator = torch.Generator().manual_seed(2)
     traced(sam.image_encoder, {"images": torch.randn(1, 3, LARGE, LARGE, generator=generator)}, encoder, ["image_embeddings"], None, 17)
+    # As MobileSAM is published: the network normalizes and pads itself. The answers are the same.
+    mobile = folder.parent / "mobile-sam"
+    shutil.rmtree(mobile, ignore_errors=True)
+    pixels = torch.randint(0, 256, (45, LARGE, 3), generator=generator).float()
+    free = {"input_image": {0: "image_height", 1: "image_width"}}
+    traced(PixelEncoder(sam), {"input_image": pixels}, mobile / "mobile_sam_image_encoder.onnx", ["image_embeddings"], free, 17)
+
     # As scripts/export_onnx_model.py does it.
     inputs = {
         "image_embeddings": torch.randn(1, depth, grid, grid, generator=generator),
@@ -814,6 +835,7 @@ def sam_official(folder, check):
     free = {"point_coords": {1: "num_points"}, "point_labels": {1: "num_points"}}
     own = Decoder(sam, return_single_mask=False).eval()
     traced(own, inputs, decoder, ["masks", "iou_predictions", "low_res_masks"], free, 17)
+    shutil.copy(decoder, mobile / "sam_mask_decoder_multi.onnx")
 
     transform = ResizeLongestSide(LARGE)
     found, box_equal, unpadded = [], [], []

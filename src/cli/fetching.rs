@@ -1,8 +1,8 @@
 //! Downloads packages with progress output: a bar on a terminal, otherwise one line per package and
 //! per installed file.
 
-use crate::bundles::{self, AddOptions, BundleSource, HubSettings};
-use crate::config::{LIBRARY_FOLDER, ModelsConfig, registries};
+use crate::bundles::{self, AddOptions, BundleSource};
+use crate::config::{LIBRARY_FOLDER, ModelsConfig, hub_settings, registries};
 use crate::packages::{Event, InstallTarget, PARTS, PackagePart, Places, fetch};
 use anyhow::bail;
 use camino::Utf8Path;
@@ -63,7 +63,7 @@ pub fn fetch_missing(config: &ModelsConfig, out: &mut dyn Write) -> anyhow::Resu
 
 fn fetch_from_hub(models: &Utf8Path, out: &mut dyn Write) -> anyhow::Result<()> {
     let source: BundleSource = HUB_ENCODER.parse().map_err(anyhow::Error::msg)?;
-    let hub = HubSettings::from_environment()?;
+    let hub = hub_settings()?;
     let options = AddOptions {
         models,
         name: None,

@@ -4,10 +4,8 @@ use super::check_vlm::{self, CheckVlmArgs};
 use super::fetching::{ProgressBarView, fetch_all};
 use super::output::print_json;
 use super::run_async;
-use crate::bundles::{
-    self, AddOptions, Added, BundleSource, HubSettings, KNOWN, Lock, Measurements,
-};
-use crate::config::{BundlesConfig, LIBRARY_FOLDER};
+use crate::bundles::{self, AddOptions, Added, BundleSource, KNOWN, Lock, Measurements};
+use crate::config::{BundlesConfig, LIBRARY_FOLDER, hub_settings};
 use crate::packages::{PARTS, PackagePart, Places};
 use crate::words;
 use anyhow::{Context, bail, ensure};
@@ -160,7 +158,7 @@ fn fetch(args: &FetchArgs) -> anyhow::Result<()> {
 
 fn add(args: &AddArgs) -> anyhow::Result<()> {
     let AddArgs { source, name, precision, update, config, json: as_json } = args;
-    let hub = HubSettings::from_environment()?;
+    let hub = hub_settings()?;
     let options = AddOptions {
         models: &config.models,
         name: name.as_deref(),

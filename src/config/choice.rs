@@ -1,8 +1,9 @@
 //! Chooses the models of a process: the configured ones, or the bundles found in the models folder.
 
+use super::hub::hub_settings;
 use super::models::{BundlesConfig, ModelsConfig};
 use super::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
-use crate::bundles::{self, AddOptions, BundleSource, HubSettings};
+use crate::bundles::{self, AddOptions, BundleSource};
 use crate::packages::Event;
 use anyhow::{Context, ensure};
 use camino::Utf8PathBuf;
@@ -225,7 +226,7 @@ impl ModelChooser<'_> {
     /// Installs a bundle from the hub or a zip file, unless it is installed.
     fn install(&self, source: &str) -> anyhow::Result<Utf8PathBuf> {
         let source: BundleSource = source.parse().map_err(anyhow::Error::msg)?;
-        let hub = HubSettings::from_environment()?;
+        let hub = hub_settings()?;
         let options = AddOptions {
             models: &self.bundles.models,
             name: None,

@@ -47,6 +47,22 @@ fn chat_request(text: &str) -> ChatRequest {
     }
 }
 
+/// An endpoint that only streams is asked for a stream, once.
+#[tokio::test]
+async fn endpoints_that_only_stream_are_asked_for_a_stream() {
+    let script = Script::default();
+    let parts = "data: {\"choices\":[{\"delta\":{\"content\":\"fi\"}}]}\n\ndata: {\"choices\":[{\"delta\":{\"content\":\"ne\"}}]}\n\ndata: [DONE]\n\n";
+    let refused = fails(400, "This model only supports streaming: stream must be true");
+    let url = script.serve(vec![refused.clone(), Scripted::Text(parts.into())]).await;
+    let reply = chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap();
+    let asked = script.take();
+    assert_eq!((reply.text.as_str(), asked.len()), ("fine", 2));
+    assert!(asked[0].get("stream").is_none() && asked[1]["stream"] == true, "{asked:?}");
+    let url = script.serve(vec![refused]).await;
+    chat_client(url, ReplayCache::Off).ask(&chat_request("a")).await.unwrap_err();
+    assert!(script.calls() < 6, "{}", script.calls());
+}
+
 #[tokio::test]
 async fn transient_errors_are_retried_and_others_are_reported() {
     let busy = || fails(429, "slow down");

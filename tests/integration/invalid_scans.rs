@@ -48,6 +48,16 @@ fn invalid_uploads() -> Vec<Case> {
             "depth/6.png",
         ),
         (
+            "a colored picture for depth",
+            ZIP,
+            Scan::frames_only()
+                .with("depth/6.png", Scan::frames_only().0["color/6.png"].clone())
+                .zip(),
+            422,
+            "scene_file_malformed",
+            "16-bit gray",
+        ),
+        (
             "half a TUM sequence",
             ZIP,
             half_a_tum_sequence().zip(),
@@ -385,8 +395,6 @@ async fn errors_found_while_parsing_fail_the_job() {
     broken_png[60..].iter_mut().rev().skip(12).for_each(|byte| *byte = 0);
     let no_depth = (0..8)
         .fold(Scan::frames_only(), |scan, i| scan.with(&format!("depth/{i}.png"), blank_depth()));
-    let eight_bit =
-        Scan::frames_only().with("depth/6.png", Scan::frames_only().0["color/6.png"].clone());
     for (what, scan, code, words) in [
         (
             "a depth picture that can not be decoded",
@@ -412,7 +420,6 @@ async fn errors_found_while_parsing_fail_the_job() {
             "cloud_empty",
             "cloud.ply",
         ),
-        ("depth in eight bits", eight_bit, "frame_unreadable", "16-bit gray"),
         (
             "a cloud in map coordinates",
             Scan::cloud_only().with("cloud.ply", map_cloud()),

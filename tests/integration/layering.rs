@@ -9,7 +9,17 @@ use std::path::{Path, PathBuf};
 type Floors = &'static [&'static [&'static str]];
 
 const PACKAGES: [(&str, Floors); 2] = [
-    ("src", &[&["cli"], &["app"], &["config", "telemetry"], &["http"], &["packages", "words"]]),
+    (
+        "src",
+        &[
+            &["cli"],
+            &["app"],
+            &["config", "telemetry"],
+            &["http"],
+            &["bundles"],
+            &["packages", "words"],
+        ],
+    ),
     (
         "crates/uniground-types/src",
         &[

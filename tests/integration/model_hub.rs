@@ -443,7 +443,7 @@ fn networks_in_a_folder_are_described() {
     assert_eq!(manifest["kind"], "promptable-segmenter");
     assert_eq!(manifest["encoder"]["resize"], "longest-pad");
     let (ok, _, err) = describe(&[layout_folder("clip-split").as_str()]);
-    assert!(!ok && err.contains("models add` also reads onnx/"), "{err}");
+    assert!(!ok && err.contains("models add` also takes networks in onnx/"), "{err}");
 }
 
 /// From an empty folder: a server that names a model of the hub installs it, parses and answers, and

@@ -223,7 +223,7 @@ fn a_server_with_invalid_models_does_not_start() {
             "Cargo.toml",
         ),
         ([&there[..], &["--encoder", "no-such-bundle"]].concat(), "no-such-bundle/model.json"),
-        ([&there[..], &["--masks", "tiny-dual-encoder"]].concat(), "promptable-segmenter"),
+        ([&there[..], &["--masks", "tiny-dual-encoder"]].concat(), "is for --encoder"),
         (
             [&there[..], &["--encoder", "tiny-dual-encoder", "--provider", "cuda"]].concat(),
             "cuda is not available",

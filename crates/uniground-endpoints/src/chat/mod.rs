@@ -213,6 +213,12 @@ impl ChatClient {
                 Err(attempt) => attempt,
             };
             lost += u32::from(may_be_billed);
+            // Some endpoints only stream. Their replies are read as a whole.
+            if demands_stream(&error) && body.get("stream").is_none() {
+                body["stream"] = json!(true);
+                body["stream_options"] = json!({"include_usage": true});
+                continue;
+            }
             // If a server does not support schemas, retry without one.
             let refuses_schema =
                 matches!(&error, ChatError::Refused { status: 400 | 404 | 422 | 501, .. });
@@ -377,6 +383,14 @@ impl ChatModel for ChatClient {
         }
         .boxed()
     }
+}
+
+/// Returns whether an endpoint refused a request because it did not ask for a stream.
+fn demands_stream(error: &ChatError) -> bool {
+    let ChatError::Refused { status: 400 | 422, detail, .. } = error else { return false };
+    let detail = detail.to_ascii_lowercase();
+    let says = |words: &[&str]| words.iter().any(|word| detail.contains(word));
+    detail.contains("stream") && says(&["must", "only", "require", "non-stream", "true"])
 }
 
 /// Longer replies are rejected.
