@@ -72,7 +72,8 @@ pub fn describe(
     let pictures = preprocessing(side, pixels, &inputs, features.family, encoder)?;
     let is_official = points.name == "point_coords" && features.family == Family::Sam;
     // SAM's own export has the answer for several points first, then three for a single one.
-    let num_masks = fixed(masks, 2).unwrap_or(if is_official { 4 } else { 3 });
+    let num_masks =
+        fixed(masks, 2).or_else(|| fixed(iou, 0)).unwrap_or(if is_official { 4 } else { 3 });
     let has_single = is_official && num_masks == 4;
     let batch_dimension = points.shape.len().saturating_sub(3);
     let dynamic_batch = points.shape.get(batch_dimension).is_none_or(|batch| *batch < 0);
