@@ -73,7 +73,8 @@ pub fn add(
             None if comes_from(&folder, source) => true,
             None => {
                 return Err(refused(format!(
-                    "{folder} is another bundle. Choose another name with --as."
+                    "{folder} is another bundle, or another revision of this one. \
+                     Choose another name with --as."
                 )));
             }
         };
@@ -135,12 +136,15 @@ pub fn install_locked(
     Ok(Lock::read(options.models)?.bundles.into_iter().map(install).collect())
 }
 
-/// Returns whether the manifest of an installed bundle names this source.
+/// Returns whether the manifest of an installed bundle names this source, at the commit that the
+/// source names, if it does.
 fn comes_from(folder: &Utf8Path, source: &BundleSource) -> bool {
-    let identity = source.identity();
     Bundle::read(folder).is_ok_and(|bundle| {
-        let there = bundle.manifest.source();
-        there.strip_prefix(&identity).is_some_and(|rest| rest.is_empty() || rest.starts_with('@'))
+        let rest = bundle.manifest.source().strip_prefix(&source.identity());
+        rest.is_some_and(|rest| match rest.strip_prefix('@') {
+            Some(commit) => requested(source).is_none_or(|wanted| wanted == commit),
+            None => rest.is_empty(),
+        })
     })
 }
 
@@ -184,6 +188,16 @@ fn lock_folder(folder: &Utf8Path, operation: FlockOperation) -> io::Result<File>
     let guard = File::open(folder)?;
     flock(&guard, operation)?;
     Ok(guard)
+}
+
+/// Removes what attempts of other sources, revisions and precisions have left in a staging folder.
+fn remove_others(staging: &Utf8Path, files: &BTreeMap<String, LockedFile>) {
+    for entry in staging.read_dir_utf8().into_iter().flatten().flatten() {
+        if entry.file_name() != MANIFEST && !files.contains_key(entry.file_name()) {
+            // What cannot be removed takes space, but does no harm.
+            let _gone = fs::remove_file(entry.path());
+        }
+    }
 }
 
 /// Makes the staging folder the bundle's folder.
@@ -279,7 +293,7 @@ impl Installation<'_> {
         let manifest = plan.manifest(self.staging, &about).map_err(|e| layout(e.to_string()))?;
         let license = manifest.licence().to_owned();
         Bundle::write(self.staging, manifest).map_err(|e| layout(e.to_string()))?;
-        origin.close();
+        remove_others(self.staging, &files);
         let requested = requested(self.source).map(str::to_owned);
         Ok(LockedBundle { source: identity, requested, revision, precision, license, files })
     }

@@ -8,16 +8,16 @@ use super::lock::{LockedBundle, LockedFile};
 use super::source::{BundleSource, HubName};
 use super::transfer::{self, Hash, RemoteFile, Transfer, hashes_of};
 use super::{AddError, HubSettings};
-use crate::packages::Event;
+use crate::packages::{Event, hex};
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::{StatusCode, Url};
-use std::fs;
+use sha2::{Digest, Sha256};
 
 /// An opened source.
 pub enum Origin<'a> {
     Hub(Box<HubOrigin<'a>>),
     Folder(Utf8PathBuf),
-    Zip { archive: Archive, file: Utf8PathBuf },
+    Zip(Archive),
 }
 
 /// A repository of the hub at one commit.
@@ -27,9 +27,6 @@ pub struct HubOrigin<'a> {
     cache: Option<CachedRepository>,
     pinned: Option<&'a LockedBundle>,
 }
-
-/// The archive of a zip file, in the staging folder.
-const ARCHIVE: &str = "archive.zip";
 
 impl<'a> Origin<'a> {
     /// Opens a source. `pinned` is what `models.lock` has of it.
@@ -79,7 +76,9 @@ impl<'a> Origin<'a> {
         staging: &Utf8Path,
         on_event: &mut dyn FnMut(Event),
     ) -> Result<Self, AddError> {
-        let file = staging.join(ARCHIVE);
+        // The rest of one archive must not continue another of the same name.
+        let address = hex(Sha256::new_with_prefix(url.as_str()));
+        let file = staging.join(format!("archive-{}.zip", &address[..16]));
         let remote = RemoteFile {
             name: "the archive".into(),
             bytes: None,
@@ -94,8 +93,7 @@ impl<'a> Origin<'a> {
             })
         };
         transfer.download(url, &remote, &file, &explain, on_event)?;
-        let archive = Archive::open(&file, &transfer.source_name)?;
-        Ok(Self::Zip { archive, file })
+        Archive::open(&file, &transfer.source_name).map(Self::Zip)
     }
 
     /// Returns the paths of its files.
@@ -106,7 +104,7 @@ impl<'a> Origin<'a> {
         match self {
             Self::Hub(hub) => Ok(hub.repository.files.keys().cloned().collect()),
             Self::Folder(folder) => folder::list(folder),
-            Self::Zip { archive, .. } => Ok(archive.list()),
+            Self::Zip(archive) => Ok(archive.list()),
         }
     }
 
@@ -116,7 +114,7 @@ impl<'a> Origin<'a> {
         match self {
             Self::Hub(hub) => hub.repository.files.get(path)?.bytes,
             Self::Folder(folder) => folder.join(path).metadata().ok().map(|m| m.len()),
-            Self::Zip { .. } => None,
+            Self::Zip(_) => None,
         }
     }
 
@@ -127,7 +125,7 @@ impl<'a> Origin<'a> {
         match self {
             Self::Hub(hub) if hub.hub.settings.is_offline => true,
             Self::Hub(hub) => hub.repository.files.get(path).is_some_and(|f| f.hash.is_some()),
-            Self::Folder(_) | Self::Zip { .. } => true,
+            Self::Folder(_) | Self::Zip(_) => true,
         }
     }
 
@@ -136,7 +134,7 @@ impl<'a> Origin<'a> {
     pub fn license(&self) -> &str {
         match self {
             Self::Hub(hub) => &hub.repository.license,
-            Self::Folder(_) | Self::Zip { .. } => "",
+            Self::Folder(_) | Self::Zip(_) => "",
         }
     }
 
@@ -145,7 +143,7 @@ impl<'a> Origin<'a> {
     pub fn revision(&self) -> Option<&str> {
         match self {
             Self::Hub(hub) => Some(&hub.repository.commit),
-            Self::Folder(_) | Self::Zip { .. } => None,
+            Self::Folder(_) | Self::Zip(_) => None,
         }
     }
 
@@ -165,18 +163,11 @@ impl<'a> Origin<'a> {
             Self::Hub(hub) => return hub.bring(path, to, installed, on_event),
             // A copy: whoever made the folder may write to its files again.
             Self::Folder(folder) => folder::copy(&folder.join(path), to)?,
-            Self::Zip { archive, .. } => archive.extract(path, to)?,
+            Self::Zip(archive) => archive.extract(path, to)?,
         }
         hashes_of(to)
             .map(|hashes| hashes.sha256)
             .map_err(|why| AddError::File { file: to.to_owned(), why })
-    }
-
-    /// Removes what was only needed to bring files.
-    pub fn close(&self) {
-        if let Self::Zip { file, .. } = self {
-            let _gone = fs::remove_file(file);
-        }
     }
 }
 

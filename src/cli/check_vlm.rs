@@ -35,8 +35,8 @@ pub struct CheckVlmArgs {
 
 /// A question about the sample room whose answer is plain to see.
 const QUESTION: &str = "the mug on the coffee table";
-/// What the server's list of models has to say about the model.
-const LISTED: &str = "reachable";
+/// Names of checks.
+const REACHABLE: &str = "reachable";
 const SIX_FIELDS: &str = "keeps to the six fields";
 
 /// # Errors
@@ -78,10 +78,10 @@ impl Check<'_> {
                 "{}. Is the server running, and the address right?",
                 uniground_core::models::with_causes(&error)
             );
-            return self.tell(Finding { what: LISTED, is_right: false, detail });
+            return self.tell(Finding { what: REACHABLE, is_right: false, detail });
         }
         let detail = format!("It answered in {:.2} s.", start.elapsed().as_secs_f64());
-        self.tell(Finding { what: LISTED, is_right: true, detail })?;
+        self.tell(Finding { what: REACHABLE, is_right: true, detail })?;
         for limit in client.describe_limits().await {
             self.tell(Finding { what: "takes a question's size", is_right: false, detail: limit })?;
         }

@@ -365,10 +365,16 @@ fn print_list(args: &ListArgs) -> anyhow::Result<()> {
         "s per picture",
         "problem",
     ]);
-    let measured = Measurements::read(&args.models);
+    let (lock, measured) = (Lock::read(&args.models)?, Measurements::read(&args.models));
     for BundleListing { folder, name, role, files, licence, problem, .. } in listed {
         let seconds = folder.file_name().and_then(|bundle| measured.seconds(bundle));
-        let megabytes = files.iter().filter_map(|file| file.bytes).sum::<u64>() as f64 / 1e6;
+        let pinned = folder.file_name().and_then(|bundle| lock.bundles.get(bundle));
+        // The lock knows the weights that lie outside of the networks' own files.
+        let bytes: u64 = match pinned {
+            Some(pinned) => pinned.files.values().map(|file| file.bytes).sum(),
+            None => files.iter().filter_map(|file| file.bytes).sum(),
+        };
+        let megabytes = bytes as f64 / 1e6;
         let role = role.map_or_else(String::new, |role| format!("--{role}"));
         table.add_row([
             name,

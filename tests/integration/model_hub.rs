@@ -258,6 +258,9 @@ fn another_revision_replaces_the_files_of_the_first() {
     bench.hub.take_requests();
     bench.add_as(MODEL, |options| options.name = Some("mine")).unwrap();
     assert!(bench.hub.take_requests().is_empty());
+    let other = format!("{MODEL}@{FIRST}");
+    let error = bench.add_as(&other, |options| options.name = Some("mine")).unwrap_err();
+    assert!(error.to_string().contains("another bundle"), "{error}");
     assert!(!bench.names("mine").contains(&"vision_model.onnx".to_owned()));
     // A folder that something else made is left alone.
     fs::create_dir(bench.models.join("own")).unwrap();
@@ -291,6 +294,8 @@ fn zip_files_and_folders_are_accepted_the_same_way() {
             .add_as(&format!("{zip}#sha256={sha256}"), |options| options.name = Some(name))
             .unwrap();
         assert!(added.folder.join("model.json").is_file());
+        let placed = bench.names(name);
+        assert!(!placed.iter().any(|file| file.contains("archive")), "{placed:?}");
     }
     let source = layout_folder("sam-split");
     let added = bench.add_as(source.as_str(), |options| options.name = Some("local")).unwrap();
@@ -546,10 +551,13 @@ fn a_killed_download_is_resumed_by_the_next_process() {
     process.kill().unwrap();
     process.wait().unwrap();
     assert!(list(&work.join("models")).unwrap().is_empty(), "half a bundle is none");
+    // What another attempt left is not taken along.
+    fs::write(work.join("models/.staging/tiny-clip/stray.onnx.partial"), "rest").unwrap();
     hub.set_mood(Mood::Fine);
     hub.take_requests();
     let (ok, out, err) = output_of(&mut program(work, &hub.endpoint(), &add));
     assert!(ok && out.contains("tiny-clip works"), "{err}");
+    assert!(!work.join("models/tiny-clip/stray.onnx.partial").exists());
     let ranges: Vec<String> = hub.take_requests().into_iter().filter_map(|(_, r)| r).collect();
     let from: u64 = ranges[0].trim_start_matches("bytes=").trim_end_matches('-').parse().unwrap();
     assert!(ranges.len() == 1 && from >= arrived, "{ranges:?} after {arrived} bytes");
