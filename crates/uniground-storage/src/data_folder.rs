@@ -11,6 +11,7 @@
 //! ```
 
 use super::database::Engine;
+use super::file_lock::FileLock;
 use super::{StoreError, now, reserve};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
@@ -46,7 +47,7 @@ pub(super) struct DataFolder {
     path: Utf8PathBuf,
     /// The id by which database and folder recognize each other.
     pub id: String,
-    _lock: Option<Arc<File>>,
+    _lock: Option<Arc<FileLock>>,
 }
 
 impl DataFolder {
@@ -101,14 +102,17 @@ impl DataFolder {
             return Err(StoreError::HoldsOtherFiles { found: stranger.file_name().to_owned() });
         }
         let lock = File::create(path.join(LOCK))?;
-        let taken = |taken| match taken {
-            Ok(()) => Ok(()),
-            Err(TryLockError::WouldBlock) => Err(StoreError::InUse),
-            Err(TryLockError::Error(error)) => Err(error.into()),
+        let in_use = |error| match error {
+            TryLockError::WouldBlock => StoreError::InUse,
+            TryLockError::Error(error) => error.into(),
         };
         let shared = engine == Engine::Postgres;
         let is_marked = marker.exists();
-        taken(if shared && is_marked { lock.try_lock_shared() } else { lock.try_lock() })?;
+        let lock = match shared && is_marked {
+            true => FileLock::try_shared(lock),
+            false => FileLock::try_exclusive(lock),
+        }
+        .map_err(in_use)?;
         // Written under the lock, so that two concurrent starts write one marker.
         let id = match fs::read(&marker) {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
@@ -120,8 +124,7 @@ impl DataFolder {
             Err(error) => return Err(error.into()),
         };
         if shared && !is_marked {
-            lock.unlock()?;
-            taken(lock.try_lock_shared())?;
+            lock.share().map_err(in_use)?;
         }
         let folder = Self { path: path.to_owned(), id, _lock: Some(Arc::new(lock)) };
         match reserve::write(path) {
@@ -151,8 +154,8 @@ impl DataFolder {
             Err(error) if error.kind() == io::ErrorKind::NotFound => None,
             Err(error) => return Err(error.into()),
         };
-        match lock.as_ref().map_or(Ok(()), File::try_lock) {
-            Ok(()) => Ok(Self { path: path.to_owned(), id, _lock: lock.map(Arc::new) }),
+        match lock.map(FileLock::try_exclusive).transpose() {
+            Ok(lock) => Ok(Self { path: path.to_owned(), id, _lock: lock.map(Arc::new) }),
             Err(TryLockError::WouldBlock) => Err(StoreError::InUse),
             Err(TryLockError::Error(error)) => Err(error.into()),
         }

@@ -16,6 +16,7 @@ mod corrections;
 mod data_folder;
 mod data_migration;
 mod database;
+mod file_lock;
 mod growth;
 mod health;
 mod ids;

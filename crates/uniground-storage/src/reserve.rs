@@ -7,6 +7,7 @@
 
 use super::blobs::remove_tree;
 use super::data_folder::{DataFolder, LOCK};
+use super::file_lock::FileLock;
 use super::{Blobs, StoreError};
 use camino::{Utf8DirEntry, Utf8Path, Utf8PathBuf};
 use std::fs::{self, File, OpenOptions};
@@ -145,10 +146,9 @@ fn release(data_dir: &Utf8Path) -> Option<u64> {
 /// Removes dispensable folders, if no process uses the data folder, until there is as much space as
 /// the reserve gives. Returns the number of folders.
 fn remove_dispensable(data_dir: &Utf8Path) -> io::Result<u32> {
-    let lock = File::open(data_dir.join(LOCK))?;
-    if lock.try_lock().is_err() {
+    let Ok(_lock) = FileLock::try_exclusive(File::open(data_dir.join(LOCK))?) else {
         return Ok(0);
-    }
+    };
     let mut removed = 0;
     for folder in DISPENSABLE.map(|folder| data_dir.join(folder)) {
         let Ok(entries) = folder.read_dir_utf8() else { continue };

@@ -9,6 +9,7 @@ use crate::StoreError;
 use crate::blobs::checksums::sync_everything;
 use crate::data_folder::{DATABASE, LOCK, is_harmless, write_marker};
 use crate::database::Engine;
+use crate::file_lock::FileLock;
 use crate::migrations::MIGRATIONS;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
@@ -142,7 +143,7 @@ const NEW: &str = "new";
 struct RestoreTarget {
     data_dir: Utf8PathBuf,
     was_there: bool,
-    lock: File,
+    _lock: FileLock,
 }
 
 impl RestoreTarget {
@@ -159,11 +160,9 @@ impl RestoreTarget {
                 });
             }
         }
-        let lock = File::create(data_dir.join(LOCK))?;
-        if lock.try_lock().is_err() {
-            return Err(StoreError::InUse.into());
-        }
-        let place = Self { data_dir, was_there, lock };
+        let lock = FileLock::try_exclusive(File::create(data_dir.join(LOCK))?)
+            .map_err(|_| StoreError::InUse)?;
+        let place = Self { data_dir, was_there, _lock: lock };
         // Remove what an earlier attempt left.
         place.clear()?;
         fs::create_dir(place.staging())?;
@@ -201,7 +200,6 @@ impl Drop for RestoreTarget {
             let _ = fs::remove_file(self.data_dir.join(LOCK));
             let _ = fs::remove_dir(&self.data_dir);
         }
-        let _ = self.lock.unlock();
     }
 }
 

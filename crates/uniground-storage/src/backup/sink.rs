@@ -7,6 +7,7 @@ use super::reading::{
 use super::{BackupError, KINDS};
 use crate::blobs::checksums::{SUMS, sync_everything};
 use crate::data_folder::write_synced;
+use crate::file_lock::FileLock;
 use camino::{Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
 use std::collections::HashSet;
@@ -149,7 +150,7 @@ impl BackupSink {
 /// A folder. It remains the previous backup until the new manifest is in place.
 pub struct FolderSink {
     folder: Utf8PathBuf,
-    _lock: File,
+    _lock: FileLock,
 }
 
 impl FolderSink {
@@ -167,12 +168,11 @@ impl FolderSink {
         }
         fs::create_dir_all(&folder)
             .map_err(|source| BackupError::File { file: folder.clone(), source })?;
-        let lock = File::create(folder.join(LOCK))?;
-        match lock.try_lock() {
-            Ok(()) => {}
+        let lock = match FileLock::try_exclusive(File::create(folder.join(LOCK))?) {
+            Ok(lock) => lock,
             Err(TryLockError::WouldBlock) => return Err(BackupError::Busy { folder }),
             Err(TryLockError::Error(error)) => return Err(error.into()),
-        }
+        };
         // Remove what an earlier attempt left.
         match fs::remove_dir_all(folder.join(UNFINISHED)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),

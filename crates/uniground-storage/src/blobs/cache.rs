@@ -2,9 +2,10 @@
 //! the most recently used ones stay, up to a limit.
 
 use super::remove_tree;
+use crate::file_lock::FileLock;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::HashMap;
-use std::fs::{self, File};
+use std::fs;
 use std::io;
 use std::ops::Deref;
 use std::path::Path;
@@ -22,7 +23,7 @@ pub struct FolderCache {
     runtime: Handle,
     state: Mutex<CacheState>,
     /// Keeps other processes from using the same cache.
-    _lock: Option<File>,
+    _lock: Option<FileLock>,
 }
 
 #[derive(Debug, Default)]
@@ -108,7 +109,7 @@ impl FolderCache {
         tmp: &Utf8Path,
         runtime: Handle,
         mut found: Vec<(SystemTime, Utf8PathBuf, u64)>,
-        lock: impl Into<Option<File>>,
+        lock: impl Into<Option<FileLock>>,
     ) -> Arc<Self> {
         found.sort();
         let mut state = CacheState::default();

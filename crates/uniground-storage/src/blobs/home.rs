@@ -7,6 +7,7 @@ use super::shared::SharedBlobs;
 use super::{Blobs, KINDS, SEALED, Scratch, WriteMode};
 use crate::StoreError;
 use crate::data_folder::write_synced;
+use crate::file_lock::FileLock;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};
@@ -136,12 +137,11 @@ impl Blobs {
             }
         }
         // Only the process that uses the cache knows which copies are in use.
-        let lock = File::open(&mark)?;
-        match lock.try_lock() {
-            Ok(()) => {}
+        let lock = match FileLock::try_exclusive(File::open(&mark)?) {
+            Ok(lock) => lock,
             Err(TryLockError::WouldBlock) => return Err(StoreError::InUse),
             Err(TryLockError::Error(error)) => return Err(error.into()),
-        }
+        };
         let mut here = Vec::new();
         for kind in SEALED {
             for name in self.names(kind)? {

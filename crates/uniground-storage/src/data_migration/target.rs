@@ -8,6 +8,7 @@ use crate::data_folder::{
     DATABASE, LOCK, MARKER, MIGRATION_MARKER, is_harmless, write_marker, write_synced,
 };
 use crate::database::Engine;
+use crate::file_lock::FileLock;
 use camino::{Utf8Path, Utf8PathBuf};
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -36,7 +37,7 @@ pub struct TargetFolder {
     /// The engine of its rows before, if the folder is not new.
     engine_before: Option<Engine>,
     /// The lock of a new folder. For an existing folder its store holds the lock.
-    _lock: Option<Arc<File>>,
+    _lock: Option<Arc<FileLock>>,
 }
 
 impl TargetFolder {
@@ -62,8 +63,8 @@ impl TargetFolder {
             });
         }
         let lock = File::create(path.join(LOCK)).map_err(not_used)?;
-        match lock.try_lock() {
-            Ok(()) => {}
+        let lock = match FileLock::try_exclusive(lock) {
+            Ok(lock) => lock,
             Err(TryLockError::WouldBlock) => {
                 return Err(MigrationError::To {
                     place: path.to_string(),
@@ -71,7 +72,7 @@ impl TargetFolder {
                 });
             }
             Err(TryLockError::Error(error)) => return Err(not_used(error)),
-        }
+        };
         let id = begun.unwrap_or_else(new_id);
         Ok(Self { path, id, engine, engine_before: None, _lock: Some(Arc::new(lock)) })
     }
