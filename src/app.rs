@@ -109,6 +109,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
     let vlm_settings = VlmSettings {
         daily_usd: config.vlm.vlm_daily_usd,
         json: config.vlm.vlm_json,
+        points: config.vlm.vlm_points.into(),
         names: config.vlm.names.into(),
     };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
@@ -283,7 +284,7 @@ async fn check_model_server(chat: Arc<ChatClient>, services: Services, shows_pic
     if !shows_pictures {
         return;
     }
-    match check_pictures(vlm.own_model().as_ref(), vlm.json()).await {
+    match check_pictures(vlm.own_model().as_ref(), vlm.json(), vlm.points()).await {
         Ok((findings, _)) => {
             for finding in findings {
                 if finding.is_right {

@@ -26,6 +26,7 @@ use camino::Utf8PathBuf;
 use std::fs;
 use std::net::SocketAddr;
 use std::time::Duration;
+use uniground_core::grounding::vlm::PointForm;
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::chat::Prices;
 use uniground_endpoints::chat::{ChatClient, Endpoint, ReplayCache, RetryPolicy};
@@ -227,6 +228,28 @@ pub struct VlmConfig {
     /// Request answers as JSON with a schema, if the endpoint supports it
     #[arg(long, env = "UNIGROUND_VLM_JSON")]
     pub vlm_json: bool,
+    /// How the model gives places in pictures. `models check-vlm` finds out
+    #[arg(long, env = "UNIGROUND_VLM_POINTS", value_enum, default_value_t)]
+    pub vlm_points: PointChoice,
+}
+
+/// How a model gives places in pictures.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum PointChoice {
+    /// Thousandths of width and height
+    #[default]
+    Thousandths,
+    /// Pixels, as the models of the Qwen2.5-VL family
+    Pixels,
+}
+
+impl From<PointChoice> for PointForm {
+    fn from(choice: PointChoice) -> Self {
+        match choice {
+            PointChoice::Thousandths => Self::Thousandths,
+            PointChoice::Pixels => Self::Pixels,
+        }
+    }
 }
 
 /// Parses of a new scene, if there are neural networks.
@@ -288,6 +311,7 @@ impl Default for VlmConfig {
             vlm_backoff_ms: DEFAULT_VLM_BACKOFF_MS,
             names: NamingChoice::Off,
             vlm_json: false,
+            vlm_points: PointChoice::Thousandths,
         }
     }
 }

@@ -85,7 +85,8 @@ impl Check<'_> {
         for limit in client.describe_limits().await {
             self.tell(Finding { what: "takes a question's size", is_right: false, detail: limit })?;
         }
-        match check_pictures(client, self.args.vlm.vlm_json).await {
+        match check_pictures(client, self.args.vlm.vlm_json, self.args.vlm.vlm_points.into()).await
+        {
             Ok((findings, reply)) => {
                 findings.into_iter().try_for_each(|finding| self.tell(finding))?;
                 self.say(&format!("Three pictures took {}.", cost(&reply, client.prices())))?;

@@ -148,7 +148,11 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let system: Box<dyn System> = if let Some(address) = &args.server {
         Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?)
     } else {
-        let usage = ModelUse { max_usd: args.max_usd, json: args.vlm.vlm_json };
+        let usage = ModelUse {
+            max_usd: args.max_usd,
+            json: args.vlm.vlm_json,
+            points: args.vlm.vlm_points.into(),
+        };
         let system = InProcess::new(
             &args.models.models,
             args.models.loader(),

@@ -4,6 +4,7 @@
 use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 use std::fmt;
+use uniground_grounding::vlm::PointForm;
 use uniground_models::chat::{
     ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, after_thoughts,
 };
@@ -37,6 +38,10 @@ const WIDE: [u32; 2] = [900, 450];
 /// Largest distance of a point from the middle of the disc, as a share of the picture.
 const POINT_TOLERANCE: f64 = 0.06;
 
+/// What follows from points in a form that cannot be set.
+const WRONG_PLACE: &str =
+    "What it sees outside of the list of candidates will be looked for in the wrong place.";
+
 const BACKGROUND: Rgb<u8> = Rgb([225, 222, 215]);
 const SYSTEM: &str = "You are a helpful assistant that describes images exactly.";
 const LABELS: [&str; 4] = ["Number", "Left", "Right", "Green"];
@@ -48,12 +53,13 @@ const LABELS: [&str; 4] = ["Number", "Left", "Right", "Green"];
 pub async fn check_pictures(
     model: &dyn ChatModel,
     json: bool,
+    points: PointForm,
 ) -> Result<(Vec<Finding>, ChatReply), ChatFailure> {
-    let reply = model.ask(&request(json)).await?;
-    Ok((judge(&reply.text), reply))
+    let reply = model.ask(&request(json, points)).await?;
+    Ok((judge(&reply.text, points), reply))
 }
 
-fn request(json: bool) -> ChatRequest {
+fn request(json: bool, points: PointForm) -> ChatRequest {
     let pictures = [tagged(), two_shapes(), two_discs()];
     let mut user: Vec<Part> = pictures.into_iter().map(Part::Picture).collect();
     let format = match json {
@@ -66,8 +72,8 @@ fn request(json: bool) -> ChatRequest {
     user.push(Part::Text(format!(
         "Number: which number is on the tag in image 1?\n\
          Left, Right: which colour has the shape at the left of image 2, and the one at its right?\n\
-         Green: where is the middle of the green disc in image 3? x and y are 0 at the left and upper rim of that image and 1000 at the right \
-         and lower one.\n\n{format}"
+         Green: where is the middle of the green disc in image 3? {}.\n\n{format}",
+        points.describe("that image")
     )));
     let text = json!({"type": "string"});
     let schema = json!({
@@ -124,7 +130,7 @@ fn is_in_disc(at: [u32; 2], middle: [f64; 2], radius: f64) -> bool {
     dx.hypot(dy) <= radius
 }
 
-fn judge(text: &str) -> Vec<Finding> {
+fn judge(text: &str, points: PointForm) -> Vec<Finding> {
     let told = LABELS.map(|label| value(text, label));
     let [number, left, right, green] = told.each_ref().map(|told| told.as_deref());
     let said = |told: Option<&str>| told.map_or("nothing".to_owned(), |told| format!("{told:?}"));
@@ -134,7 +140,8 @@ fn judge(text: &str) -> Vec<Finding> {
     let reads = number.and_then(|told| numbers(told).first().copied()) == Some(f64::from(NUMBER));
     let is_straight = has(left, LEFT) && has(right, RIGHT);
     let is_swapped = has(left, RIGHT) && has(right, LEFT);
-    let place = green.map_or_else(|| Err("It gave no point.".into()), judge_point);
+    let place =
+        green.map_or_else(|| Err("It gave no point.".into()), |told| judge_point(told, points));
     let keeps_format = told.iter().all(Option::is_some);
     vec![
         Finding {
@@ -187,33 +194,33 @@ fn judge(text: &str) -> Vec<Finding> {
 }
 
 /// Returns how far a point is from the disc, or in which other form it was given.
-fn judge_point(told: &str) -> Result<String, String> {
+fn judge_point(told: &str, points: PointForm) -> Result<String, String> {
     let [x, y] = numbers(told)[..] else {
         return Err(format!("It said {told:?}, expected two numbers."));
     };
     let [width, height] = WIDE.map(f64::from);
     let distance = |x: f64, y: f64| (x - DISC[0]).hypot(y - DISC[1]);
-    let off = distance(x / 1000.0, y / 1000.0);
+    let (asked, expected, size) = match points {
+        PointForm::Thousandths => ("thousandths", DISC.map(|share| share * 1000.0), [1000.0; 2]),
+        PointForm::Pixels => ("pixels", [DISC[0] * width, DISC[1] * height], [width, height]),
+    };
+    let off = distance(x / size[0], y / size[1]);
     if off <= POINT_TOLERANCE {
-        return Ok(format!("It points in thousandths, {:.1} % off.", off * 100.0));
+        return Ok(format!("It points in {asked}, {:.1} % off.", off * 100.0));
     }
     let forms = [
-        ("pixels", [x / width, y / height]),
-        ("shares of 1", [x, y]),
-        ("percent", [x / 100.0, y / 100.0]),
-        ("thousandths with x and y swapped", [y / 1000.0, x / 1000.0]),
+        ("thousandths", [x / 1000.0, y / 1000.0], "Set --vlm-points thousandths."),
+        ("pixels", [x / width, y / height], "Set --vlm-points pixels."),
+        ("shares of 1", [x, y], WRONG_PLACE),
+        ("percent", [x / 100.0, y / 100.0], WRONG_PLACE),
+        ("thousandths with x and y swapped", [y / 1000.0, x / 1000.0], WRONG_PLACE),
     ];
-    let form = forms.into_iter().find(|(_, [x, y])| distance(*x, *y) <= POINT_TOLERANCE);
+    let form = forms.into_iter().find(|(_, [x, y], _)| distance(*x, *y) <= POINT_TOLERANCE);
     Err(match form {
-        Some((form, _)) => format!(
-            "It points in {form} ({told}) where thousandths are asked for: what it sees outside of the list of candidates will be \
-             looked for in the wrong place."
-        ),
-        None => format!(
-            "The disc is at {:.0}, {:.0}; it said {told}.",
-            DISC[0] * 1000.0,
-            DISC[1] * 1000.0
-        ),
+        Some((form, _, help)) => {
+            format!("It points in {form} ({told}) where {asked} are asked for. {help}")
+        }
+        None => format!("The disc is at {:.0}, {:.0}; it said {told}.", expected[0], expected[1]),
     })
 }
 
@@ -266,7 +273,7 @@ mod tests {
 
     /// Returns which checks are right, in their order.
     fn right(text: &str) -> Vec<bool> {
-        judge(text).into_iter().map(|finding| finding.is_right).collect()
+        judge(text, PointForm::Thousandths).into_iter().map(|finding| finding.is_right).collect()
     }
 
     #[test]
@@ -285,7 +292,9 @@ mod tests {
         let text = |number: &str, left: &str, right: &str, green: &str| {
             format!("Number: {number}\nLeft: {left}\nRight: {right}\nGreen: {green}")
         };
-        let found = judge(&text("47", "blue", "red", "648, 135"));
+        let pixels = text("47", "blue", "red", "648, 135");
+        assert!(judge(&pixels, PointForm::Pixels)[4].is_right);
+        let found = judge(&pixels, PointForm::Thousandths);
         assert!(!found[3].is_right && found[3].detail.contains("swaps"), "{found:?}");
         assert!(!found[4].is_right && found[4].detail.contains("pixels"), "{found:?}");
         for (green, form) in [
@@ -295,11 +304,11 @@ mod tests {
             ("100, 100", "The disc is at 720, 300"),
             ("in the middle", "expected two numbers"),
         ] {
-            let found = judge(&text("74", "red", "blue", green));
+            let found = judge(&text("74", "red", "blue", green), PointForm::Thousandths);
             assert!(found[4].detail.contains(form), "{green}: {found:?}");
             assert!(found[0].is_right && !found[2].is_right, "{found:?}");
         }
-        let blind = judge("I cannot see images.");
+        let blind = judge("I cannot see images.", PointForm::Thousandths);
         assert!(blind.iter().all(|finding| !finding.is_right), "{blind:?}");
         assert!(
             blind[0].detail.contains("drop images") && blind[1].detail.contains("Number, Left")
@@ -309,7 +318,7 @@ mod tests {
     /// The pictures show what the check expects.
     #[test]
     fn pictures_are_drawn() {
-        let request = request(true);
+        let request = request(true, PointForm::Thousandths);
         let pictures = request.user.iter().filter(|part| matches!(part, Part::Picture(_))).count();
         assert_eq!((pictures, request.user.len()), (3, 4));
         let disc = WIDE.map(f64::from);

@@ -52,7 +52,7 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
         return Ok(Ok(searched));
     }
     session.allow_one_more();
-    let found = match vlm::find(&searched.context, &marked, options.json, session).await {
+    let found = match vlm::find(&searched.context, &marked, options, session).await {
         Ok(found) => found,
         // The model may still be able to look at the geometry's candidates.
         Err(_) if !searched.context.candidates.is_empty() => return Ok(Ok(searched)),

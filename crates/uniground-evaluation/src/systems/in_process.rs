@@ -25,7 +25,7 @@ use uniground_geometry::scene::{
 };
 use uniground_grounding::memory_scene::{MemoryScene, SceneAlbum};
 use uniground_grounding::pipeline::{self, Answered, Ask, Review, WithoutModel, shortlist_of};
-use uniground_grounding::vlm::Options;
+use uniground_grounding::vlm::{Options, PointForm};
 use uniground_grounding::{Question, ShortlistScoring};
 use uniground_ingest::ScanFolder;
 use uniground_language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
@@ -47,6 +47,8 @@ pub struct ModelUse {
     pub max_usd: Option<f64>,
     /// Whether to request JSON with a schema.
     pub json: bool,
+    /// How the model gives places in pictures.
+    pub points: PointForm,
 }
 
 /// Loads the networks of a mask source and an encoder, given their names.
@@ -435,6 +437,7 @@ fn answer(
                 evidence: configuration.evidence,
                 prompt: configuration.prompt,
                 json: vlm.json,
+                points: vlm.points,
             },
             without_model: WithoutModel::Fail,
         });
@@ -460,14 +463,18 @@ struct Reviewer {
     model: Arc<dyn ChatModel>,
     budgets: Vec<Budget>,
     json: bool,
+    points: PointForm,
     runtime: Runtime,
 }
 
 impl Reviewer {
-    fn new(client: ChatClient, ModelUse { max_usd, json }: ModelUse) -> anyhow::Result<Self> {
+    fn new(
+        client: ChatClient,
+        ModelUse { max_usd, json, points }: ModelUse,
+    ) -> anyhow::Result<Self> {
         let runtime =
             tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         let budgets = max_usd.map(|usd| Budget::new("this run", usd)).into_iter().collect();
-        Ok(Self { model: Arc::new(client), budgets, json, runtime })
+        Ok(Self { model: Arc::new(client), budgets, json, points, runtime })
     }
 }

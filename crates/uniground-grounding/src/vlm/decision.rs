@@ -2,12 +2,12 @@
 
 use super::consistency::matches;
 use super::reply::{Choice, Field, Reply, SeenAt};
-use super::{PromptCandidate, PromptContext};
+use super::{PointForm, PromptCandidate, PromptContext};
 use crate::answer::{to_alternative, to_target};
 use crate::{Alternative, Grounding, NoMatchReason, Seen, Status};
 use std::collections::BTreeMap;
 use uniground_geometry::scene::{Instance, InstanceId};
-use uniground_models::chat::AskError;
+use uniground_models::chat::{AskError, Picture};
 
 /// The decision of a model.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -53,7 +53,13 @@ const SAME_THING: f32 = 0.25;
 
 impl Decision {
     /// Applies a reply, unless it is unusable and an earlier one was usable.
-    pub(super) fn take(&mut self, reply: Reply, context: &PromptContext, sent: &[String]) {
+    pub(super) fn take(
+        &mut self,
+        reply: Reply,
+        context: &PromptContext,
+        sent: &[Picture],
+        points: PointForm,
+    ) {
         let outcome = match reply.predicted {
             Choice::Id(id) if context.is_candidate(id) => Outcome::Chosen(InstanceId(id)),
             Choice::Nothing => Outcome::Nothing,
@@ -62,9 +68,10 @@ impl Decision {
         };
         if outcome != Outcome::Unknown || self.outcome == Outcome::Unknown {
             let seen = |at: &SeenAt| {
+                let picture = sent.get(at.image - 1)?;
                 Some(Seen {
-                    picture: sent.get(at.image - 1)?.clone(),
-                    at: at.at,
+                    picture: picture.name.clone(),
+                    at: points.to_shares(at.at, (picture.width, picture.height))?,
                     name: at.name.clone(),
                 })
             };
@@ -345,7 +352,7 @@ mod tests {
             (Choice::Missing, Outcome::Unknown),
         ] {
             let mut decision = Decision::default();
-            decision.take(reply_with(said_first), &context, &[]);
+            decision.take(reply_with(said_first), &context, &[], PointForm::default());
             assert_eq!(decision.outcome, expected, "{said_first:?}");
             assert_eq!(decision.reply.predicted, said_first);
         }
@@ -356,7 +363,9 @@ mod tests {
         let context = context(&[0.5, 0.3]);
         let after = |replies: &[Choice]| {
             let mut decision = Decision::default();
-            replies.iter().for_each(|choice| decision.take(reply_with(*choice), &context, &[]));
+            replies.iter().for_each(|choice| {
+                decision.take(reply_with(*choice), &context, &[], PointForm::default())
+            });
             (decision.outcome, decision.reply.predicted)
         };
         let (one, two) = (Outcome::Chosen(InstanceId(1)), Outcome::Chosen(InstanceId(2)));
@@ -370,11 +379,16 @@ mod tests {
     #[test]
     fn picture_numbers_start_at_one() {
         let context = context(&[0.5]);
-        let sent = ["global", "candidate-1"].map(str::to_owned);
+        let sent = ["global", "candidate-1"].map(super::super::tests::picture_named);
         let seen = |image| {
-            let seen_at = Some(reply::SeenAt { image, at: [0.25, 0.5], name: "clock".into() });
+            let seen_at = Some(reply::SeenAt { image, at: [250.0, 500.0], name: "clock".into() });
             let mut decision = Decision::default();
-            decision.take(Reply { seen_at, ..reply_with(Choice::NotListed) }, &context, &sent);
+            decision.take(
+                Reply { seen_at, ..reply_with(Choice::NotListed) },
+                &context,
+                &sent,
+                PointForm::Thousandths,
+            );
             decision.seen
         };
         let at = |picture: &str| {

@@ -5,6 +5,7 @@ use super::marked_photographs::MarkedPhotographs;
 use super::prompt::{SYSTEM, quoted};
 use super::prompt_context::PromptContext;
 use super::reply::{self, SeenAt};
+use super::{Options, PointForm};
 use crate::Seen;
 use serde_json::json;
 use uniground_geometry::scene::InstanceId;
@@ -33,17 +34,17 @@ pub struct Finding {
 pub async fn find(
     context: &PromptContext,
     marked: &MarkedPhotographs,
-    json: bool,
+    options: Options,
     session: &mut Session<'_>,
 ) -> Result<Finding, AskError> {
-    let text = session.ask("find", request(context, marked, json)).await?;
-    Ok(read(&text, marked))
+    let text = session.ask("find", request(context, marked, options)).await?;
+    Ok(read(&text, marked, options.points))
 }
 
 pub(super) fn request(
     context: &PromptContext,
     marked: &MarkedPhotographs,
-    json: bool,
+    options: Options,
 ) -> ChatRequest {
     let count = marked.photographs.len();
     let pictures = marked.photographs.iter().map(|photograph| photograph.picture.clone());
@@ -52,7 +53,7 @@ pub(super) fn request(
         1 => "Image 1 is a photograph of a room".to_owned(),
         _ => format!("Images 1 to {count} are photographs of one room"),
     };
-    let format = if json {
+    let format = if options.json {
         "Answer with one JSON object with the fields \"Could be\" (list of numbers), \"Anchors\" \
              (list of \"number -> what it is\"), \"Seen at\" (\"image number, \
          x, y, short name\", or null)."
@@ -73,13 +74,14 @@ pub(super) fn request(
          stands on or next to.\n\
          2. \"Anchors\": the numbers of the things that the query mentions to say where it is. Not walls, floors and ceilings.\n\
          3. \"Seen at\": only if what it asks for is visible and has no number of its own, or shares one with another thing: the number of the \
-         image and the place in its middle; x and y are 0 at the left and upper rim of that image and 1000 at the right and lower one.\n\n\
+         image and the place in its middle; {}.\n\n\
          {format}\n\n\
          Query: {}",
+        options.points.describe("that image"),
         quoted(&context.query)
     );
     user.push(Part::Text(text));
-    let schema = json.then(|| ("finding", schema()));
+    let schema = options.json.then(|| ("finding", schema()));
     ChatRequest { system: SYSTEM.into(), user, schema }
 }
 
@@ -93,7 +95,7 @@ fn schema() -> serde_json::Value {
 }
 
 /// Reads a reply in lines or JSON. Numbers of things that are not marked are ignored.
-fn read(text: &str, marked: &MarkedPhotographs) -> Finding {
+fn read(text: &str, marked: &MarkedPhotographs, points: PointForm) -> Finding {
     let told = reply::labeled(text, &["could be", "anchors", "seen at"]);
     let value = |at: usize| told[at].as_deref().unwrap_or_default();
     let ids = |value: &str| {
@@ -105,7 +107,9 @@ fn read(text: &str, marked: &MarkedPhotographs) -> Finding {
     let name = |id: InstanceId| (id, names.remove(&id.0).unwrap_or_else(|| ANCHOR.into()));
     let seen = |SeenAt { image, at, name }: SeenAt| {
         let photograph = marked.photographs.get(image - 1)?;
-        Some(Seen { picture: photograph.picture.name.clone(), at, name })
+        let picture = &photograph.picture;
+        let at = points.to_shares(at, (picture.width, picture.height))?;
+        Some(Seen { picture: picture.name.clone(), at, name })
     };
     Finding {
         ids: ids(value(0)),
@@ -142,7 +146,7 @@ mod tests {
     type Place = (String, [f32; 2]);
 
     fn found(text: &str) -> (Vec<u32>, Vec<u32>, Option<Place>) {
-        let Finding { ids, anchors, seen } = read(text, &marked());
+        let Finding { ids, anchors, seen } = read(text, &marked(), PointForm::Thousandths);
         let ids = ids.into_iter().map(|id| id.0).collect();
         let anchors = anchors.into_iter().map(|(id, _)| id.0).collect();
         (ids, anchors, seen.map(|seen| (seen.picture, seen.at)))
@@ -161,7 +165,7 @@ mod tests {
 
     #[test]
     fn anchors_keep_their_names() {
-        let anchors = |text: &str| read(text, &marked()).anchors;
+        let anchors = |text: &str| read(text, &marked(), PointForm::Thousandths).anchors;
         let named = |id, name: &str| [(InstanceId(id), name.to_owned())];
         let door = named(3, "white door");
         assert_eq!(anchors("Anchors: 3 -> white door, 99 -> ghost"), door);

@@ -15,6 +15,7 @@ mod finding;
 mod marked_photographs;
 pub mod naming;
 mod photographs;
+mod points;
 mod prompt;
 mod prompt_context;
 pub mod reply;
@@ -24,6 +25,7 @@ pub use decision::{Decision, Outcome};
 pub use finding::{Finding, find};
 pub use marked_photographs::{MarkedPhotographs, marked_photographs};
 pub use photographs::select_photographs;
+pub use points::PointForm;
 pub use prompt::{REMAINING, narrowing, reasoner_name};
 pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};
 pub use uniground_types::question::{Ablation, EvidenceMode, PromptVersion};
@@ -48,6 +50,8 @@ pub struct Options {
     pub prompt: PromptVersion,
     /// Whether to ask for JSON by schema instead of six lines.
     pub json: bool,
+    /// How the model gives places in pictures.
+    pub points: PointForm,
 }
 
 /// The input of one decision.
@@ -120,7 +124,7 @@ pub async fn decide(
                 .map(|(id, name)| (*id, name.clone())),
         );
         let correction = find_inconsistency(&reply, context, &names, looked_again);
-        decision.take(reply, context, &sent);
+        decision.take(reply, context, &sent, options.points);
         let Some(correction) = correction else { break };
         decision.corrections.push(describe_correction(&correction));
         if session.calls_left() == 0 || options.ablation == Ablation::NoLoop {
@@ -200,12 +204,12 @@ impl Conversation<'_> {
 }
 
 /// Returns the names of the pictures in a request, in order.
-fn pictures_of(request: &ChatRequest) -> Vec<String> {
-    let name = |part: &Part| match part {
-        Part::Picture(picture) => Some(picture.name.clone()),
+fn pictures_of(request: &ChatRequest) -> Vec<Picture> {
+    let picture = |part: &Part| match part {
+        Part::Picture(picture) => Some(picture.clone()),
         Part::Text(_) => None,
     };
-    request.user.iter().filter_map(name).collect()
+    request.user.iter().filter_map(picture).collect()
 }
 
 /// Asks which of many candidates, shown on contact sheets, may be meant. Returns at most three, the

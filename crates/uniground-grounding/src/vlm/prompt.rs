@@ -4,7 +4,7 @@
 use super::prompt_context::{PromptAnchor, PromptCandidate, PromptContext, axis};
 use super::reply::Field;
 use super::visual_evidence::VisualEvidence;
-use super::{Conversation, PromptVersion};
+use super::{Conversation, Options, PromptVersion};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -96,7 +96,7 @@ fn request(
         Some(naming(shown, names)),
         Some(protocol(shown, prompt)),
         correction.map(|correction| describe_error(context, correction)),
-        Some(format(conversation.options.json, prompt)),
+        Some(format(conversation.options)),
         Some(format!("Query: {}", quoted(&context.query))),
     ];
     let text = blocks
@@ -289,16 +289,18 @@ fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
     )
 }
 
-fn format(json: bool, prompt: PromptVersion) -> String {
+fn format(Options { prompt, json, points, .. }: Options) -> String {
     let revised = prompt == PromptVersion::Revised;
+    let place = points.describe("that whole image");
     if json {
-        let seen = if revised { SEEN_AS_JSON } else { "" };
+        let seen = if revised { seen_as_json(&place) } else { String::new() };
         let told = "Answer with one JSON object with the fields \"Predicted ID\" (a candidate's ID or null), \"Explanation\", \"Candidate Names\" \
                 (list of \"ID -> short name\"), \"Target name matches?\" (true or false: does the chosen candidate's name mean what the query asks \
                 for), \"Anchor ID\" (an ID or null), \"Relation used\" (words of the query or null).";
         return format!("{told}{seen}");
     }
-    let (or_not_listed, seen) = if revised { (", or not listed", SEEN_AS_LINE) } else { ("", "") };
+    let (or_not_listed, seen) =
+        if revised { (", or not listed", seen_as_line(&place)) } else { ("", String::new()) };
     format!(
         "Answer with exactly these six lines:\n\
      Predicted ID: <a candidate's ID, or none{or_not_listed}>\n\
@@ -310,12 +312,19 @@ fn format(json: bool, prompt: PromptVersion) -> String {
     )
 }
 
-/// Instruction for a model that sees the object, but not among the candidates.
-const SEEN_AS_LINE: &str = "\n\
-     Only if it is not listed, a seventh line:\n\
-     Seen at: <image number, x, y, short name; x and y are 0 at the left and upper rim of that whole image and 1000 at the right and lower one>";
-const SEEN_AS_JSON: &str = " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\" and \"Seen at\" is \"image number, x, y, \
-     short name\" (x and y are 0 at the left and upper rim of that whole image and 1000 at the right and lower one); else \"Seen at\" is null.";
+/// Returns the instruction for a model that sees the object, but not among the candidates.
+fn seen_as_line(place: &str) -> String {
+    format!(
+        "\nOnly if it is not listed, a seventh line:\nSeen at: <image number, x, y, short name; {place}>"
+    )
+}
+
+fn seen_as_json(place: &str) -> String {
+    format!(
+        " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\" and \"Seen at\" is \"image number, x, y, \
+         short name\" ({place}); else \"Seen at\" is null."
+    )
+}
 
 fn schema(prompt: PromptVersion) -> Value {
     let id = || json!({"type": ["integer", "null"]});

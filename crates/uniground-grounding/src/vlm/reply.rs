@@ -56,8 +56,8 @@ pub struct Reply {
 pub struct SeenAt {
     /// Number of the picture, from 1, in the order they were sent.
     pub image: usize,
-    /// Distance from the left and the upper edge, as shares of the picture's width and height,
-    /// `0..=1`.
+    /// Distance from the left and the upper edge as the model wrote it, in its
+    /// [`PointForm`](super::PointForm).
     pub at: [f32; 2],
     /// Name of the object seen there.
     pub name: String,
@@ -381,7 +381,6 @@ fn is_not_listed(value: &str) -> bool {
 
 /// Reads three numbers and a name: "Image 3, 512, 640, black alarm clock".
 pub(super) fn read_seen_at(value: &str) -> Option<SeenAt> {
-    const PER_MILLE: f32 = 1000.0;
     let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
     let mut numbers = Vec::new();
     let mut rest = line;
@@ -393,14 +392,9 @@ pub(super) fn read_seen_at(value: &str) -> Option<SeenAt> {
         numbers.push(rest[start..end].trim_end_matches('.').parse::<f32>().ok()?);
         rest = &rest[end..];
     }
-    let at = [numbers[1] / PER_MILLE, numbers[2] / PER_MILLE];
     let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
     let is_image = numbers[0] >= 1.0 && numbers[0].fract() == 0.0;
-    (is_image && at.iter().all(|share| (0.0..=1.0).contains(share))).then(|| SeenAt {
-        image: numbers[0] as usize,
-        at,
-        name,
-    })
+    is_image.then(|| SeenAt { image: numbers[0] as usize, at: [numbers[1], numbers[2]], name })
 }
 
 /// Returns words without the Markdown around them; `None` when there are none.

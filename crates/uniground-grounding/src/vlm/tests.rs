@@ -264,12 +264,17 @@ fn prompt_names_the_source_of_its_directions() {
     }
 }
 
+/// Returns a picture of 800 x 400 pixels without content.
+pub(super) fn picture_named(name: &str) -> Picture {
+    Picture { name: name.into(), jpeg: Vec::new().into(), width: 800, height: 400 }
+}
+
 fn decided(text: &str, context: &PromptContext) -> Decision {
     let mut decision = Decision::default();
     let reply = reply::read(text);
     decision.names.extend(reply.candidate_names.clone());
-    let sent: Vec<String> = ["global", "candidate-6"].map(str::to_owned).into();
-    decision.take(reply, context, &sent);
+    let sent = ["global", "candidate-6"].map(picture_named);
+    decision.take(reply, context, &sent, PointForm::Thousandths);
     decision.project(context);
     decision
 }
@@ -361,8 +366,15 @@ fn finding_prompts_match_their_snapshots() {
     let (_, context) = asked(QUERY, None);
     let photographs = vec![photograph(1), photograph(2)];
     let marked = MarkedPhotographs { photographs, ..MarkedPhotographs::default() };
-    matches_snapshot("finding", &written(&finding::request(&context, &marked, false)));
-    matches_snapshot("finding_json", &written(&finding::request(&context, &marked, true)));
+    matches_snapshot("finding", &written(&finding::request(&context, &marked, Options::default())));
+    matches_snapshot(
+        "finding_json",
+        &written(&finding::request(
+            &context,
+            &marked,
+            Options { json: true, ..Options::default() },
+        )),
+    );
 }
 
 #[test]

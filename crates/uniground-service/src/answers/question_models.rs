@@ -81,6 +81,7 @@ impl QuestionModels {
                 evidence: request.evidence,
                 prompt: request.prompt,
                 json: vlm.json(),
+                points: vlm.points(),
             };
             let without_model = match request.reasoner {
                 ReasonerChoice::Vlm => WithoutModel::Fail,

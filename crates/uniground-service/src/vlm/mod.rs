@@ -9,6 +9,7 @@ use metered::MeteredModel;
 use std::sync::Arc;
 use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use uniground_grounding::vlm::PointForm;
 use uniground_models::chat::{Budget, ChatModel, Prices};
 use uniground_storage::{SpendingRepository, Store, now};
 use uniground_telemetry::metrics::Metrics;
@@ -28,6 +29,8 @@ pub struct VlmSettings {
     pub daily_usd: Option<f64>,
     /// Requests JSON that follows a schema.
     pub json: bool,
+    /// How the model gives places in pictures.
+    pub points: PointForm,
     /// When the model names all instances of a scene.
     pub names: WhenNamed,
 }
@@ -112,6 +115,12 @@ impl Vlm {
     #[must_use]
     pub fn json(&self) -> bool {
         self.settings.json
+    }
+
+    /// Returns how the model gives places in pictures.
+    #[must_use]
+    pub fn points(&self) -> PointForm {
+        self.settings.points
     }
 
     /// Acquires a permit to wait for the model.
