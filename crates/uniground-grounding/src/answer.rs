@@ -231,13 +231,16 @@ impl Grounding {
     pub(super) fn require_confidence(&mut self, least: f32) {
         if self.status == Status::Grounded && self.confidence < least {
             self.status = Status::Uncertain;
-            let says_so = ["I cannot", "I do not", "I know where"];
+            let says_so = ["I cannot", "I do not", "I know where", NOTHING_CLEARLY];
             if !says_so.iter().any(|start| self.text.starts_with(start)) {
                 self.text = format!("I am not sure. {}", self.text);
             }
         }
     }
 }
+
+/// Start of the sentence about an object that has other names.
+pub(super) const NOTHING_CLEARLY: &str = "I found nothing that is clearly";
 
 /// Returns dominant color and best name, such as "red sofa", whatever the question says.
 pub(super) fn describe_instance(instance: &Instance) -> String {

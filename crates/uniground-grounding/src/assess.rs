@@ -15,7 +15,7 @@ use super::fit::{colors_fit, most_plausible, noun_fits, prefer_main_color, trait
 use super::relations::{self, SeenBy};
 use super::room::{Faced, Room};
 use super::solid::Solid;
-use places::ranks_by_distance;
+use places::{places_by_distance, ranks_by_distance};
 use std::cell::OnceCell;
 use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
@@ -45,9 +45,12 @@ const CARRIED: f32 = 0.25;
 const NOT_FOUND: f32 = 0.3;
 
 /// An instance that stands on or in an anchor to at least this degree counts as touching it. In an
-/// order by distance it comes after all that are apart: distance in meters.
+/// order by distance it comes before all that are apart: distance in meters.
 const MOSTLY_HELD: f32 = 0.5;
-const HELD_M: f32 = 1e3;
+const HELD_M: f32 = -1e3;
+/// Lowest factor of "near" and "far" for instances that others surpass: of two that are near, the
+/// nearer one is rather meant, but "all chairs near the table" means both.
+const SURPASSED: f32 = 0.8;
 
 /// Factor of "on the wall" for an instance that stands in front of the wall.
 const AT_THE_WALL: f32 = 0.3;
@@ -306,6 +309,13 @@ impl<'a> Assessor<'a> {
             (RelationKind::Between, [a, b, ..]) => each(&|t| self.match_between(t, a, b)),
             (RelationKind::Between, [only]) => each(&|t| self.match_between(t, only, only)),
             // Several anchors ("next to the sofa and the lamp") must all hold.
+            (RelationKind::Near | RelationKind::Far, [only])
+                if Reach::in_words(&relation.text).is_none() =>
+            {
+                let mut bonds: Vec<RelationMatch> = each(&|t| self.best_match(relation, t, only));
+                self.rank_matches(relation, fits, &mut bonds);
+                bonds
+            }
             (_, all) => each(&|t| {
                 let mut joint = RelationMatch { score: 1.0, anchor: None };
                 for candidates in all {
@@ -457,6 +467,30 @@ impl<'a> Assessor<'a> {
             .fold(NO_BOND, better_match)
     }
 
+    /// Returns the distance by which instances are compared, meters. An instance that touches the
+    /// anchor because it stands on or in it is nearer than all others.
+    fn distance(&self, target: usize, anchor: usize) -> f32 {
+        let (of_target, of_anchor) = (&self.solids[target], &self.solids[anchor]);
+        let is_building = self.scene.instances[anchor].structure.is_some();
+        let held = !is_building && relations::holds(of_anchor, of_target) > MOSTLY_HELD;
+        relations::apart(of_target, of_anchor, is_building, self.room())
+            + if held { HELD_M } else { 0.0 }
+    }
+
+    /// Lowers "near" and "far" of instances that others surpass.
+    fn rank_matches(&self, relation: &Relation, fits: &[f32], bonds: &mut [RelationMatch]) {
+        let mut order: Vec<(f32, usize)> = most_plausible(fits, usize::MAX)
+            .into_iter()
+            .filter_map(|(t, _)| {
+                let anchor = bonds[t].anchor?.0 as usize - 1;
+                Some((self.distance(t, anchor), t))
+            })
+            .collect();
+        for (t, rank) in places_by_distance(relation, &mut order, fits) {
+            bonds[t].score *= SURPASSED + (1.0 - SURPASSED) * 0.5_f32.powf(rank);
+        }
+    }
+
     /// Scores "closest to": compares the instances that the target may be, and each rank further
     /// down counts less. Several anchors count by the sum of the distances to them.
     fn match_by_distance(
@@ -472,17 +506,6 @@ impl<'a> Assessor<'a> {
             .filter_map(|c| c.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))))
             .map(|c| c.0)
             .collect();
-        let of_the_building = |a: usize| self.scene.instances[a].structure.is_some();
-        let apart = |t: usize, a: usize| {
-            relations::apart(&self.solids[t], &self.solids[a], of_the_building(a), self.room())
-        };
-        // An instance that the anchor carries touches it. It can be the closest only if the anchor
-        // carries all of them.
-        let held = |t: usize, a: usize| {
-            relation.kind == RelationKind::Closest
-                && !of_the_building(a)
-                && relations::holds(&self.solids[a], &self.solids[t]) > MOSTLY_HELD
-        };
         let mut bonds = vec![NO_BOND; fits.len()];
         for &(a, anchor_fit) in first {
             let mut order: Vec<(f32, usize)> = rivals
@@ -490,12 +513,8 @@ impl<'a> Assessor<'a> {
                 .map(|&(t, _)| t)
                 .filter(|&t| t != a && !likeliest.contains(&t))
                 .map(|t| {
-                    (
-                        if held(t, a) { HELD_M } else { 0.0 }
-                            + apart(t, a)
-                            + likeliest.iter().map(|&b| apart(t, b)).sum::<f32>(),
-                        t,
-                    )
+                    let others = likeliest.iter().map(|&b| self.distance(t, b)).sum::<f32>();
+                    (self.distance(t, a) + others, t)
                 })
                 .collect();
             for (t, factor) in ranks_by_distance(relation, &mut order, fits) {
@@ -573,7 +592,12 @@ fn keep_best(count: usize, scores: &mut [f32]) {
 }
 
 fn contradiction_factor(kind: RelationKind) -> f32 {
-    if kind.depends_on_who_looks() { LOOSELY_CONTRADICTED } else { CONTRADICTED }
+    match kind {
+        // How far "near" and "far" reach depends on what else is there.
+        RelationKind::Near | RelationKind::Far => LOOSELY_CONTRADICTED,
+        _ if kind.depends_on_who_looks() => LOOSELY_CONTRADICTED,
+        _ => CONTRADICTED,
+    }
 }
 
 fn better_match(best: RelationMatch, other: RelationMatch) -> RelationMatch {
@@ -673,6 +697,21 @@ mod tests {
     }
 
     #[test]
+    fn near_prefers_the_nearer_one_and_far_the_farther_one() {
+        let room = [desk(1, 0.0), lamp(2, 0.9), lamp(3, 1.0), lamp(4, 6.0), lamp(5, 6.5)];
+        let fits = [0.0, 1.0, 1.0, 1.0, 1.0];
+        let near = scores(&room, &relation(RelationKind::Near, &["desk"]), &fits);
+        assert!(near[1] > 1.05 * near[2] && near[2] > near[3], "{near:?}");
+        let far = scores(&room, &relation(RelationKind::Far, &["desk"]), &fits);
+        assert!(far[4] > 1.05 * far[3] && far[3] > far[2], "{far:?}");
+        // With a distance in the question, all within it count.
+        let near = relation(RelationKind::Near, &["desk"]);
+        let within = Relation { text: "within 2 m of".into(), ..near };
+        let within = scores(&room, &within, &fits);
+        assert_eq!(within[1], within[2]);
+    }
+
+    #[test]
     fn contradicted_relation_keeps_five_or_twenty_percent() {
         // On the desk, 6 cm above it (a half), and elsewhere: 0.05 + 0.95 · bond.
         let room = [
@@ -688,7 +727,7 @@ mod tests {
         let room = [desk(1, 0.0), lamp(2, 3.0)];
         let phrase = lamp_that(vec![relation(RelationKind::LeftOf, &["desk"])]);
         assert_close(&totals(&room, &phrase), &[0.0, 0.2]);
-        assert_eq!(contradiction_factor(RelationKind::Near), 0.05);
+        assert_eq!(contradiction_factor(RelationKind::Near), 0.2);
         assert_eq!(contradiction_factor(RelationKind::Between), 0.2);
     }
 
@@ -1179,11 +1218,10 @@ mod tests {
     }
 
     #[test]
-    fn carried_instance_is_closest_only_if_all_candidates_are_carried() {
+    fn what_an_instance_carries_is_closest_to_it() {
         let room = [desk(1, 0.0), lamp_over(2, 0.0, 0.0), lamp(3, 2.0), lamp(4, 3.0)];
         let of = |kind| scores(&room, &relation(kind, &["desk"]), &[0.0, 1.0, 1.0, 1.0]);
-        assert_close(&of(RelationKind::Closest), &[0.0, 0.202_5, 1.0, 0.45]);
-        // The farthest does not change.
+        assert_close(&of(RelationKind::Closest), &[0.0, 1.0, 0.45, 0.202_5]);
         assert_close(&of(RelationKind::Farthest), &[0.0, 0.202_5, 0.45, 1.0]);
         // Two on it: the nearer to its middle first.
         let room = [desk(1, 0.0), lamp_over(2, 0.1, 0.0), lamp_over(3, 0.0, 0.0)];

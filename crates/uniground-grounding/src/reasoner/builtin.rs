@@ -12,7 +12,7 @@ use crate::fit::{colors_fit, most_plausible};
 use crate::kinds::BROADER_NAME;
 use crate::readings::Readings;
 use crate::{NoMatchReason, SceneView, Status};
-use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity};
+use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Reach, RelationKind};
 use uniground_models::attributes::Noun;
 
 /// Name and version, recorded with answers.
@@ -24,6 +24,9 @@ const MIN_FIT: f32 = 0.25;
 const MIN_UNNAMED_FIT: f32 = 0.35;
 /// Below this, no likely instance has the requested color.
 const MIN_COLOR: f32 = 0.42;
+/// Names from measures are wrong too often to deny an object: it is denied only if no instance
+/// scores more than this.
+const MEASURES_DENY: f32 = 0.05;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
 /// Factor of the belief where words of the question could not be used: they may have distinguished
@@ -83,17 +86,21 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     view.take(assessor);
     let instances = assessor.scene.instances;
     let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
-    if best_fit < MIN_FIT {
-        let is_unknown =
-            Readings::of(&parsed.target).iter().all(|reading| reading.meaning == Meaning::Unknown);
+    let is_unknown =
+        Readings::of(&parsed.target).iter().all(|reading| reading.meaning == Meaning::Unknown);
+    if best_fit < MIN_FIT && (is_unknown || order.is_empty()) {
         let reason = if is_unknown { NoMatchReason::NotRecognised } else { NoMatchReason::Absent };
         return no_match(assessment.own.clone(), reason, why_nothing_fits(parsed));
     }
-    if !colors_agree(assessment, &parsed.target, assessor.scene) {
+    let best = order[0];
+    let is_guess = matches!(parsed.target.meaning(), Meaning::Nouns(_))
+        && NamesFrom::of(assessor.scene, &parsed.target, best) == NamesFrom::Measures;
+    let may_deny = !is_guess || assessment.own.iter().copied().fold(0.0, f32::max) < MEASURES_DENY;
+    if may_deny && (best_fit < MIN_FIT || !colors_agree(assessment, &parsed.target, assessor.scene))
+    {
         return no_match(assessment.own.clone(), NoMatchReason::Absent, why_nothing_fits(parsed));
     }
-    let best = order[0];
-    if scores[best] < MIN_SCORE && contradicted(&parsed.target, assessment, best) {
+    if !is_guess && scores[best] < MIN_SCORE && contradicted(&parsed.target, assessment, best) {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
@@ -101,7 +108,10 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     // first guess is another name. An encoder has weighed the names already.
     let is_named = name_matches(assessor.scene, &parsed.target, best)
         && is_called(&parsed.target, assessor.scene)(best);
-    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !is_named
+    if may_deny
+        && assessor.scene.appearance.is_none()
+        && assessment.nouns[best] < MIN_UNNAMED_FIT
+        && !is_named
     {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
@@ -109,8 +119,13 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
     let tied: Vec<usize> =
         order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
-    let status =
-        if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
+    // Several that fit badly are no choice to offer.
+    let may_be_tied = !is_guess || assessment.nouns[best] >= MIN_UNNAMED_FIT;
+    let status = if several.is_empty() && tied.len() > 1 && may_be_tied {
+        Status::Ambiguous
+    } else {
+        Status::Grounded
+    };
     // The reading with the best score is the one to explain.
     let (phrase, assessed) = match (&parsed.other_reading, other) {
         (Some(phrase), Some(other))
@@ -233,13 +248,14 @@ fn says_it_of_nothing(assessor: &Assessor, phrase: &Phrase) -> bool {
 }
 
 /// Returns whether a reliable measurement contradicts an instance: its support and what it touches,
-/// not relations that depend on the viewer.
+/// not relations that depend on the viewer, and no distance unless the question gives it in meters.
 fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
-    let measured = target
-        .relations
-        .iter()
-        .zip(&read.bonds)
-        .filter(|(relation, _)| !relation.kind.depends_on_who_looks());
+    let measured =
+        target.relations.iter().zip(&read.bonds).filter(|(relation, _)| match relation.kind {
+            RelationKind::Near | RelationKind::Far => Reach::in_words(&relation.text).is_some(),
+            RelationKind::Closest | RelationKind::Farthest => false,
+            kind => !kind.depends_on_who_looks(),
+        });
     let against =
         measured.map(|(_, bonds)| bonds[instance].score).any(|score| score < PLAINLY_AGAINST);
     against || read.own[instance] < MIN_SCORE * read.nouns[instance]
@@ -444,7 +460,8 @@ mod tests {
 
     #[test]
     fn absent_and_unknown_objects_get_no_box() {
-        for query in ["the fridge", "the green sofa", "the theremin", "the green mug on the table"]
+        for query in
+            ["the chandelier", "the green sofa", "the theremin", "the green mug on the table"]
         {
             let answer = ask(query);
             assert_eq!(
@@ -506,7 +523,7 @@ mod tests {
             assert_eq!(answer.answer.predicted_id, answer.targets.first().map(|target| target.id));
         }
         assert_eq!(
-            (ask("how many fridges do we have").status, ask("the fridges").count),
+            (ask("how many chandeliers do we have").status, ask("the chandeliers").count),
             (Status::NoMatch, Some(0))
         );
         let one = ask("the rug");
@@ -625,15 +642,24 @@ mod tests {
     #[test]
     fn no_match_answers_have_a_reason() {
         for (query, reason) in [
-            ("the fridge", NoMatchReason::Absent),
+            ("the chandelier", NoMatchReason::Absent),
             ("the green sofa", NoMatchReason::Absent),
             ("the quux", NoMatchReason::NotRecognised),
             ("das blaue Sofa neben dem Tisch", NoMatchReason::NotEnglish),
-            ("the sofa on the table", NoMatchReason::Elsewhere),
         ] {
             assert_eq!(ask(query).no_match_reason, Some(reason), "{query}");
         }
         assert_eq!(ask("the rug").no_match_reason, None);
+        // Only names that were given deny a relation.
+        let mut named = room();
+        named[0].given_name = Some("sofa".into());
+        named[1].given_name = Some("sofa".into());
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let names = NameIndex::of(&named);
+        let scene = SceneView { instances: &named, extent, names: &names, appearance: None };
+        let elsewhere = ground(scene, &Question::of("the sofa on the table"));
+        assert_eq!(elsewhere.no_match_reason, Some(NoMatchReason::Elsewhere), "{elsewhere:?}");
+        assert_eq!(ask("the sofa on the table").no_match_reason, None);
     }
 
     #[test]
@@ -688,12 +714,13 @@ mod tests {
             };
             ground(scene, &Question::of("the green fridge"))
         };
-        let plant = asked([guess("plant", 0.5), guess("mini fridge", 0.3)]);
-        assert_eq!(
-            (plant.status, plant.no_match_reason),
-            (Status::NoMatch, Some(NoMatchReason::Absent)),
-            "{plant:?}"
-        );
+        // Measures never deny what may be there, but the answer says that it has another name.
+        let plant = asked([guess("plant", 0.5), guess("box", 0.3)]);
+        assert_eq!(plant.answer.predicted_id, Some(InstanceId(7)), "{plant:?}");
+        assert_eq!(plant.answer.target_name_matches, Some(false), "{plant:?}");
+        let text =
+            "I found nothing that is clearly a green fridge. The likeliest is the green plant";
+        assert!(plant.text.starts_with(text) && plant.confidence < 0.5, "{plant:?}");
         let fridge = asked([guess("mini fridge", 0.5), guess("plant", 0.3)]);
         assert_eq!(fridge.answer.predicted_id, Some(InstanceId(7)), "{fridge:?}");
     }
