@@ -124,7 +124,10 @@ pub fn with_scan_hint(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
     };
     match (code, local.map(IngestError::kind)) {
         (Some("up_unknown"), _) | (_, Some(IngestErrorKind::UpUnknown)) => {
-            ended("give the axis of the files that points up: --up z (or x, y, -x, -y, -z)")
+            ended("on the command line: --up and the axis of the files that points up")
+        }
+        (Some("unit_unknown"), _) | (_, Some(IngestErrorKind::UnitUnknown)) => {
+            ended("on the command line: --metres-per-unit and the length of a unit")
         }
         (None, None | Some(IngestErrorKind::Cancelled)) => error,
         (Some(code), _) if !OF_SCANS.contains(&code) => error,

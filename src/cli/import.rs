@@ -15,6 +15,7 @@ use uniground_core::ingest::{self, InspectedScan, NeighborAgreement, ScanFolder}
 use uniground_core::progress::Progress;
 use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, draw_scene, encode_jpeg};
 use uniground_core::scene::{FrameRef, ImportReport, PointCloud};
+use uniground_types::findings::{Finding, FindingKind};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::settings::{ImportSettings, LevellingChoice};
 
@@ -22,8 +23,7 @@ use uniground_types::settings::{ImportSettings, LevellingChoice};
 pub struct ImportArgs {
     /// Scan to read: a folder, an archive, a .sens or .r3d file, a point cloud or a mesh
     scan: Utf8PathBuf,
-    /// Check only the files, the poses and a sample of the pictures. Skips the fusion of a point
-    /// cloud
+    /// Check the files, the poses and all pictures, without fusing a point cloud
     #[arg(long)]
     check: bool,
     /// Write the scan in the neutral layout (scene.json): rectified pictures, leveled poses, Z up,
@@ -91,7 +91,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let folder = ScanFolder::open(&args.scan)?;
     let scan = ingest::open(&folder.path)?;
     let InspectedScan { frames, cloud, report } = if args.check {
-        ingest::inspect(&scan, &settings, &Progress::silent())?
+        ingest::check(&scan, &settings, &Progress::silent())?
     } else {
         let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
         InspectedScan { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
@@ -177,8 +177,22 @@ fn summary_lines(
     if let Some(way) = report.source_to_scene.filter(|way| way.metres_per_unit != 1.0) {
         lines.push(("units", format!("{} m", way.metres_per_unit)));
     }
-    lines.extend(report.warnings.iter().map(|warning| ("warning", warning.clone())));
+    lines.extend(report.findings.iter().map(finding_line));
     lines
+}
+
+/// Returns title and text of a finding.
+fn finding_line(finding: &Finding) -> (&'static str, String) {
+    let title = match finding.kind {
+        _ if finding.warning => "warning",
+        FindingKind::Read => "read",
+        FindingKind::LeftOut => "not used",
+        FindingKind::Assumed => "assumed",
+        FindingKind::Changed => "changed",
+        FindingKind::Unusual => "unusual",
+    };
+    let sure = finding.confidence.map(|sure| format!(" (sure to {:.0}%)", sure * 100.0));
+    (title, format!("{}{}", finding.text, sure.unwrap_or_default()))
 }
 
 /// Rendered views of the cloud. The side view shows whether upright objects stand upright.

@@ -171,6 +171,7 @@ fn status_of(error: &Error) -> StatusCode {
             | IngestErrorKind::Frame
             | IngestErrorKind::IncompleteLayout
             | IngestErrorKind::UpUnknown
+            | IngestErrorKind::UnitUnknown
             | IngestErrorKind::DoesNotBelong
             | IngestErrorKind::TooCostly
             | IngestErrorKind::NothingFits => StatusCode::UNPROCESSABLE_ENTITY,

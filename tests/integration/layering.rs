@@ -42,6 +42,7 @@ const PACKAGES: [(&str, Floors); 2] = [
             &["labels", "placement"],
             &["numbers"],
             &["scene", "problem"],
+            &["findings"],
             &["geometry"],
         ],
     ),

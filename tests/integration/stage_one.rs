@@ -297,6 +297,7 @@ fn cloud_only_bundle(positions: Vec<Point3<f32>>) -> SceneBundle {
         frames_skipped: 0,
         cloud_points: None,
         reprojection_agreement: None,
+        findings: vec![],
         warnings: Vec::new(),
     };
     let colors = positions.iter().map(|p| [(p.x * 40.0) as u8, 90, 120]).collect();

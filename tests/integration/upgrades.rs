@@ -95,6 +95,7 @@ async fn a_folder_without_record_versions_is_served_completely() {
     expected["map_frame_id"] = Value::Null;
     expected["labels"] = serde_json::json!({});
     expected["import"]["levelling"] = Value::Null;
+    expected["import"]["findings"] = serde_json::json!([]);
     expected["import"]["source_to_scene"] = Value::Null;
     expected["report"]["dropped"] = 0.into();
     expected["report"]["specks"] = 0.into();

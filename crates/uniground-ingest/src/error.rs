@@ -25,7 +25,9 @@ pub enum IngestError {
     Malformed { file: Utf8PathBuf, reason: String },
     #[error("{file} is missing")]
     MissingFile { file: Utf8PathBuf },
-    #[error("{file}: intrinsics are missing")]
+    #[error(
+        "{file}: the camera's intrinsics are missing: fx, fy, cx and cy in pixels, or a 3x3 matrix"
+    )]
     MissingIntrinsics { file: Utf8PathBuf },
     #[error("{file}: intrinsics do not fit the picture: {reason}")]
     BadIntrinsics { file: Utf8PathBuf, reason: String },
@@ -52,16 +54,22 @@ pub enum IngestError {
     TooManyDamaged { damaged: usize, total: usize, first: Box<IngestError> },
     #[error("this looks like {looks_like}, but {missing}")]
     IncompleteLayout { looks_like: &'static str, missing: String },
+    #[error("cannot determine which axis of the cloud points up ({reason}): set up={best}{next}")]
+    UpUnknown { reason: String, best: &'static str, next: String },
     #[error(
-        "cannot determine which axis of the cloud points up ({reason}): set it, for example up=z"
+        "{file} does not state its unit of length, and its size does not tell: {readings}. Set metres_per_unit"
     )]
-    UpUnknown { reason: String },
+    UnitUnknown { file: Utf8PathBuf, readings: String },
     #[error(transparent)]
     Frame(#[from] FrameError),
     #[error(
         "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other convention fits (best: {hypothesis}, {other_agreement:.0}%). Check pose, camera_axes and depth_scale_m"
     )]
     NothingFits { agreement: f32, hypothesis: String, other_agreement: f32 },
+    #[error(
+        "cloud, poses and depth do not agree as declared ({agreement:.0}% of the sampled points fit the depth pictures), and two other readings fit about equally well: {readings}. State the right one in a scene.json"
+    )]
+    ConventionUnclear { agreement: f32, readings: String },
     #[error(
         "these frames do not fit this scene: {agreement:.0}% of its points in view fit their depth. Their poses must be in the coordinates of the files that the scene was made from, or set world=scene or world=map"
     )]
@@ -101,6 +109,7 @@ pub enum IngestErrorKind {
     NoUsableFrames,
     IncompleteLayout,
     UpUnknown,
+    UnitUnknown,
     Frame,
     NothingFits,
     DoesNotBelong,
@@ -131,8 +140,11 @@ impl IngestError {
             Self::TooManyDamaged { first, .. } => first.kind(),
             Self::IncompleteLayout { .. } => IngestErrorKind::IncompleteLayout,
             Self::UpUnknown { .. } => IngestErrorKind::UpUnknown,
+            Self::UnitUnknown { .. } => IngestErrorKind::UnitUnknown,
             Self::Frame(_) => IngestErrorKind::Frame,
-            Self::NothingFits { .. } => IngestErrorKind::NothingFits,
+            Self::NothingFits { .. } | Self::ConventionUnclear { .. } => {
+                IngestErrorKind::NothingFits
+            }
             Self::DoesNotBelong { .. } => IngestErrorKind::DoesNotBelong,
             Self::TooCostly { .. } => IngestErrorKind::TooCostly,
             Self::Io { .. } => IngestErrorKind::Io,

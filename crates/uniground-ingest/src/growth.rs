@@ -17,6 +17,7 @@ use uniground_geometry::scene::{
 };
 use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
+use uniground_types::findings::{Finding, warnings_of};
 use uniground_types::settings::ImportSettings;
 
 /// A new surface this close to a known one counts as the same surface, meters. Pose drift and depth
@@ -38,8 +39,8 @@ pub struct FitReport {
     pub frames: Vec<FrameRef>,
     /// Share of the scene's points in view that agree with the frames' depth.
     pub agreement: f32,
-    /// Problems that were accepted.
-    pub warnings: Vec<String>,
+    /// What was found while reading and comparing them.
+    pub findings: Vec<Finding>,
 }
 
 /// Transforms the frames of a scan into a scene's world and checks that they agree with the scene.
@@ -59,7 +60,7 @@ pub fn check_fit(
     }
     let world = SourceFrame::near_scene(to_scene);
     scan.origin = world.origin;
-    let mut warnings = std::mem::take(&mut scan.warnings);
+    let mut findings = std::mem::take(&mut scan.findings);
     let declared = SourceConvention {
         pose: scan.pose,
         axes: scan.camera_axes,
@@ -72,7 +73,7 @@ pub fn check_fit(
     let positions: Vec<Point3<f32>> = sample.map(|p| back * p).collect();
     let sample = PointCloud { colors: vec![[0; 3]; positions.len()], positions };
     let CheckedConvention { reading, agreement } =
-        reprojection::check(&scan, declared, Some(&sample), &frames, &mut warnings).map_err(
+        reprojection::check(&scan, declared, Some(&sample), &frames, &mut findings).map_err(
             |error| match error {
                 IngestError::NothingFits { agreement, .. } => {
                     IngestError::DoesNotBelong { agreement }
@@ -91,7 +92,7 @@ pub fn check_fit(
         camera_to_world: world.turn * frame.camera_to_world,
         ..frame
     };
-    Ok(FitReport { frames: frames.into_iter().map(placed).collect(), agreement, warnings })
+    Ok(FitReport { frames: frames.into_iter().map(placed).collect(), agreement, findings })
 }
 
 /// Merges the frames of a scan into a scene whose cloud is `known`.
@@ -109,9 +110,9 @@ pub fn add_scan(
     progress: &Progress,
 ) -> Result<Addition, IngestError> {
     let (skipped, all) = (scan.frames_skipped, scan.frames.len());
-    let FitReport { mut frames, mut warnings, .. } = check_fit(scan, to_scene, known, first)?;
+    let FitReport { mut frames, mut findings, .. } = check_fit(scan, to_scene, known, first)?;
     let fused =
-        fusion::fuse(&mut frames, &settings.fusion, &mut warnings, &progress.sub_range(0.2, 0.7))?;
+        fusion::fuse(&mut frames, &settings.fusion, &mut findings, &progress.sub_range(0.2, 0.7))?;
     let looking = progress.sub_range(0.7, 1.0);
     let looks = count_free_space::<IngestError>(&known.positions, &frames, |i| {
         Ok(looking.report("look_through", i as f32 / all as f32)?)
@@ -120,6 +121,7 @@ pub fn add_scan(
     let kept = remaining_points(known, &looks, &fused, enough);
     let new = new_surface_points(&fused, known, &kept);
     let frames_skipped = skipped + (all - frames.len()) as u32;
+    let warnings = warnings_of(&findings);
     Ok(Addition { made_of, frames, kept, new, apart_m: SAME_SURFACE_M, frames_skipped, warnings })
 }
 

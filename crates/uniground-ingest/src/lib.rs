@@ -15,6 +15,7 @@ mod formats;
 mod fusion;
 mod growth;
 mod guess_units;
+mod inventory;
 mod levelling;
 mod limited_reader;
 mod load;
@@ -28,7 +29,7 @@ mod validate;
 
 pub use error::{IngestError, IngestErrorKind};
 pub use growth::{FitReport, add_scan, check_fit};
-pub use load::{InspectedScan, inspect, load, read_cloud};
+pub use load::{InspectedScan, check, inspect, load, read_cloud};
 pub use neighbors::{NeighborAgreement, compare_neighbors};
 pub use parts::{GROWN, GrownScan, ScanPart, is_reserved, part_folder};
 pub use scan::Scan;
@@ -52,6 +53,7 @@ pub const MAX_FRAMES: usize = 54_000;
 /// Returns an [`IngestError`] that names the file, frame or field.
 pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let mut scan = formats::read(folder)?;
+    inventory::record(folder, &mut scan);
     validate::check(&mut scan)?;
     Ok(scan)
 }

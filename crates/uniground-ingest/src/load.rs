@@ -10,6 +10,7 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene};
 use uniground_geometry::{Isometry3, Point3, pose};
+use uniground_types::findings::{Finding, FindingSubject, warnings_of};
 use uniground_types::settings::ImportSettings;
 
 /// A scan in canonical form. A cloud that has to be fused is still missing.
@@ -42,16 +43,34 @@ pub fn load(
         let cloud = fusion::fuse(
             &mut frames,
             &settings.fusion,
-            &mut report.warnings,
+            &mut report.findings,
             &progress.sub_range(0.2, 1.0),
         )?;
-        let undecodable = report.frames - frames.len() as u32;
-        report.frames -= undecodable;
-        report.frames_skipped += undecodable;
+        report.count_undecodable(report.frames as usize - frames.len());
         cloud
     };
-    warn_of_odd_size(&cloud.positions, &mut report.warnings);
+    warn_of_odd_size(&cloud.positions, &mut report.findings);
+    report.warnings = warnings_of(&report.findings);
     Ok(SceneBundle { cloud, frames, report, additions: Vec::new() })
+}
+
+/// Does what [`inspect`] does, and decodes all pictures, so that everything is found that [`load`]
+/// would stop at or leave out.
+///
+/// # Errors
+/// Returns the errors of [`load`].
+pub fn check(
+    scan: &Scan,
+    settings: &ImportSettings,
+    progress: &Progress,
+) -> Result<InspectedScan, IngestError> {
+    let mut inspected = inspect(scan, settings, &progress.sub_range(0.0, 0.3))?;
+    let InspectedScan { frames, report, .. } = &mut inspected;
+    let before = frames.len();
+    fusion::check_pictures(frames, &mut report.findings, &progress.sub_range(0.3, 1.0))?;
+    report.count_undecodable(before - frames.len());
+    report.warnings = warnings_of(&report.findings);
+    Ok(inspected)
 }
 
 /// Does everything except fusing a cloud: reads the scan's own cloud, chooses the interpretation of
@@ -67,9 +86,9 @@ pub fn inspect(
     progress: &Progress,
 ) -> Result<InspectedScan, IngestError> {
     progress.report("import", 0.0)?;
-    let mut warnings = scan.warnings.clone();
+    let mut findings = scan.findings.clone();
     let mut own_cloud =
-        scan.cloud.as_ref().map(|file| read_own_cloud(scan, file, &mut warnings)).transpose()?;
+        scan.cloud.as_ref().map(|file| read_own_cloud(scan, file, &mut findings)).transpose()?;
     let declared = SourceConvention {
         pose: scan.pose,
         axes: scan.camera_axes,
@@ -78,7 +97,7 @@ pub fn inspect(
             scan,
             settings,
             own_cloud.as_ref(),
-            &mut warnings,
+            &mut findings,
         )?,
     };
     if let Some(own) = &mut own_cloud {
@@ -91,30 +110,30 @@ pub fn inspect(
         declared,
         own_cloud.as_ref().map(|own| &own.cloud),
         &frames,
-        &mut warnings,
+        &mut findings,
     )?;
     let mut frames = if reading == declared { frames } else { frame_refs(scan, &reading)? };
     if let Some(own) = &mut own_cloud {
         rescale(&mut own.cloud, reading.metres_per_unit / declared.metres_per_unit);
     }
 
+    let of_format =
+        own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up_axis());
     let said = UpHint {
-        up: settings.up.or(scan.up).or(own_cloud
-            .as_ref()
-            .filter(|_| frames.is_empty())
-            .and_then(|own| own.kind.up_axis())),
+        up: settings.up.or(scan.up).or(of_format),
+        by_format: settings.up.or(scan.up).is_none(),
         // An axis given in the request takes precedence over the inertial sensor.
         by_gravity: scan.by_gravity && settings.up.is_none(),
         choice: settings.levelling,
     };
     let upright = match &own_cloud {
         Some(own) if frames.is_empty() => {
-            levelling::find_up_of_cloud(&own.cloud, said, &mut warnings)?
+            levelling::find_up_of_cloud(&own.cloud, said, &mut findings)?
         }
         _ => levelling::find_up_of_frames(
             &frames,
             said,
-            &mut warnings,
+            &mut findings,
             &progress.sub_range(0.5, 1.0),
         )?,
     };
@@ -137,7 +156,8 @@ pub fn inspect(
         frames_skipped: scan.frames_skipped,
         cloud_points: cloud.as_ref().map(|cloud| cloud.len() as u64),
         reprojection_agreement: agreement,
-        warnings,
+        warnings: warnings_of(&findings),
+        findings,
     };
     Ok(InspectedScan { frames, cloud, report })
 }
@@ -156,7 +176,7 @@ pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
 fn read_own_cloud(
     scan: &Scan,
     file: &Utf8Path,
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
 ) -> Result<LoadedCloud, IngestError> {
     let origin = if scan.frames.is_empty() {
         CoordinateOrigin::Free
@@ -164,30 +184,36 @@ fn read_own_cloud(
         CoordinateOrigin::At(scan.origin)
     };
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
-    warnings.extend(loaded.guesses.iter().map(|guess| format!("{file}: {guess}")));
     let LoadedCloud { dropped, without_color, has_color, thinned, .. } = loaded;
+    let mut add = |finding: Finding| findings.push(finding.in_file(file.as_str()));
+    for assumption in &loaded.assumptions {
+        add(Finding { text: format!("{file}: {}", assumption.text), ..assumption.clone() });
+    }
     if without_color > 0 {
-        warnings.push(format!(
-            "{file}: the colors of {without_color} points are not numbers: shown as gray"
-        ));
+        let text =
+            format!("{file}: the colors of {without_color} points are not numbers: shown as gray");
+        add(Finding::unusual(FindingSubject::Color, text).counting(without_color));
     }
     if dropped > 0 {
-        warnings
-            .push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));
+        let text = format!("{file}: {dropped} points dropped, their coordinates are not finite");
+        add(Finding::left_out(FindingSubject::Cloud, text).counting(dropped));
     }
     if !has_color {
-        warnings.push(format!(
+        let text = format!(
             "{file}: no color; points are shown gray and questions about colors cannot be answered"
-        ));
+        );
+        add(Finding::unusual(FindingSubject::Color, text));
     }
     if thinned > 1 {
-        warnings.push(format!("{file}: downsampled, one of {thinned} points is kept"));
+        let text = format!("{file}: downsampled, one of {thinned} points is kept");
+        add(Finding::changed(FindingSubject::Cloud, text));
     }
     if loaded.offset != [0.0; 3] && scan.frames.is_empty() {
         let [x, y, z] = loaded.offset;
-        warnings.push(format!(
+        let text = format!(
             "{file}: in map coordinates; {x} {y} {z} was subtracted, see import.source_to_scene"
-        ));
+        );
+        add(Finding::changed(FindingSubject::Cloud, text));
     }
     Ok(loaded)
 }
@@ -198,7 +224,7 @@ fn resolve_meters_per_unit(
     scan: &Scan,
     settings: &ImportSettings,
     own: Option<&LoadedCloud>,
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
 ) -> Result<f64, IngestError> {
     if let Some(asked) = settings.metres_per_unit {
         return match asked.is_finite() && (1e-6..=1e6).contains(&asked) {
@@ -216,10 +242,12 @@ fn resolve_meters_per_unit(
             missing,
         });
     }
-    Ok(match own.filter(|own| scan.frames.is_empty() && !own.kind.is_metric()) {
-        Some(own) => guess_units::guess_meters_per_unit(&own.cloud.positions, warnings),
-        None => 1.0,
-    })
+    match (&scan.cloud, own.filter(|own| scan.frames.is_empty() && !own.kind.is_metric())) {
+        (Some(file), Some(own)) => {
+            guess_units::guess_meters_per_unit(file, &own.cloud.positions, findings)
+        }
+        _ => Ok(1.0),
+    }
 }
 
 fn rescale(cloud: &mut PointCloud, by: f64) {
@@ -297,14 +325,15 @@ impl ToScene {
     }
 }
 
-fn warn_of_odd_size(positions: &[Point3<f32>], warnings: &mut Vec<String>) {
+fn warn_of_odd_size(positions: &[Point3<f32>], findings: &mut Vec<Finding>) {
     let Some(extent) = Aabb::around(positions) else { return };
     let across = extent.size.max();
-    if across < 1.0 {
-        warnings.push(format!("the scene is only {across:.3} m across: set metres_per_unit if its lengths are not meters"));
-    } else if across > 200.0 {
-        warnings.push(format!(
-            "the scene is {across:.0} m across: set metres_per_unit if its lengths are not meters"
-        ));
-    }
+    let size = match across {
+        a if a < 1.0 => format!("only {a:.3}"),
+        a if a > 200.0 => format!("{a:.0}"),
+        _ => return,
+    };
+    let text =
+        format!("the scene is {size} m across: set metres_per_unit if its lengths are not meters");
+    findings.push(Finding::unusual(FindingSubject::Units, text).stated_with("metres_per_unit"));
 }

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseConvention};
 use uniground_geometry::statistics::median;
 use uniground_geometry::{Isometry3, Point3};
+use uniground_types::findings::{Finding, FindingSubject};
 
 /// Number of frames and points in the sample: enough to tell conventions apart, and cheap.
 const MAX_FRAMES: usize = 20;
@@ -49,6 +50,12 @@ pub(super) struct SourceConvention {
     pub metres_per_unit: f64,
 }
 
+/// Depth units within this factor of each other agree with the same points.
+const SAME_UNIT: f32 = 1.0 + 2.0 * TOLERANCE;
+/// Minimum confidence of an interpretation that differs from the declared one. It is reached at 1.3
+/// times the agreement of the next best one.
+const LEAST_SURE: f32 = 0.75;
+
 /// The interpretation that fits, with its agreement.
 pub(super) struct CheckedConvention {
     pub reading: SourceConvention,
@@ -59,19 +66,22 @@ pub(super) struct CheckedConvention {
 
 /// Compares points in view with the depth there, over a sample of frames, under the declared
 /// convention. If that does not fit and another interpretation clearly does, the other one is used,
-/// with a warning.
+/// with a warning. The findings get the interpretation and how clearly it fits better than the next
+/// best one.
 ///
 /// The points come from the archive's own cloud (as `declared`, meters). Without one, they come
 /// from each frame's own depth and are checked against the other frames.
 ///
 /// # Errors
-/// Returns [`IngestError::NothingFits`] when hardly anything agrees under any interpretation.
+/// Returns [`IngestError::NothingFits`] when hardly anything agrees under any interpretation, and
+/// [`IngestError::ConventionUnclear`] when the declared one does not fit and two others fit about
+/// equally well.
 pub(super) fn check(
     scan: &Scan,
     declared: SourceConvention,
     own_cloud: Option<&PointCloud>,
     frames: &[FrameRef],
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
 ) -> Result<CheckedConvention, IngestError> {
     let as_declared = |agreement| Ok(CheckedConvention { reading: declared, agreement });
     if frames.is_empty() || (own_cloud.is_none() && frames.len() < 2) {
@@ -96,21 +106,29 @@ pub(super) fn check(
         }),
     };
     let agreement = sample.agreement(&declared);
-    if agreement.is_some_and(|agreement| agreement >= CLEARLY_RIGHT) {
+    let fits = agreement.unwrap_or(0.0);
+    let measure = |readings: Vec<SourceConvention>| -> Vec<(f32, SourceConvention)> {
+        readings.into_par_iter().filter_map(|r| Some((sample.agreement(&r)?, r))).collect()
+    };
+    let best_of = |readings: &[(f32, SourceConvention)]| {
+        readings.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    let common = measure(SourceConvention::all(declared.metres_per_unit).collect());
+    // The best interpretation that is a different one.
+    let rival_of = |reading: &SourceConvention| {
+        let others: Vec<_> =
+            common.iter().copied().filter(|(_, other)| !other.is_like(reading)).collect();
+        best_of(&others)
+    };
+    if fits >= CLEARLY_RIGHT {
+        findings.push(declared.as_finding(fits, rival_of(&declared), &declared));
         return as_declared(agreement);
     }
-    let fits = agreement.unwrap_or(0.0);
-    let best_of = |readings: Vec<SourceConvention>| {
-        let measured: Vec<(f32, SourceConvention)> =
-            readings.into_iter().filter_map(|r| Some((sample.agreement(&r)?, r))).collect();
-        measured.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))
-    };
-    let mut best = best_of(
-        SourceConvention::all(declared.metres_per_unit).filter(|r| *r != declared).collect(),
-    );
+    let others: Vec<_> = common.iter().copied().filter(|(_, r)| *r != declared).collect();
+    let mut best = best_of(&others);
     // None of the common units fits well: the cloud tells which one does.
     if best.is_none_or(|(other, _)| other.max(fits) < CLEARLY_RIGHT) {
-        let fitted = best_of(sample.fitted_units());
+        let fitted = best_of(&measure(sample.fitted_units()));
         if fitted.is_some_and(|(other, _)| {
             other >= CLEARLY_RIGHT && best.is_none_or(|(common, _)| other > common)
         }) {
@@ -119,12 +137,12 @@ pub(super) fn check(
     }
     let mut wanted = CLEARLY_BETTER.max(fits * TIMES_BETTER);
     if best.is_none_or(|(other, _)| other < wanted) && fits < CLEARLY_BETTER {
-        let other_units = best_of(
+        let other_units = best_of(&measure(
             LENGTHS_M
                 .into_iter()
                 .flat_map(|m| SourceConvention::all(declared.metres_per_unit * m))
                 .collect(),
-        );
+        ));
         if other_units
             .is_some_and(|(other, _)| other >= CLEARLY_RIGHT.max(fits * TIMES_BETTER_UNITS))
         {
@@ -134,29 +152,59 @@ pub(super) fn check(
     if let Some((other, reading)) = best
         && other >= wanted
     {
-        warnings.push(format!(
+        let rival = rival_of(&reading);
+        let confidence = confidence_over(other, rival);
+        if let Some((next, rival)) = rival
+            && confidence < LEAST_SURE
+        {
+            return Err(IngestError::ConventionUnclear {
+                agreement: fits * 100.0,
+                readings: format!(
+                    "{:.0}% do with {}, and {:.0}% with {}",
+                    other * 100.0,
+                    reading.describe(&declared),
+                    next * 100.0,
+                    rival.describe(&declared)
+                ),
+            });
+        }
+        let text = format!(
             "poses, axes or depth are not as declared: {:.0}% of the sampled points fit the depth pictures as declared, but {:.0}% do with {}, which is used",
             fits * 100.0,
             other * 100.0,
             reading.describe(&declared),
-        ));
+        );
+        findings.push(
+            Finding::assumed(FindingSubject::Poses, text)
+                .with_confidence(confidence)
+                .stated_with("scene.json"),
+        );
         return Ok(CheckedConvention { reading, agreement: Some(other) });
     }
     match agreement {
-        None => warnings
-            .push("almost no sampled point projects onto measured depth: the frames may not overlap or may be of different scans".into()),
+        None => findings.push(Finding::unusual(
+            FindingSubject::Poses,
+            "almost no sampled point projects onto measured depth: the frames may not overlap or may be of different scans",
+        )),
         Some(agreement) if agreement < NOTHING_FITS => {
             let (other_agreement, hypothesis) =
                 best.map_or((0.0, "none".into()), |(other, reading)| (other * 100.0, reading.describe(&declared)));
             return Err(IngestError::NothingFits { agreement: agreement * 100.0, hypothesis, other_agreement });
         }
         Some(agreement) if agreement < SUSPICIOUS => {
-            warnings.push(format!(
-                "only {:.0}% of the sampled points agree with the depth pictures (a correct scan has 60 to 90%): check the direction of the poses, the camera axes and the depth scale",
+            let text = format!(
+                "only {:.0}% of the sampled points agree with the depth pictures (a correct scan has 60 to 90%): check the direction of the poses, the camera axes, the depth scale, the intrinsics, and which pictures and poses belong together",
                 agreement * 100.0
-            ));
+            );
+            findings.push(
+                Finding::unusual(FindingSubject::Poses, text)
+                    .with_confidence(confidence_over(agreement, rival_of(&declared)))
+                    .stated_with("scene.json"),
+            );
         }
-        Some(_) => {}
+        Some(agreement) => {
+            findings.push(declared.as_finding(agreement, rival_of(&declared), &declared));
+        }
     }
     as_declared(agreement)
 }
@@ -177,6 +225,29 @@ impl SourceConvention {
         )
     }
 
+    /// Returns whether another interpretation cannot be told from this one.
+    fn is_like(&self, other: &Self) -> bool {
+        let units = self.depth_scale_m / other.depth_scale_m;
+        (self.pose, self.axes) == (other.pose, other.axes)
+            && (1.0 / SAME_UNIT..SAME_UNIT).contains(&units)
+    }
+
+    /// Describes that the declared interpretation is used.
+    fn as_finding(&self, agreement: f32, rival: Option<(f32, Self)>, declared: &Self) -> Finding {
+        let mut text = format!(
+            "read with {}: {:.0}% of the sampled points fit the depth pictures",
+            self.describe(declared),
+            agreement * 100.0
+        );
+        if let Some((next, rival)) = rival.filter(|(next, _)| *next > NOTHING_FITS) {
+            text += &format!("; next best is {}: {:.0}%", rival.describe(declared), next * 100.0);
+        }
+        Finding::assumed(FindingSubject::Poses, text)
+            .without_warning()
+            .with_confidence(confidence_over(agreement, rival))
+            .stated_with("scene.json")
+    }
+
     fn describe(&self, declared: &Self) -> String {
         let pose = match self.pose {
             PoseConvention::CameraToWorld => "camera_to_world",
@@ -189,6 +260,13 @@ impl SourceConvention {
         };
         format!("pose {pose}, camera_axes {axes}, depth_scale_m {}{units}", self.depth_scale_m)
     }
+}
+
+/// Returns how clearly an agreement is better than that of the next best interpretation, `0..=1`.
+fn confidence_over(agreement: f32, rival: Option<(f32, SourceConvention)>) -> f32 {
+    let next = rival.map_or(0.0, |(next, _)| next);
+    let (this, next) = (agreement.max(f32::MIN_POSITIVE).powi(4), next.powi(4));
+    this / (this + next)
 }
 
 /// The data of the check: the depth of some frames, and the points of a cloud where the archive has

@@ -10,6 +10,7 @@ use uniground_geometry::scene::{
 };
 use uniground_geometry::up_axis::UpAxis;
 use uniground_geometry::{Isometry3, pose};
+use uniground_types::findings::Finding;
 
 /// A scan as its files describe it. It is not canonical yet, its pictures are not decoded, and its
 /// paths are below `root`.
@@ -48,8 +49,8 @@ pub struct Scan {
     pub frames_skipped: u32,
     /// Unusable frames found so far.
     pub damage: SkippedFrames,
-    /// Problems that were accepted, each with its file or frame.
-    pub warnings: Vec<String>,
+    /// What was found so far.
+    pub findings: Vec<Finding>,
 }
 
 /// Frames that could not be used.
@@ -157,7 +158,7 @@ impl Scan {
             origin: [0.0; 3],
             frames_skipped: 0,
             damage: SkippedFrames::default(),
-            warnings: Vec::new(),
+            findings: Vec::new(),
         }
     }
 

@@ -13,6 +13,7 @@ use uniground_geometry::MAX_COORDINATE_M;
 use uniground_geometry::scene::{
     DepthSensor, FrameIndex, Intrinsics, LEAST_UNIT_OF_BYTES_M, PoseConvention,
 };
+use uniground_types::findings::{Finding, FindingSubject};
 
 /// Maximum share of damaged frames that are left out. With more, the scan is refused.
 const MAX_DAMAGED: f32 = 0.1;
@@ -31,9 +32,9 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     scan.frames.retain(|frame| !frame.pose.iter().all(|v| v.is_infinite()));
     let lost = before - scan.frames.len();
     if lost > 0 {
-        scan.warnings.push(format!(
-            "{lost} of {before} frames skipped: their pose is marked as lost (infinite)"
-        ));
+        let text =
+            format!("{lost} of {before} frames skipped: their pose is marked as lost (infinite)");
+        scan.findings.push(Finding::left_out(FindingSubject::Frames, text).counting(lost));
     }
     if before == 0 && scan.cloud.is_none() {
         return Err(scan.damage.first.drain(..).next().unwrap_or(IngestError::EmptyScene));
@@ -99,10 +100,11 @@ fn leave_out_damaged(scan: &mut Scan) -> Result<(), IngestError> {
     } else {
         String::new()
     };
-    scan.warnings.push(format!(
+    let text = format!(
         "{damaged} of {total} frames skipped, damaged or incomplete: {}{more}",
         named.join("; ")
-    ));
+    );
+    scan.findings.push(Finding::left_out(FindingSubject::Frames, text).counting(damaged));
     Ok(())
 }
 

@@ -428,6 +428,7 @@ fn code_of_import(error: &IngestError) -> &'static str {
         IngestErrorKind::DoesNotBelong => "frames_do_not_fit",
         IngestErrorKind::IncompleteLayout => "layout_incomplete",
         IngestErrorKind::UpUnknown => "up_unknown",
+        IngestErrorKind::UnitUnknown => "unit_unknown",
         IngestErrorKind::TooCostly => "scan_too_costly",
         IngestErrorKind::Io => "storage_failed",
         IngestErrorKind::Cancelled => "cancelled",

@@ -12,6 +12,7 @@ pub mod batch;
 pub mod changes;
 pub mod corrections;
 pub mod export;
+pub mod findings;
 pub mod geometry;
 pub mod graph;
 pub mod instances;

@@ -1,5 +1,6 @@
 //! Parts of a parsed scan: ids, supports, views and reports.
 
+use crate::findings::Finding;
 use crate::geometry::up_axis::UpAxis;
 use serde::{Deserialize, Serialize};
 
@@ -276,8 +277,20 @@ pub struct ImportReport {
     /// Share of sampled points that agree with the depth pictures they project into, `0..=1`.
     /// `null` if it could not be measured.
     pub reprojection_agreement: Option<f32>,
-    /// Unusual but accepted properties, each with its file or frame.
+    /// The texts of the findings that can make results worse.
     pub warnings: Vec<String>,
+    /// What was read, left out, assumed and changed. Empty in records from older versions.
+    #[serde(default)]
+    pub findings: Vec<Finding>,
+}
+
+impl ImportReport {
+    /// Counts frames as skipped that turned out to be unusable.
+    pub fn count_undecodable(&mut self, frames: usize) {
+        let frames = (frames as u32).min(self.frames);
+        self.frames -= frames;
+        self.frames_skipped += frames;
+    }
 }
 
 /// Report of stage 1 (parsing) for diagnosis.

@@ -1870,6 +1870,45 @@ export interface components {
              */
             pointer: string;
         };
+        /** @description One finding of an import. */
+        Finding: {
+            /** @description What it is about. */
+            about: components["schemas"]["FindingSubject"];
+            /**
+             * Format: float
+             * @description For assumptions: how clearly the data supports this reading over the next best one,
+             *     `0.5..=1`. Absent where nothing could be compared.
+             */
+            confidence?: number | null;
+            /**
+             * Format: int64
+             * @description Number of files, frames or points.
+             */
+            count?: number | null;
+            /** @description File or folder in the upload. */
+            file?: string | null;
+            /** @description The kind. */
+            kind: components["schemas"]["FindingKind"];
+            /**
+             * @description For assumptions: the parameter or file that states it instead, such as `up` or
+             *     `intrinsic.txt`.
+             */
+            state_with?: string | null;
+            /** @description The finding as a sentence. */
+            text: string;
+            /** @description Whether the finding can make results worse. Such findings are in `warnings` too. */
+            warning: boolean;
+        };
+        /**
+         * @description The kind of a finding.
+         * @enum {string}
+         */
+        FindingKind: "read" | "left_out" | "assumed" | "changed" | "unusual";
+        /**
+         * @description What a finding is about.
+         * @enum {string}
+         */
+        FindingSubject: "files" | "frames" | "cloud" | "color" | "depth" | "poses" | "camera" | "units" | "up";
         /**
          * @description Metadata of a scene's floor map in the format of the ROS `map_server`. The JSON is also valid
          *     YAML. The upper left pixel has the smallest x and the largest y.
@@ -2226,6 +2265,8 @@ export interface components {
              * @description Number of points in the archive's own cloud. `null` if the cloud is fused from the frames.
              */
             cloud_points?: number | null;
+            /** @description What was read, left out, assumed and changed. Empty in records from older versions. */
+            findings?: components["schemas"]["Finding"][];
             /** @description Detected layout of the files: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on. */
             format: string;
             /**
@@ -2254,7 +2295,7 @@ export interface components {
              *     remaining tilt.
              */
             up: components["schemas"]["UpAxis"];
-            /** @description Unusual but accepted properties, each with its file or frame. */
+            /** @description The texts of the findings that can make results worse. */
             warnings: string[];
         };
         /** @description A scan on the server's disk to import. */

@@ -32,6 +32,7 @@ export type OrientedBox = Schemas["OrientedBox"];
 export type Problem = Schemas["Problem"];
 export type Scene = Schemas["Scene"];
 export type SceneList = Schemas["SceneList"];
+export type Finding = Schemas["Finding"];
 export type SceneReport = Schemas["SceneReport"];
 export type Support = Schemas["Support"];
 export type Upload = Schemas["Upload"];

@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 import { asProblem } from "../api/client";
 import { download } from "../api/pictures";
 import { cloudPath, getReport, instancesCloudPath, nameThings, parseAgain } from "../api/service";
-import type { Job, Problem, SceneReport } from "../api/types";
+import type { Finding, Job, Problem, SceneReport } from "../api/types";
 import { JobProgress } from "../scenes/job";
 import { t } from "../text";
 import { Row } from "../ui/fields";
@@ -73,7 +73,26 @@ function Import({ report: { import: found, parse } }: { report: SceneReport }) {
         <Row term={t.report.axes}>{found.camera_axes}</Row>
         {agreement != null && <Row term={t.report.agreement}>{Math.round(agreement * 100)} %</Row>}
       </dl>
+      <Findings findings={found.findings ?? []} />
     </section>
+  );
+}
+
+/** What the import read, left out and assumed. Warnings are shown above. */
+function Findings({ findings }: { findings: Finding[] }) {
+  const quiet = findings.filter((finding) => !finding.warning);
+  return quiet.length === 0 ? null : (
+    <details>
+      <summary>{t.report.findings(quiet.length)}</summary>
+      <ul>
+        {quiet.map(({ kind, text, confidence }) => (
+          <li key={text}>
+            <b>{t.report.finding[kind]}</b>: {text}
+            {confidence != null && ` (${t.report.sure(confidence)})`}
+          </li>
+        ))}
+      </ul>
+    </details>
   );
 }
 

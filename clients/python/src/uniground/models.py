@@ -30,6 +30,10 @@ EvidenceMode = Literal["full", "cached_names", "sheet", "two_step", "photographs
 """Pictures of the candidates that a vision-language model is shown."""
 FailedCondition = Literal["start_not_free", "no_floor", "no_room", "not_reachable", "out_of_reach", "not_visible"]
 """The first condition that excluded all positions, in the order of checking."""
+FindingKind = Literal["read", "left_out", "assumed", "changed", "unusual"]
+"""The kind of a finding."""
+FindingSubject = Literal["files", "frames", "cloud", "color", "depth", "poses", "camera", "units", "up"]
+"""What a finding is about."""
 FrameChoice = Literal["scene", "source", "map"]
 """Frame of a question's observer, and additional frame of the answer's boxes. Boxes in the scene's frame are always returned."""
 FrameIndex = int
@@ -695,6 +699,29 @@ class FieldError:
 
 
 @dataclass(repr=False)
+class Finding(ShortRepr):
+    """One finding of an import."""
+    kind: FindingKind
+    """The kind."""
+    about: FindingSubject
+    """What it is about."""
+    text: str
+    """The finding as a sentence."""
+    warning: bool
+    """Whether the finding can make results worse. Such findings are in `warnings` too."""
+    confidence: Optional[float] = None
+    """For assumptions: how clearly the data supports this reading over the next best one, `0.5..=1`. Absent where nothing could be
+    compared.
+    """
+    count: Optional[int] = None
+    """Number of files, frames or points."""
+    file: Optional[str] = None
+    """File or folder in the upload."""
+    state_with: Optional[str] = None
+    """For assumptions: the parameter or file that states it instead, such as `up` or `intrinsic.txt`."""
+
+
+@dataclass(repr=False)
 class FloorMap(ShortRepr):
     """Metadata of a scene's floor map in the format of the ROS `map_server`. The JSON is also valid YAML. The upper left pixel has the
     smallest x and the largest y.
@@ -918,9 +945,11 @@ class ImportReport(ShortRepr):
     them.
     """
     warnings: list[str]
-    """Unusual but accepted properties, each with its file or frame."""
+    """The texts of the findings that can make results worse."""
     cloud_points: Optional[int] = None
     """Number of points in the archive's own cloud. `null` if the cloud is fused from the frames."""
+    findings: list[Finding] = field(default_factory=list)
+    """What was read, left out, assumed and changed. Empty in records from older versions."""
     levelling: Optional[Levelling] = None
     reprojection_agreement: Optional[float] = None
     """Share of sampled points that agree with the depth pictures they project into, `0..=1`. `null` if it could not be measured."""

@@ -3,6 +3,7 @@
 use super::{FrameRef, ImportReport, PointCloud};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
+use uniground_types::findings::{Finding, FindingSubject};
 
 /// A scan in canonical form. The cloud is in memory; frames are decoded one at a time where needed.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -70,6 +71,8 @@ impl SceneBundle {
             report.frames += addition.frames.len() as u32;
             report.frames_skipped += addition.frames_skipped;
             report.warnings.extend(addition.warnings.iter().cloned());
+            let findings = addition.warnings.iter();
+            report.findings.extend(findings.map(|w| Finding::unusual(FindingSubject::Frames, w)));
             frames.extend(addition.frames.iter().cloned());
         }
         (report, frames)

@@ -5,6 +5,7 @@ use crate::IngestError;
 use camino::Utf8Path;
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::{MAX_COORDINATE_M, Point3};
+use uniground_types::findings::Finding;
 
 /// A cloud in the file's own axes and units, with its offset subtracted.
 #[derive(Debug)]
@@ -20,8 +21,30 @@ pub struct LoadedCloud {
     pub has_color: bool,
     /// The cloud was thinned out: one of this many points was kept.
     pub thinned: usize,
-    /// What was guessed about the file, one sentence each.
-    pub guesses: Vec<String>,
+    /// What was assumed about the file.
+    pub assumptions: Vec<Finding>,
+    /// Number of points whose color channels need the range, by range, for ranges that were told
+    /// from values.
+    pub(super) in_range: [usize; 3],
+}
+
+/// Maximum share of points whose color channels exceed a range that are errors of the file.
+const OUTLIER_SHARE: f64 = 0.001;
+
+impl LoadedCloud {
+    /// Returns a narrower range of color channels that all but a few points keep to.
+    pub(super) fn narrower_color_range(&self) -> Option<ColorRange> {
+        let all: usize = self.in_range.iter().sum();
+        let few = |points: usize| points > 0 && points as f64 <= OUTLIER_SHARE * all as f64;
+        let [_, bytes, words] = self.in_range;
+        if few(bytes + words) {
+            Some(ColorRange::Unit)
+        } else if few(words) && bytes > 0 {
+            Some(ColorRange::Bytes)
+        } else {
+            None
+        }
+    }
 }
 
 /// Limits on the number of points that a file announces and that are kept.
@@ -51,8 +74,9 @@ pub(super) struct CloudBuilder {
     loaded: LoadedCloud,
     bounds: CloudBounds,
     origin: Option<[f64; 3]>,
-    /// The range of the color channels so far.
+    /// The range of the color channels so far, and the widest allowed one.
     range: ColorRange,
+    widest: ColorRange,
     seen: usize,
 }
 
@@ -77,15 +101,14 @@ impl ColorRange {
         }
     }
 
-    /// Returns the range of a channel this large, if it is a wider one. Values slightly above the
-    /// end are rounding errors.
-    fn widened(self, channel: f64) -> Option<Self> {
-        let needed = match channel {
+    /// Returns the narrowest range that holds a channel. Values slightly above the end are rounding
+    /// errors.
+    fn needed_for(channel: f64) -> Self {
+        match channel {
             v if v < 2.0 => Self::Unit,
             v if v < 256.0 => Self::Bytes,
             _ => Self::Words,
-        };
-        (needed > self).then_some(needed)
+        }
     }
 
     /// Returns the level of a channel, 0 to 255. Values outside of the range saturate.
@@ -104,13 +127,21 @@ impl CloudBuilder {
             without_color: 0,
             has_color: false,
             thinned: 1,
-            guesses: Vec::new(),
+            assumptions: Vec::new(),
+            in_range: [0; 3],
         };
         let origin = match origin {
             CoordinateOrigin::Free => None,
             CoordinateOrigin::At(at) => Some(at),
         };
-        Self { loaded, bounds: *bounds, origin, range: ColorRange::Unit, seen: 0 }
+        Self {
+            loaded,
+            bounds: *bounds,
+            origin,
+            range: ColorRange::Unit,
+            widest: ColorRange::Words,
+            seen: 0,
+        }
     }
 
     /// Sets the expected number of points and allocates memory for those that are kept.
@@ -157,7 +188,12 @@ impl CloudBuilder {
 
     /// Sets the narrowest range that the color channels can have.
     pub fn set_color_range(&mut self, range: ColorRange) {
-        self.range = range;
+        self.range = range.min(self.widest);
+    }
+
+    /// Limits the range of the color channels. Channels beyond it saturate.
+    pub fn limit_color_range(&mut self, widest: ColorRange) {
+        self.widest = widest;
     }
 
     /// Adds a point with its color channels as they are in the file. Channels that are not numbers
@@ -166,8 +202,11 @@ impl CloudBuilder {
     pub fn push_channels(&mut self, position: [f64; 3], channels: [f64; 3]) {
         // An infinite channel tells nothing about the others.
         let largest = channels.into_iter().filter(|v| v.is_finite()).fold(0.0, f64::max);
-        if let Some(wider) = self.range.widened(largest) {
-            self.widen_range(wider);
+        let needed = ColorRange::needed_for(largest);
+        // Black tells nothing about the range.
+        self.loaded.in_range[needed as usize] += usize::from(largest > 0.0);
+        if needed.min(self.widest) > self.range {
+            self.widen_range(needed.min(self.widest));
         }
         let level = |v: f64| if v.is_nan() { GREY[0] } else { self.range.to_level(v) };
         let before = self.loaded.cloud.len();
@@ -187,9 +226,9 @@ impl CloudBuilder {
         self.range = wider;
     }
 
-    /// Records what was guessed about the file, as a sentence for its user.
-    pub fn add_guess(&mut self, guess: String) {
-        self.loaded.guesses.push(guess);
+    /// Records what was assumed about the file.
+    pub fn add_assumption(&mut self, assumption: Finding) {
+        self.loaded.assumptions.push(assumption);
     }
 
     /// Returns whether the file contains color.

@@ -21,6 +21,7 @@ pub(super) use gathered::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use std::fs::File;
 use std::io::Read;
 use uniground_geometry::up_axis::UpAxis;
+use uniground_types::findings::{Finding, FindingSubject};
 
 /// A format of point clouds or meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -147,7 +148,29 @@ pub(super) fn read(
     origin: CoordinateOrigin,
 ) -> Result<LoadedCloud, IngestError> {
     let kind = detect_kind(root, file)?;
-    let gathered = CloudBuilder::new(kind, bounds, origin);
+    let loaded = read_with(root, file, kind, CloudBuilder::new(kind, bounds, origin))?;
+    // The range of colors is told from the values, and a single wrong one must not darken all
+    // others.
+    let Some(range) = loaded.narrower_color_range() else { return Ok(loaded) };
+    let mut limited = CloudBuilder::new(kind, bounds, origin);
+    limited.limit_color_range(range);
+    let outliers: usize = loaded.in_range[range as usize + 1..].iter().sum();
+    limited.add_assumption(
+        Finding::assumed(
+            FindingSubject::Color,
+            format!("the colors of {outliers} points exceed the range of the others: cut off"),
+        )
+        .counting(outliers),
+    );
+    read_with(root, file, kind, limited)
+}
+
+fn read_with(
+    root: &Utf8Path,
+    file: &Utf8Path,
+    kind: CloudKind,
+    gathered: CloudBuilder,
+) -> Result<LoadedCloud, IngestError> {
     let gathered = match kind {
         CloudKind::Ply => ply::read(root, file, gathered),
         CloudKind::Pcd => pcd::read(root, file, gathered),

@@ -9,6 +9,7 @@ use camino::Utf8Path;
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufRead, BufReader};
+use uniground_types::findings::{Finding, FindingSubject};
 
 const MAX_LINE_BYTES: u64 = 4 << 10;
 /// Number of lines that are used to detect the columns.
@@ -22,8 +23,8 @@ struct Columns {
     position: [usize; 3],
     /// The columns of red, green and blue, and the range of their first values.
     color: Option<([usize; 3], ColorRange)>,
-    /// What was guessed, for the file's user.
-    guess: Option<String>,
+    /// What was assumed.
+    assumption: Option<Finding>,
 }
 
 /// Returns whether a file begins with lines of at least three numbers, after at most a heading or a
@@ -88,7 +89,7 @@ pub(super) fn read(
     let columns = detect_columns(root, file)?;
     gathered.set_has_color(columns.color.is_some());
     columns.color.iter().for_each(|(_, range)| gathered.set_color_range(*range));
-    columns.guess.into_iter().for_each(|guess| gathered.add_guess(guess));
+    columns.assumption.into_iter().for_each(|assumption| gathered.add_assumption(assumption));
     let mut source = open(root, file)?;
     let mut line = Vec::new();
     let (mut number, mut skipped) = (0_usize, 0_usize);
@@ -160,7 +161,7 @@ fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestErr
         if shares { ColorRange::Unit } else { ColorRange::Bytes }
     };
     if let Some((position, color)) = heading {
-        return Ok(Columns { position, color: color.map(|at| (at, range(at))), guess: None });
+        return Ok(Columns { position, color: color.map(|at| (at, range(at))), assumption: None });
     }
     let count = rows.iter().map(Vec::len).min().unwrap_or(3);
     let is_color = |first: &usize| {
@@ -181,17 +182,28 @@ fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestErr
         likeness + if first == expected { 0.5 } else { 0.0 }
     };
     let best = candidates.iter().rev().copied().max_by(|a, b| score(*a).total_cmp(&score(*b)));
-    let guess = best.filter(|_| candidates.len() > 1).map(|first| {
-        format!(
-            "columns {} to {} are read as the color, which others could be too: a heading such as \"x y z r g b label\" settles it",
+    let next = candidates
+        .iter()
+        .filter(|first| Some(**first) != best)
+        .map(|first| score(*first))
+        .max_by(f64::total_cmp);
+    let assumption = best.map(|first| {
+        let others = if next.is_some() { ", which others could be too" } else { "" };
+        let text = format!(
+            "columns {} to {} are read as the color{others}: a heading such as \"x y z r g b label\" settles it",
             first + 1,
             first + 3
-        )
+        );
+        let lead = next.map(|next| score(first) - next);
+        let finding = Finding::assumed(FindingSubject::Color, text)
+            .with_confidence(lead.map(|lead| 1.0 / (1.0 + (-4.0 * lead as f32).exp())))
+            .stated_with("heading");
+        if lead.is_some() { finding } else { finding.without_warning() }
     });
     Ok(Columns {
         position: [0, 1, 2],
         color: best.map(|f| [f, f + 1, f + 2]).map(|at| (at, range(at))),
-        guess,
+        assumption,
     })
 }
 
@@ -328,7 +340,8 @@ mod tests {
         let colors = |name: &str, line: &dyn Fn(u32) -> String| {
             let text: String = (0..300).map(|i| line(i) + "\n").collect();
             let loaded = read_text(name, text.as_bytes()).unwrap();
-            assert_eq!(loaded.guesses.len(), 1, "{:?}", loaded.guesses);
+            let [assumption] = &loaded.assumptions[..] else { panic!("{:?}", loaded.assumptions) };
+            assert!(assumption.warning && assumption.confidence.unwrap() > 0.5);
             loaded.cloud.colors
         };
         let expected: Vec<[u8; 3]> = (0..300).map(|i| row(i).3.map(|v| v as u8)).collect();

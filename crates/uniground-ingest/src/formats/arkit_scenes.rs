@@ -5,6 +5,7 @@
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::parse;
+use super::trajectory::{TimedPose, pose_at};
 use super::{entry_path, incomplete, intrinsics, pairing};
 use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
@@ -13,6 +14,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::{Matrix4, Rotation3, Vector3};
 use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics, PoseConvention};
 use uniground_geometry::up_axis::UpAxis;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "an ARKitScenes scan";
 const TRAJECTORY: &str = "lowres_wide.traj";
@@ -58,7 +60,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     let trajectory = inner.join(TRAJECTORY);
     let mut poses = read_poses(root, &trajectory)?;
-    poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+    poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     let list = |name: &str, endings: &[&str]| match root.join(&inner).join(name).is_dir() {
         true => folder.files(inner.join(name).as_str(), endings),
         false => Ok(Vec::new()),
@@ -80,7 +82,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let mut last_camera: Option<(usize, Intrinsics)> = None;
     let mut left_out = 0;
     for (i, picture) in color.iter().enumerate() {
-        let pose = own[i].and_then(|time| super::trajectory::pose_at(&poses, time, POSE_WITHIN_S));
+        let pose = own[i].and_then(|time| pose_at(&poses, time, POSE_WITHIN_S));
         let (Some(pose), Some(depth_at), Some(camera_at)) = (pose, depth_of[i], camera_of[i])
         else {
             left_out += 1;
@@ -115,10 +117,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         ));
     }
     if left_out > 0 {
-        scan.warnings.push(format!(
+        let text = format!(
             "{left_out} of {} pictures skipped: no depth, camera or pose at the same time",
             color.len()
-        ));
+        );
+        scan.findings.push(Finding::left_out(FindingSubject::Frames, text).counting(left_out));
     }
     scan.cloud =
         folder.clouds(&["_3dod_mesh.ply"]).into_iter().find(|file| file.extension() == Some("ply"));
@@ -126,7 +129,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Reads lines of time, rotation (axis times angle) and translation.
-fn read_poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<(f64, Matrix4<f64>)>, IngestError> {
+fn read_poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<TimedPose>, IngestError> {
     let text = read_text(root, file, MAX_TRAJECTORY_BYTES)?;
     let mut poses = Vec::new();
     for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
@@ -138,7 +141,8 @@ fn read_poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<(f64, Matrix4<f64>
             ));
         };
         let rotation = Rotation3::new(Vector3::new(*rx, *ry, *rz)).to_homogeneous();
-        poses.push((*time, Matrix4::new_translation(&Vector3::new(*x, *y, *z)) * rotation));
+        let pose = Matrix4::new_translation(&Vector3::new(*x, *y, *z)) * rotation;
+        poses.push(TimedPose { time_s: *time, pose, id: None });
         if poses.len() > 10 * MAX_FRAMES {
             return Err(IngestError::malformed(file, "it has too many lines"));
         }

@@ -5,6 +5,7 @@ use super::files::FolderListing;
 use super::incomplete;
 use crate::IngestError;
 use crate::scan::Scan;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "a COLMAP reconstruction";
 const CLOUDS: &[&str] = &["fused.ply", "dense/fused.ply", "dense/0/fused.ply"];
@@ -23,7 +24,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         ));
     };
     let mut scan = Scan::new(&folder.root, "colmap-dense");
-    scan.warnings.push("its pictures are ignored: they have no depth".into());
+    let text = "its pictures are ignored: they have no depth";
+    scan.findings.push(Finding::left_out(FindingSubject::Frames, text));
     scan.has_scale = false;
     scan.cloud = Some(cloud);
     Ok(scan)

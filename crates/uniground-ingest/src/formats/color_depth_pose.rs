@@ -4,13 +4,18 @@
 
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::read_pose;
-use super::trajectory::{self, Trajectory};
+use super::trajectory::{self, TimedPose, Trajectory};
 use super::{entry_path, intrinsics, pairing};
 use crate::IngestError;
 use crate::scan::{RawFrame, Scan, usual_depth_scale_m};
 use camino::Utf8PathBuf;
+use std::collections::BTreeMap;
 use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
+use uniground_types::findings::{Finding, FindingSubject};
 
+const LOOKS_LIKE: &str = "a folder of pictures";
+const NO_POSES: &str = "camera poses are needed: add pose/ with a 4x4 camera-to-world matrix for each picture, or poses.txt. Scanner apps and SLAM programs write them";
+const NO_DEPTH: &str = "depth pictures are needed: add depth/ with 16-bit pictures in millimeters, or upload a point cloud alone";
 const COLOR: &[&str] = &["color", "colour", "rgb", "image", "images"];
 const DEPTH: &[&str] = &["depth", "depths"];
 const POSE: &[&str] = &["pose", "poses"];
@@ -28,13 +33,13 @@ pub(super) fn can_read_posed(folder: &FolderListing) -> bool {
 }
 
 pub(super) fn can_read(folder: &FolderListing) -> bool {
-    ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name))
+    [COLOR, DEPTH, POSE].iter().any(|names| folder.first_folder(names).is_some())
 }
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let mut scan = Scan::new(&folder.root, "color-depth-pose");
     scan.cloud = find_cloud(folder);
-    let list = |names: &[&'static str], endings: &[&str]| {
+    let list = |names: &[&str], endings: &[&str]| {
         folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings))
     };
     let pictures = ScanImages {
@@ -54,6 +59,16 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     check_kinds(folder, DEPTH, &pictures.depth, DEPTHS)?;
     if let PoseFiles::Files(files) = &poses {
         check_kinds(folder, POSE, files, &["txt"])?;
+    }
+    let has_poses = match &poses {
+        PoseFiles::Files(files) => !files.is_empty(),
+        PoseFiles::List(..) => true,
+    };
+    if !has_poses && !(pictures.color.is_empty() && pictures.depth.is_empty()) {
+        return Err(super::incomplete(LOOKS_LIKE, NO_POSES));
+    }
+    if pictures.depth.is_empty() && !pictures.color.is_empty() {
+        return Err(super::incomplete(LOOKS_LIKE, NO_DEPTH));
     }
     let Some(first) = pictures.color.first() else {
         return match pictures.depth.first() {
@@ -75,7 +90,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 /// Refuses a folder that holds only files of kinds that are not read, such as `.npy` or `.webp`.
 fn check_kinds(
     folder: &FolderListing,
-    names: &[&'static str],
+    names: &[&str],
     found: &[Utf8PathBuf],
     kinds: &[&str],
 ) -> Result<(), IngestError> {
@@ -157,7 +172,15 @@ pub(super) fn add_frames(
     unmatched: UnmatchedImages,
 ) -> Result<(), IngestError> {
     let ScanImages { color, depth, confidence } = pictures;
-    let depth_of = pairing::match_files(color, depth);
+    let (depth_of, by) = pairing::match_files_by(color, depth);
+    let found = depth_of.iter().flatten().count();
+    let text = format!("color and depth pictures are paired by {by}: {found} of {}", color.len());
+    scan.findings.push(
+        Finding::assumed(FindingSubject::Frames, text)
+            .without_warning()
+            .counting(found)
+            .stated_with("scene.json"),
+    );
     let pose_of = match_poses(color, poses)?;
     let confidence_of = pairing::match_files(color, confidence);
     let mut alone: Vec<Utf8PathBuf> = Vec::new();
@@ -215,11 +238,16 @@ pub(super) fn add_frames(
             return Err(pictures.count_mismatch_error(poses, first));
         }
         UnmatchedImages::LeftOut if !alone.is_empty() => {
-            scan.warnings.push(format!(
+            let text = format!(
                 "{} pictures skipped, no other file has the same time; the first: {}",
                 alone.len(),
                 alone[0]
-            ));
+            );
+            scan.findings.push(
+                Finding::left_out(FindingSubject::Frames, text)
+                    .in_file(alone[0].as_str())
+                    .counting(alone.len()),
+            );
         }
         UnmatchedImages::LeftOut => {}
     }
@@ -258,13 +286,24 @@ fn match_poses(
         }
         PoseFiles::List(Trajectory::Timed(poses), file) => {
             let mut poses = poses.clone();
-            poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+            poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
             let at = |picture: &Utf8PathBuf| {
                 let time = pairing::parse_seconds(picture)?;
                 let pose = trajectory::pose_at(&poses, time, pairing::SAME_MOMENT_S)?;
                 Some(PoseSource::At(pose, entry_path(file, format_args!("time {time}"))))
             };
-            color.iter().map(at).collect()
+            let by_time: Vec<_> = color.iter().map(at).collect();
+            // Pictures can be named by the numbers in the list instead of by their times.
+            let numbered: BTreeMap<u64, &TimedPose> =
+                poses.iter().filter_map(|pose| Some((pose.id?, pose))).collect();
+            let with_id = |picture: &Utf8PathBuf| {
+                let id = pairing::last_number(picture)?;
+                let pose = numbered.get(&id)?.pose;
+                Some(PoseSource::At(pose, entry_path(file, format_args!("number {id}"))))
+            };
+            let by_id: Vec<_> = color.iter().map(with_id).collect();
+            let found = |poses: &[Option<PoseSource>]| poses.iter().flatten().count();
+            if found(&by_id) > found(&by_time) { by_id } else { by_time }
         }
     })
 }

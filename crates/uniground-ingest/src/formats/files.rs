@@ -46,14 +46,23 @@ impl FolderListing {
         self.root.join(name).is_dir()
     }
 
-    /// Returns the first of `names` that is a folder here.
-    pub fn first_folder(&self, names: &[&'static str]) -> Option<&'static str> {
-        names.iter().copied().find(|name| self.has_folder(name))
+    /// Returns the first of `names` that is a folder here, in upper or lower case.
+    pub fn first_folder(&self, names: &[&str]) -> Option<&str> {
+        self.names_like(names).find(|name| self.has_folder(name))
     }
 
-    /// Returns the first of `names` that is a file here.
-    pub fn first_file(&self, names: &[&'static str]) -> Option<Utf8PathBuf> {
-        names.iter().find(|name| self.has_file(name)).map(Utf8PathBuf::from)
+    /// Returns the first of `names`, which can be paths, that is a file here, in upper or lower
+    /// case.
+    pub fn first_file(&self, names: &[&str]) -> Option<Utf8PathBuf> {
+        let exact = names.iter().copied().find(|name| self.has_file(name));
+        exact.or_else(|| self.names_like(names).find(|name| self.has_file(name))).map(Into::into)
+    }
+
+    /// Returns the entries with these names in upper or lower case, in the order of `names`.
+    fn names_like(&self, names: &[&str]) -> impl Iterator<Item = &str> {
+        names.iter().flat_map(|wanted| {
+            self.names.iter().filter(|name| name.eq_ignore_ascii_case(wanted)).map(String::as_str)
+        })
     }
 
     /// Returns the only folder in this one, if all files beside it are documents.
@@ -185,6 +194,11 @@ fn extension_of(name: &str) -> Option<String> {
     Utf8Path::new(name).extension().map(str::to_ascii_lowercase)
 }
 
+/// Returns whether a file or folder is hidden or was added by an operating system.
+pub(crate) fn is_of_system(name: &str) -> bool {
+    name.starts_with('.') || OF_SYSTEMS.contains(&name.to_ascii_lowercase().as_str())
+}
+
 /// Returns the names in a folder, sorted, without hidden files and those of operating systems.
 fn list_names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
     let io =
@@ -192,7 +206,7 @@ fn list_names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(io)? {
         let name = entry.map_err(io)?.file_name().to_string_lossy().into_owned();
-        if !name.starts_with('.') && !OF_SYSTEMS.contains(&name.to_ascii_lowercase().as_str()) {
+        if !is_of_system(&name) {
             names.push(name);
         }
     }

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use uniground_geometry::scene::Intrinsics;
 
 /// Usual names of color camera matrices, the most common first.
-const NAMES: [&str; 12] = [
+const NAMES: [&str; 15] = [
     "intrinsic.txt",
     "intrinsics.txt",
     "intrinsic/intrinsic_color.txt",
@@ -20,6 +20,9 @@ const NAMES: [&str; 12] = [
     "camera-intrinsics.txt",
     "camera_intrinsics.txt",
     "camera_matrix.txt",
+    "K.txt",
+    "cam_K.txt",
+    "camera_K.txt",
     "intrinsic.json",
     "camera_intrinsic.json",
     "intrinsics.json",
@@ -32,6 +35,45 @@ struct Open3d {
     width: u32,
     height: u32,
     intrinsic_matrix: Vec<f32>,
+}
+
+/// A camera by its parameters.
+#[derive(Deserialize)]
+struct NamedParameters {
+    #[serde(alias = "w")]
+    width: Option<u32>,
+    #[serde(alias = "h")]
+    height: Option<u32>,
+    #[serde(alias = "fl_x")]
+    fx: f32,
+    #[serde(alias = "fl_y")]
+    fy: f32,
+    #[serde(alias = "ppx")]
+    cx: f32,
+    #[serde(alias = "ppy")]
+    cy: f32,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum JsonCamera {
+    Matrix(Open3d),
+    Named(NamedParameters),
+}
+
+/// Names of the parameters in text files.
+const PARAMETERS: [&str; 4] = ["fx", "fy", "cx", "cy"];
+
+/// Returns the values of `fx`, `fy`, `cx` and `cy`, if a text gives them by name.
+fn named_parameters(text: &str) -> Option<[f64; 4]> {
+    let separates = |c: char| c.is_whitespace() || ",;:={}\"'".contains(c);
+    let words: Vec<&str> = text.split(separates).filter(|word| !word.is_empty()).collect();
+    let value = |name: &str| {
+        let at = words.iter().position(|word| word.eq_ignore_ascii_case(name))?;
+        words.get(at + 1)?.parse().ok()
+    };
+    let [fx, fy, cx, cy] = PARAMETERS.map(value);
+    Some([fx?, fy?, cx?, cy?])
 }
 
 /// Returns the file with the color camera's matrix.
@@ -50,8 +92,8 @@ pub(super) fn read_color_intrinsics(
     }
 }
 
-/// Reads a 3x3 or 4x4 matrix, four numbers `fx fy cx cy`, or Open3D's JSON. Without a size of its
-/// own, the picture's size is used.
+/// Reads a 3x3 or 4x4 matrix, four numbers `fx fy cx cy` with or without their names, or JSON with
+/// Open3D's matrix or with these names. Without a size of its own, the picture's size is used.
 pub(super) fn read_intrinsics(
     root: &Utf8Path,
     file: &Utf8Path,
@@ -59,9 +101,23 @@ pub(super) fn read_intrinsics(
 ) -> Result<Intrinsics, IngestError> {
     if file.extension() == Some("json") {
         let text = read_text(root, file, MAX_JSON_BYTES)?;
-        let camera: Open3d =
-            serde_json::from_str(&text).map_err(|e| IngestError::malformed(file, e))?;
-        let Open3d { width, height, intrinsic_matrix } = camera;
+        let camera: JsonCamera = serde_json::from_str(&text).map_err(|_| {
+            IngestError::malformed(
+                file,
+                "expected width, height and intrinsic_matrix (9 numbers, column by column), or fx, fy, cx and cy",
+            )
+        })?;
+        let Open3d { width, height, intrinsic_matrix } = match camera {
+            JsonCamera::Matrix(camera) => camera,
+            JsonCamera::Named(NamedParameters { width, height, fx, fy, cx, cy }) => {
+                let own =
+                    intrinsics_from_values(root, file, &[fx, fy, cx, cy].map(f64::from), picture)?;
+                return Ok(match (width, height) {
+                    (Some(width), Some(height)) => Intrinsics { width, height, ..own },
+                    _ => own,
+                });
+            }
+        };
         return match intrinsic_matrix[..] {
             [fx, _, _, _, fy, _, cx, cy, _] => Ok(Intrinsics { width, height, fx, fy, cx, cy }),
             _ => Err(IngestError::malformed(
@@ -69,6 +125,9 @@ pub(super) fn read_intrinsics(
                 format!("intrinsic_matrix has {} numbers, 9 are expected", intrinsic_matrix.len()),
             )),
         };
+    }
+    if let Some(values) = named_parameters(&read_text(root, file, MAX_JSON_BYTES)?) {
+        return intrinsics_from_values(root, file, &values, picture);
     }
     let values = read_numbers(root, file)?;
     intrinsics_from_values(root, file, &values, picture)

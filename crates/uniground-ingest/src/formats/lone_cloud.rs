@@ -5,6 +5,7 @@ use super::files::FolderListing;
 use crate::IngestError;
 use crate::clouds::CloudKind;
 use crate::scan::Scan;
+use uniground_types::findings::{Finding, FindingSubject};
 
 pub(super) fn can_read(folder: &FolderListing) -> bool {
     let posed = ["color", "depth", "pose"].iter().any(|name| folder.has_folder(name));
@@ -20,11 +21,16 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         CloudKind::detect(&folder.root.join(cloud)).map_or("ply", CloudKind::name),
     );
     if clouds.len() > 1 {
-        scan.warnings.push(format!(
+        let text = format!(
             "{cloud} is used; {} other clouds are ignored, the first: {}",
             clouds.len() - 1,
             clouds[1]
-        ));
+        );
+        scan.findings.push(
+            Finding::left_out(FindingSubject::Cloud, text)
+                .in_file(clouds[1].as_str())
+                .counting(clouds.len() - 1),
+        );
     }
     scan.cloud = Some(cloud.clone());
     Ok(scan)

@@ -31,6 +31,7 @@ use super::scan::Scan;
 use super::{IngestError, MAX_FRAMES};
 use camino::{Utf8Path, Utf8PathBuf};
 use files::FolderListing;
+pub(super) use files::is_of_system;
 
 /// A layout of a scan's files.
 struct Layout {

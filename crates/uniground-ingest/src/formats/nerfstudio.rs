@@ -11,6 +11,7 @@ use crate::scan::{CameraAxes, RawFrame, Scan, picture_size, usual_depth_scale_m}
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
 use uniground_geometry::scene::{FrameIndex, Intrinsics, Lens, Optics};
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "a nerfstudio or instant-ngp scene (transforms.json)";
 const FILE: &str = "transforms.json";
@@ -147,10 +148,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
                 "its frames have no depth_file_path and there is no cloud: pictures alone are not supported, add depth or a cloud in meters",
             ));
         }
-        scan.warnings.push(format!(
-            "{} pictures are ignored: they have no depth (depth_file_path), only the cloud is used",
-            transforms.frames.len()
-        ));
+        let count = transforms.frames.len();
+        let text = format!(
+            "{count} pictures are ignored: they have no depth (depth_file_path), only the cloud is used"
+        );
+        scan.findings.push(Finding::left_out(FindingSubject::Frames, text).counting(count));
         return Ok(scan);
     }
     if let Some(scale) =

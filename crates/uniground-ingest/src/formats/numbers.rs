@@ -8,25 +8,34 @@ use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
 /// Maximum size of a matrix file. A matrix of 16 numbers is far shorter.
 const MAX_MATRIX_BYTES: u64 = 16 << 10;
 
-/// Reads a short file of numbers separated by white space or commas.
+/// Reads a short file of numbers, separated as [`parse`] accepts it.
 pub(super) fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f64>, IngestError> {
     let text = read_text(root, file, MAX_MATRIX_BYTES)?;
     parse(&text).map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))
 }
 
-/// Parses numbers separated by white space or commas. Returns the first invalid word as an error.
+/// Parses numbers separated by white space, commas, semicolons or brackets, as programs print
+/// matrices. Returns the first invalid word as an error.
 pub(super) fn parse(text: &str) -> Result<Vec<f64>, &str> {
-    let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
+    let separates = |c: char| c.is_whitespace() || ",;[](){}".contains(c);
+    let words = text.split(separates).filter(|word| !word.is_empty());
     words.map(|word| word.parse().map_err(|_| word)).collect()
 }
 
-/// Reads a row-major 4x4 pose. A 3x4 matrix without the last row is accepted.
+/// Reads a pose: a row-major 4x4 matrix, a 3x4 matrix without the last row, or a position and a
+/// quaternion (`x y z qx qy qz qw`), with or without a time before them.
 pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>, IngestError> {
     let values = read_numbers(root, file)?;
+    if let [x, y, z, qx, qy, qz, qw] | [_, x, y, z, qx, qy, qz, qw] = values[..] {
+        return Ok(pose_from_quaternion([x, y, z], [qx, qy, qz, qw]));
+    }
     matrix_from_values(&values).ok_or_else(|| {
         IngestError::malformed(
             file,
-            format!("a pose has 16 numbers (4x4), this file has {}", values.len()),
+            format!(
+                "a pose has 16 numbers (4x4), or 7 (position and quaternion), this file has {}",
+                values.len()
+            ),
         )
     })
 }

@@ -11,6 +11,7 @@ use crate::IngestError;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::Intrinsics;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "an Open3D scene with a trajectory log";
 const COLOR: &[&str] = &["color", "image", "rgb"];
@@ -48,9 +49,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let color = if intrinsics::find_color_file(folder).is_some() {
         intrinsics::read_color_intrinsics(folder, first)?
     } else {
-        scan.warnings.push(
-            "unknown camera: a PrimeSense (525 525 319.5 239.5) is assumed; add intrinsic.txt or camera_intrinsic.json if that is wrong"
-                .into(),
+        scan.findings.push(
+            Finding::assumed(
+                FindingSubject::Camera,
+                "unknown camera: a PrimeSense (525 525 319.5 239.5) is assumed; add intrinsic.txt or camera_intrinsic.json if that is wrong",
+            )
+            .stated_with("intrinsic.txt"),
         );
         PRIMESENSE
     };

@@ -56,6 +56,14 @@ fn without_role(file: &Utf8Path) -> String {
 /// Finds for each file of `first` its match in `second`: by name, number or time, whichever gives
 /// the most matches.
 pub(super) fn match_files(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Option<usize>> {
+    match_files_by(first, second).0
+}
+
+/// Returns the matches as [`match_files`] does, and what they were found by.
+pub(super) fn match_files_by(
+    first: &[Utf8PathBuf],
+    second: &[Utf8PathBuf],
+) -> (Vec<Option<usize>>, &'static str) {
     let by_name =
         match_by_key(first, second, |file| Some(without_role(file)).filter(|m| !m.is_empty()));
     let by_number = match_by_key(first, second, last_number);
@@ -64,9 +72,9 @@ pub(super) fn match_files(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<
     };
     let by_time = match_nearest_times(&times(first), &times(second), SAME_MOMENT_S);
     let found = |pairs: &Vec<Option<usize>>| pairs.iter().flatten().count();
-    let mut best = by_name;
-    for other in [by_number, by_time] {
-        if found(&other) > found(&best) {
+    let mut best = (by_name, "name");
+    for other in [(by_number, "number"), (by_time, "time")] {
+        if found(&other.0) > found(&best.0) {
             best = other;
         }
     }

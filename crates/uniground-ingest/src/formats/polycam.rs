@@ -14,6 +14,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use uniground_geometry::scene::{Confidence, FrameIndex, Intrinsics, Optics};
 use uniground_geometry::up_axis::UpAxis;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "Polycam raw data";
 const MAX_CAMERA_BYTES: u64 = 64 << 10;
@@ -112,11 +113,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);
     if !improved.is_empty() && improved.len() < frames.len() {
-        scan.warnings.push(format!(
-            "{} of {} frames have no corrected camera; their original cameras are used",
-            frames.len() - improved.len(),
+        let count = frames.len() - improved.len();
+        let text = format!(
+            "{count} of {} frames have no corrected camera; their original cameras are used",
             all.max(frames.len())
-        ));
+        );
+        scan.findings.push(Finding::unusual(FindingSubject::Camera, text).counting(count));
     }
     let mut frames: Vec<_> = frames.into_values().collect();
     frames.sort_by_cached_key(|(picture, _)| {

@@ -10,6 +10,7 @@ use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
 use uniground_geometry::scene::Intrinsics;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "a Replica sequence (NICE-SLAM)";
 const CAMERA: &str = "cam_params.json";
@@ -78,9 +79,9 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let camera = if let Some(file) = file {
         read_parameters(&folder.root, &file)?
     } else {
-        scan.warnings.push(format!(
-            "{CAMERA} is missing: assumed 1200x680, focal length 600, depth in 1/6553.5 m"
-        ));
+        let text =
+            format!("{CAMERA} is missing: assumed 1200x680, focal length 600, depth in 1/6553.5 m");
+        scan.findings.push(Finding::assumed(FindingSubject::Camera, text).stated_with(CAMERA));
         USUAL
     };
     let Camera { w: width, h: height, fx, fy, cx, cy, scale } = camera;

@@ -9,6 +9,7 @@ use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::Intrinsics;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "an RTAB-Map export";
 const MAX_CALIBRATION_BYTES: u64 = 64 << 10;
@@ -51,8 +52,14 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let mut scan = Scan::new(&folder.root, "rtabmap");
     scan.up = Some(uniground_geometry::up_axis::UpAxis::Z);
     if !file.as_str().ends_with("camera_poses.txt") {
-        scan.warnings
-            .push(format!("{file} is assumed to hold the camera's poses. If they are a robot base's, export with --poses_camera"));
+        let text = format!(
+            "{file} is assumed to hold the camera's poses. If they are a robot base's, export with --poses_camera"
+        );
+        scan.findings.push(
+            Finding::assumed(FindingSubject::Poses, text)
+                .in_file(file.as_str())
+                .stated_with("camera_poses.txt"),
+        );
     }
     let cameras = FrameCameras { color: read_camera(&folder.root, first)?, depth: None };
     let poses = PoseFiles::List(trajectory::read(&folder.root, &file)?, file);

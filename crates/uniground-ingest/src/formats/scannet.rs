@@ -11,6 +11,7 @@ use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "a ScanNet export";
 const MAX_META_BYTES: u64 = 1 << 20;
@@ -77,7 +78,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         .find(is_mesh)
         .or_else(|| super::color_depth_pose::find_cloud(folder));
     if let Some((alignment, file)) = read_alignment(folder)? {
-        scan.warnings.push(format!("{file}: its axis alignment is applied to poses and cloud"));
+        let text = format!("{file}: its axis alignment is applied to poses and cloud");
+        scan.findings.push(Finding::changed(FindingSubject::Poses, text).in_file(file.as_str()));
         scan.alignment = Some(alignment);
     }
     Ok(scan)

@@ -11,6 +11,7 @@ use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::Intrinsics;
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "a 7-Scenes or 3RScan sequence";
 const INFO: &str = "_info.txt";
@@ -86,8 +87,13 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             FrameCameras { color: intrinsics::read_color_intrinsics(folder, first)?, depth: None }
         }
         None => {
-            scan.warnings
-                .push("unknown camera: the Kinect of 7-Scenes (585 585 320 240) is assumed; add intrinsic.txt if that is wrong".into());
+            scan.findings.push(
+                Finding::assumed(
+                    FindingSubject::Camera,
+                    "unknown camera: the Kinect of 7-Scenes (585 585 320 240) is assumed; add intrinsic.txt if that is wrong",
+                )
+                .stated_with("intrinsic.txt"),
+            );
             FrameCameras { color: KINECT, depth: None }
         }
     };

@@ -15,8 +15,17 @@ const MAX_BYTES: u64 = 64 << 20;
 pub(super) enum Trajectory {
     /// One pose per frame.
     Ordered(Vec<Matrix4<f64>>),
-    /// Poses with the time of each, seconds.
-    Timed(Vec<(f64, Matrix4<f64>)>),
+    /// Poses with the time of each.
+    Timed(Vec<TimedPose>),
+}
+
+/// A pose of a moment.
+#[derive(Debug, Clone)]
+pub(super) struct TimedPose {
+    pub time_s: f64,
+    pub pose: Matrix4<f64>,
+    /// The number of the picture, where the writing program adds one: RTAB-Map's node.
+    pub id: Option<u64>,
 }
 
 /// Reads any of these formats. The number of values per line distinguishes them.
@@ -49,7 +58,7 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
         IngestError::malformed(
             file,
             format!(
-                "not a list of poses: its lines have {n} numbers, expected 8 (time, position, quaternion), 12 or 16 (matrix)"
+                "not a list of poses: its lines have {n} numbers, expected 7 or 8 (time, position, quaternion), 12 or 16 (matrix)"
             ),
         )
     };
@@ -67,12 +76,23 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
                 .collect::<Result<_, _>>()?;
             Ok(Trajectory::Ordered(poses))
         }
-        // A ninth number is an index of the writing program and is ignored.
+        7 => {
+            let pose = |row: &Vec<f64>| match row[..] {
+                [x, y, z, qx, qy, qz, qw] => Ok(pose_from_quaternion([x, y, z], [qx, qy, qz, qw])),
+                _ => Err(strange(row.len())),
+            };
+            rows.iter().map(pose).collect::<Result<_, _>>().map(Trajectory::Ordered)
+        }
         8 | 9 => {
             let timed = |row: &Vec<f64>| match row[..] {
-                [t, x, y, z, qx, qy, qz, qw, ..] => {
-                    Ok((to_seconds(t), pose_from_quaternion([x, y, z], [qx, qy, qz, qw])))
-                }
+                [t, x, y, z, qx, qy, qz, qw, ..] => Ok(TimedPose {
+                    time_s: to_seconds(t),
+                    pose: pose_from_quaternion([x, y, z], [qx, qy, qz, qw]),
+                    id: row
+                        .get(8)
+                        .filter(|id| **id >= 0.0 && id.fract() == 0.0)
+                        .map(|id| *id as u64),
+                }),
                 _ => Err(strange(row.len())),
             };
             rows.iter().map(timed).collect::<Result<_, _>>().map(Trajectory::Timed)
@@ -94,19 +114,15 @@ fn parse_log(rows: &[Vec<f64>]) -> Option<Vec<Matrix4<f64>>> {
 }
 
 /// Returns the pose nearest to a time, at most `within_s` away. Does not interpolate.
-pub(super) fn pose_at(
-    poses: &[(f64, Matrix4<f64>)],
-    time: f64,
-    within_s: f64,
-) -> Option<Matrix4<f64>> {
-    let after = poses.partition_point(|(t, _)| *t < time);
+pub(super) fn pose_at(poses: &[TimedPose], time: f64, within_s: f64) -> Option<Matrix4<f64>> {
+    let after = poses.partition_point(|pose| pose.time_s < time);
     let near = |i: Option<usize>| {
-        i.and_then(|i| poses.get(i)).filter(|(t, _)| (t - time).abs() <= within_s)
+        i.and_then(|i| poses.get(i)).filter(|pose| (pose.time_s - time).abs() <= within_s)
     };
-    let (before, next) = (near(after.checked_sub(1)), near(Some(after)));
-    match (before, next) {
-        (Some((a, _)), Some((b, pose))) if (b - time).abs() <= (time - a).abs() => Some(*pose),
-        (Some((_, pose)), _) | (None, Some((_, pose))) => Some(*pose),
+    let away = |pose: &TimedPose| (pose.time_s - time).abs();
+    match (near(after.checked_sub(1)), near(Some(after))) {
+        (Some(before), Some(next)) if away(next) <= away(before) => Some(next.pose),
+        (Some(pose), _) | (None, Some(pose)) => Some(pose.pose),
         (None, None) => None,
     }
 }
@@ -129,13 +145,14 @@ mod tests {
         for text in [
             "1 0 0 1 0 1 0 2 0 0 1 3 0 0 0 1\n",
             "1 0 0 1 0 1 0 2 0 0 1 3\n",
+            "1 2 3 0 0 0 1\n",
             "0 0 1\n1 0 0 1\n0 1 0 2\n0 0 1 3\n0 0 0 1\n",
             "# time x y z qx qy qz qw\n7.5 1 2 3 0 0 0 1\n",
             "timestamp,x,y,z,qx,qy,qz,qw\n7.5,1,2,3,0,0,0,1\n",
         ] {
             let found = match read_text_as(text).unwrap() {
                 Trajectory::Ordered(poses) => poses[0],
-                Trajectory::Timed(poses) => poses[0].1,
+                Trajectory::Timed(poses) => poses[0].pose,
             };
             assert_eq!(found, expected, "{text}");
         }

@@ -10,6 +10,7 @@ use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
 use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::{FrameIndex, Intrinsics, Lens, Optics};
+use uniground_types::findings::{Finding, FindingSubject};
 
 const LOOKS_LIKE: &str = "a TUM RGB-D sequence";
 const MAX_LIST_BYTES: u64 = 32 << 20;
@@ -45,7 +46,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             "its lines must be: timestamp tx ty tz qx qy qz qw",
         ));
     };
-    poses.sort_by(|a, b| a.0.total_cmp(&b.0));
+    poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     let mut scan = Scan::new(root, "tum-rgbd");
     scan.depth_scale_m = 1.0 / 5000.0;
     let Some(first) = color.first() else {
@@ -78,11 +79,13 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         });
     }
     if alone + untracked > 0 {
-        scan.warnings.push(format!(
+        let text = format!(
             "of {} color pictures, {alone} without a depth picture and {untracked} without a pose within {} ms are skipped",
             color.len(),
             pairing::SAME_MOMENT_S * 1000.0
-        ));
+        );
+        scan.findings
+            .push(Finding::left_out(FindingSubject::Frames, text).counting(alone + untracked));
     }
     match scan.frames.is_empty() {
         true => Err(incomplete(
@@ -147,8 +150,12 @@ fn read_camera(
     } else if named(3) {
         (of(535.4, 539.2, 320.1, 247.6), None)
     } else {
-        scan.warnings.push(
-            "unknown camera: a Kinect (525 525 319.5 239.5) is assumed; add intrinsic.txt beside the lists if that is wrong".into(),
+        scan.findings.push(
+            Finding::assumed(
+                FindingSubject::Camera,
+                "unknown camera: a Kinect (525 525 319.5 239.5) is assumed; add intrinsic.txt beside the lists if that is wrong",
+            )
+            .stated_with("intrinsic.txt"),
         );
         (of(525.0, 525.0, 319.5, 239.5), None)
     })

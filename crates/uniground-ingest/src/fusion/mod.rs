@@ -10,6 +10,7 @@ use super::IngestError;
 use frame::FusionFrame;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameError, FrameIndex, FrameRef, PointCloud, stream_frames};
+use uniground_types::findings::{Finding, FindingSubject};
 use uniground_types::settings::FusionSettings;
 use volume::{Volume, VolumeFull};
 
@@ -25,7 +26,7 @@ const COARSER: f32 = 1.5;
 pub fn fuse(
     frames: &mut Vec<FrameRef>,
     settings: &FusionSettings,
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
     progress: &Progress,
 ) -> Result<PointCloud, IngestError> {
     let mut settings = *settings;
@@ -34,7 +35,7 @@ pub fn fuse(
         if let Some(cloud) =
             try_fuse(frames, &settings, volume::MAX_BLOCKS, &mut damaged, progress)?
         {
-            remove_damaged(frames, damaged, warnings)?;
+            remove_damaged(frames, damaged, findings)?;
             return match cloud.is_empty() {
                 true => Err(IngestError::NoUsableFrames {
                     reason: "no depth measurement is confirmed by another picture".into(),
@@ -43,10 +44,9 @@ pub fn fuse(
             };
         }
         settings.voxel_m *= COARSER;
-        warnings.push(format!(
-            "the scan is large: fused with voxels of {:.0} mm",
-            settings.voxel_m * 1e3
-        ));
+        let text =
+            format!("the scan is large: fused with voxels of {:.0} mm", settings.voxel_m * 1e3);
+        findings.push(Finding::changed(FindingSubject::Cloud, text));
     }
 }
 
@@ -78,11 +78,35 @@ fn try_fuse(
     Ok((!full).then(|| volume.extract_surface()))
 }
 
+/// Decodes all pictures, and removes the few frames that cannot be decoded from `frames`, with a
+/// warning, as [`fuse`] does.
+///
+/// # Errors
+/// Returns an [`IngestError`] if more than a tenth of the frames cannot be decoded, and
+/// cancellation.
+pub fn check_pictures(
+    frames: &mut Vec<FrameRef>,
+    findings: &mut Vec<Finding>,
+    progress: &Progress,
+) -> Result<(), IngestError> {
+    let mut damaged = Vec::new();
+    stream_frames(
+        frames,
+        |frame| Ok::<_, IngestError>(frame.decode().map(drop)),
+        |i, decoded| {
+            progress.report("check_pictures", i as f32 / frames.len() as f32)?;
+            damaged.extend(decoded.err().map(|error| (frames[i].index, error)));
+            Ok(())
+        },
+    )?;
+    remove_damaged(frames, damaged, findings)
+}
+
 /// Removes damaged frames. At most a tenth may be damaged; the first few are named.
 fn remove_damaged(
     frames: &mut Vec<FrameRef>,
     damaged: Vec<(FrameIndex, FrameError)>,
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
 ) -> Result<(), IngestError> {
     const MAX_NAMED: usize = 5;
     let (count, total) = (damaged.len(), frames.len());
@@ -95,10 +119,11 @@ fn remove_damaged(
     if count > 0 {
         let named: Vec<String> =
             damaged.iter().take(MAX_NAMED).map(|(_, error)| error.to_string()).collect();
-        warnings.push(format!(
+        let text = format!(
             "{count} of {total} frames skipped, they cannot be decoded: {}",
             named.join("; ")
-        ));
+        );
+        findings.push(Finding::left_out(FindingSubject::Frames, text).counting(count));
         frames.retain(|frame| damaged.iter().all(|(index, _)| *index != frame.index));
     }
     Ok(())

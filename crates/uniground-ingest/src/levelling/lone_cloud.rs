@@ -4,8 +4,10 @@
 //! the sides: floors are wide and rooms are low; objects stand on the floor and not on the ceiling;
 //! chairs and open doors are rotated about up and about no other axis.
 
+use super::describe;
 use super::gravity::{UpFit, measure, refine};
 use super::surfaces::SurfacePatch;
+use crate::IngestError;
 use std::collections::BTreeSet;
 use uniground_geometry::scene::PointCloud;
 use uniground_geometry::statistics::quantile;
@@ -35,26 +37,43 @@ const AHEAD: f32 = 0.25;
 /// Minimum lead for a cloud that is not a room. Only Z is accepted then, the up axis of most files.
 const FAR_AHEAD: f32 = 0.6;
 
-/// Returns the up direction if it is clear. Otherwise returns the names of the possible directions.
-pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<&UpCandidate, String> {
+/// Returns the up direction if it is clear, and how clearly it leads, `0.5..1`.
+///
+/// # Errors
+/// Returns [`IngestError::UpUnknown`] with the two best directions.
+pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<(&UpCandidate, f32), IngestError> {
     let Some(best) = candidates.first() else {
-        return Err("the cloud has no flat surfaces".into());
+        return Err(IngestError::UpUnknown {
+            reason: "it has no flat surfaces".into(),
+            best: UpAxis::Z.name(),
+            next: String::new(),
+        });
     };
     let lead = best.score - candidates.get(1).map_or(0.0, |next| next.score);
     let is_room = best.width_m >= ROOM_WIDTH_M && ROOM_HEIGHT_M.contains(&best.height_m);
     if best.score >= AHEAD
         && ((is_room && lead >= AHEAD) || (is_z_up(&best.fit.up) && lead >= FAR_AHEAD))
     {
-        return Ok(best);
+        return Ok((best, 1.0 / (1.0 + (-lead / AHEAD).exp())));
     }
-    let names: Vec<&str> =
-        candidates.iter().take(2).map(|c| UpAxis::nearest(&c.fit.up).name()).collect();
-    let why = if is_room {
-        "its surfaces suggest"
-    } else {
-        "it is not a whole room, and its surfaces suggest"
+    let describe = |c: &UpCandidate| {
+        format!(
+            "{} (height {:.1} m, {})",
+            UpAxis::nearest(&c.fit.up).name(),
+            c.height_m,
+            describe(&c.fit)
+        )
     };
-    Err(format!("{why} {}", names.join(" or ")))
+    let why = if is_room { "its surfaces suggest" } else { "it is not a whole room" };
+    let readings: Vec<String> = candidates.iter().take(2).map(describe).collect();
+    Err(IngestError::UpUnknown {
+        reason: format!("{why}: {}", readings.join(", or ")),
+        best: UpAxis::nearest(&best.fit.up).name(),
+        next: candidates
+            .get(1)
+            .map(|next| format!(", or up={}", UpAxis::nearest(&next.fit.up).name()))
+            .unwrap_or_default(),
+    })
 }
 
 /// Maximum number of directions that are examined.
@@ -285,7 +304,7 @@ mod tests {
             let candidates = up_candidates(&cloud, &surfaces::patches_of_cloud(&cloud));
             let chosen = choose_up(&candidates);
             prop_assert!(chosen.is_ok(), "{chosen:?}");
-            let up = chosen.unwrap().fit.up;
+            let up = chosen.unwrap().0.fit.up;
             prop_assert!(up.dot(&(turn * Vector3::z())) > 0.998, "{up}");
         }
     }

@@ -13,10 +13,12 @@ mod surfaces;
 use super::IngestError;
 use gravity::UpFit;
 use nalgebra::UnitQuaternion;
+use surfaces::SurfacePatch;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, Levelling, PointCloud};
 use uniground_geometry::up_axis::UpAxis;
 use uniground_geometry::{Isometry3, Vector3};
+use uniground_types::findings::{Finding, FindingSubject};
 use uniground_types::settings::LevellingChoice;
 
 /// The detected up direction.
@@ -35,7 +37,10 @@ pub(super) struct UpDirection {
 pub(super) struct UpHint {
     /// The axis stated by the request or the files.
     pub up: Option<UpAxis>,
-    /// Whether an inertial sensor made the world level. Surfaces are not examined then.
+    /// Whether the axis is only that of the files' format. Programs write clouds with Z up into
+    /// formats that define Y up.
+    pub by_format: bool,
+    /// Whether an inertial sensor made the world level.
     pub by_gravity: bool,
     pub choice: LevellingChoice,
 }
@@ -43,11 +48,16 @@ pub(super) struct UpHint {
 /// A world within this angle is level enough, degrees. Surfaces determine up only to within a
 /// degree or two.
 const LEVEL_DEG: f32 = 2.5;
+/// An inertial sensor is trusted within this angle, degrees. It is more accurate than surfaces,
+/// unless the world was rotated after the scan.
+const LEVEL_BY_GRAVITY_DEG: f32 = 6.0;
 /// Surfaces are trusted when they explain this share of the examined area, this clearly, and some
 /// of them are level.
 const EXPLAINED: f32 = 0.4;
 const CLEARNESS: f32 = 0.06;
 const LEVEL_SHARE: f32 = 0.03;
+/// Minimum confidence for another up direction than the one that the files' format defines.
+const SURE_AGAINST_FORMAT: f32 = 0.85;
 /// Surfaces and cameras that differ by more than this disagree about up, degrees.
 const AGREEING_DEG: f32 = 25.0;
 
@@ -55,15 +65,15 @@ const AGREEING_DEG: f32 = 25.0;
 pub(super) fn find_up_of_frames(
     frames: &[FrameRef],
     said: UpHint,
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
     progress: &Progress,
 ) -> Result<UpDirection, IngestError> {
     let poses: Vec<_> = frames.iter().map(|frame| frame.camera_to_world).collect();
     let cameras = cameras::up_from_cameras(&poses);
     let held = UpAxis::from_cameras(&poses);
     let axis = said.up.or(held).or(cameras.map(|c| UpAxis::nearest(&c.up)));
-    if said.choice == LevellingChoice::Off || (said.by_gravity && axis.is_some()) {
-        return Ok(up_along_axis(up_without_surfaces(axis, said, warnings), None));
+    if said.choice == LevellingChoice::Off {
+        return Ok(up_along_axis(up_without_surfaces(axis, said, findings), None));
     }
     let guess = match (said.up, cameras) {
         (Some(axis), _) => Some((axis.direction(), 40.0)),
@@ -71,7 +81,7 @@ pub(super) fn find_up_of_frames(
         (None, None) => None,
     };
     let Some((guess, widest_deg)) = guess else {
-        return Ok(up_along_axis(up_without_surfaces(axis, said, warnings), None));
+        return Ok(up_along_axis(up_without_surfaces(axis, said, findings), None));
     };
     let surfaces = surfaces::sample_patches(frames, progress);
     progress.report("levelling", 1.0)?;
@@ -87,17 +97,19 @@ pub(super) fn find_up_of_frames(
         Some(cameras) => {
             (cameras.up, "cameras held without roll; surfaces are not conclusive".to_owned())
         }
-        None => return Ok(up_along_axis(up_without_surfaces(axis, said, warnings), None)),
+        None => return Ok(up_along_axis(up_without_surfaces(axis, said, findings), None)),
     };
     let axis = said.up.unwrap_or_else(|| UpAxis::nearest(&up));
-    if said.up.is_none() && axis != UpAxis::Z {
-        warnings.push(format!(
-            "the files do not state the up axis: {} is assumed from the cameras; set up= if that is wrong",
-            axis.name()
-        ));
+    if said.up.is_none() {
+        let assumed = assumed_axis(axis, "the cameras", believed.then(|| confidence_of(&fit)));
+        findings.push(if axis == UpAxis::Z { assumed.without_warning() } else { assumed });
     }
-    let least_deg = if believed { LEVEL_DEG } else { 4.0 * LEVEL_DEG };
-    Ok(rotate_upright(axis, &up, least_deg, fit.explained_share(), evidence, warnings))
+    let least_deg = match (believed, said.by_gravity) {
+        (true, true) => LEVEL_BY_GRAVITY_DEG,
+        (true, false) => LEVEL_DEG,
+        (false, _) => 4.0 * LEVEL_DEG,
+    };
+    Ok(rotate_upright(axis, &up, least_deg, fit.explained_share(), evidence, findings))
 }
 
 /// Finds up of a cloud without cameras, in the world of the files.
@@ -107,43 +119,78 @@ pub(super) fn find_up_of_frames(
 pub(super) fn find_up_of_cloud(
     cloud: &PointCloud,
     said: UpHint,
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
 ) -> Result<UpDirection, IngestError> {
-    if said.choice == LevellingChoice::Off || (said.by_gravity && said.up.is_some()) {
+    if said.choice == LevellingChoice::Off {
         // The caller asked for the files' own axes, unchanged.
-        return Ok(up_along_axis(up_without_surfaces(said.up, said, warnings), None));
+        return Ok(up_along_axis(up_without_surfaces(said.up, said, findings), None));
     }
     let surfaces = surfaces::patches_of_cloud(cloud);
-    if let Some(axis) = said.up {
-        let fit = gravity::refine(&surfaces, &axis.direction(), 20.0);
-        if !is_clear(&fit) {
-            return Ok(up_along_axis(axis, None));
+    let (axis, fit) = match said.up {
+        Some(axis) => {
+            let otherwise = if said.by_format {
+                contradicted_axis(cloud, &surfaces, axis, findings)
+            } else {
+                None
+            };
+            let fit = otherwise.map_or_else(
+                || gravity::refine(&surfaces, &axis.direction(), 20.0),
+                |(_, fit)| fit,
+            );
+            let axis = otherwise.map_or(axis, |(axis, _)| axis);
+            if !is_clear(&fit) || angle_deg(&fit.up, &axis.direction()) > AGREEING_DEG {
+                return Ok(up_along_axis(axis, None));
+            }
+            (axis, fit)
         }
-        return Ok(rotate_upright(
-            axis,
-            &fit.up,
-            LEVEL_DEG,
-            fit.explained_share(),
-            describe(&fit),
-            warnings,
-        ));
-    }
-    let candidates = lone_cloud::up_candidates(cloud, &surfaces);
-    let best =
-        lone_cloud::choose_up(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
+        None => {
+            let candidates = lone_cloud::up_candidates(cloud, &surfaces);
+            let (best, confidence) = lone_cloud::choose_up(&candidates)?;
+            let axis = UpAxis::nearest(&best.fit.up);
+            findings.push(assumed_axis(axis, "the shape of the cloud", Some(confidence)));
+            (axis, best.fit)
+        }
+    };
+    Ok(rotate_upright(axis, &fit.up, LEVEL_DEG, fit.explained_share(), describe(&fit), findings))
+}
+
+/// Returns the up direction that the cloud shows, if it clearly is another one than the axis that
+/// the files' format defines.
+fn contradicted_axis(
+    cloud: &PointCloud,
+    surfaces: &[SurfacePatch],
+    defined: UpAxis,
+    findings: &mut Vec<Finding>,
+) -> Option<(UpAxis, UpFit)> {
+    let candidates = lone_cloud::up_candidates(cloud, surfaces);
+    let (best, confidence) = lone_cloud::choose_up(&candidates).ok()?;
     let axis = UpAxis::nearest(&best.fit.up);
-    warnings.push(format!(
-        "the files do not state the up axis: {} is assumed from the shape of the cloud; set up= if that is wrong",
+    if axis == defined || confidence < SURE_AGAINST_FORMAT {
+        return None;
+    }
+    let text = format!(
+        "the format defines {} up, but the cloud stands along {}, which is used; set up={} if that is wrong",
+        defined.name(),
+        axis.name(),
+        defined.name()
+    );
+    findings.push(
+        Finding::assumed(FindingSubject::Up, text).with_confidence(confidence).stated_with("up"),
+    );
+    Some((axis, best.fit))
+}
+
+fn assumed_axis(axis: UpAxis, from: &str, confidence: Option<f32>) -> Finding {
+    let text = format!(
+        "the files do not state the up axis: {} is assumed from {from}; set up= if that is wrong",
         axis.name()
-    ));
-    Ok(rotate_upright(
-        axis,
-        &best.fit.up,
-        LEVEL_DEG,
-        best.fit.explained_share(),
-        describe(&best.fit),
-        warnings,
-    ))
+    );
+    Finding::assumed(FindingSubject::Up, text).with_confidence(confidence).stated_with("up")
+}
+
+/// Returns how clearly surfaces support a direction over the next best one, `0.5..1`.
+fn confidence_of(fit: &UpFit) -> f32 {
+    1.0 / (1.0 + (-fit.clearness / CLEARNESS).exp())
 }
 
 fn is_clear(fit: &UpFit) -> bool {
@@ -154,25 +201,27 @@ fn describe(fit: &UpFit) -> String {
     format!(
         "{:.0}% of the surfaces are level with it and {:.0}% upright",
         fit.level * 100.0,
-        fit.upright * 100.0
+        fit.upright.abs() * 100.0
     )
 }
 
 /// Returns the stated axis, or the one that the cameras hold up, without examining surfaces. Falls
 /// back to Z. Adds a warning unless the axis was stated.
-fn up_without_surfaces(axis: Option<UpAxis>, said: UpHint, warnings: &mut Vec<String>) -> UpAxis {
+fn up_without_surfaces(axis: Option<UpAxis>, said: UpHint, findings: &mut Vec<Finding>) -> UpAxis {
     let Some(axis) = axis else {
-        warnings.push(
-            "the files do not state the up axis: z is assumed, the cameras do not agree; set up= if that is wrong"
-                .into(),
+        findings.push(
+            Finding::assumed(
+                FindingSubject::Up,
+                "the files do not state the up axis: z is assumed, the cameras do not agree; set up= if that is wrong",
+            )
+            .with_confidence(0.5)
+            .stated_with("up"),
         );
         return UpAxis::Z;
     };
-    if said.up.is_none() && axis != UpAxis::Z {
-        warnings.push(format!(
-            "the files do not state the up axis: {} is assumed from the cameras; set up= if that is wrong",
-            axis.name()
-        ));
+    if said.up.is_none() {
+        let assumed = assumed_axis(axis, "the cameras", None);
+        findings.push(if axis == UpAxis::Z { assumed.without_warning() } else { assumed });
     }
     axis
 }
@@ -188,7 +237,7 @@ fn rotate_upright(
     least_deg: f32,
     confidence: f32,
     evidence: String,
-    warnings: &mut Vec<String>,
+    findings: &mut Vec<Finding>,
 ) -> UpDirection {
     let tilt_deg = angle_deg(up, &axis.direction());
     let turned = tilt_deg > least_deg;
@@ -202,10 +251,11 @@ fn rotate_upright(
         let level = UnitQuaternion::rotation_between(&seen, &Vector3::z()).unwrap_or_default();
         upright.turn =
             Isometry3::from_parts(nalgebra::Translation3::identity(), level) * upright.turn;
-        warnings.push(format!(
+        let text = format!(
             "the files' axes are tilted by {tilt_deg:.1} degrees from {} up: rotated level",
             axis.name()
-        ));
+        );
+        findings.push(Finding::changed(FindingSubject::Up, text).stated_with("levelling"));
     }
     upright
 }

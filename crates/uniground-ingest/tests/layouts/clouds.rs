@@ -120,13 +120,18 @@ fn read(name: &str, bytes: &[u8]) -> InspectedScan {
 /// Checks that the cloud is the room up to sampling and rounding: its box to a centimeter, its red
 /// points, and the floor below.
 fn check(what: &str, found: &InspectedScan) {
+    check_shape(what, found);
+    let colors = &found.cloud.as_ref().unwrap().colors;
+    let reds = colors.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
+    assert!(reds > 500, "{what}: {reds} red points");
+}
+
+fn check_shape(what: &str, found: &InspectedScan) {
     let cloud = found.cloud.as_ref().unwrap();
     let extent = Aabb::around(&cloud.positions).unwrap();
     for (side, expected) in [(extent.size.x, 5.2), (extent.size.y, 4.2), (extent.size.z, 2.5)] {
         assert!((side - expected).abs() < 0.01, "{what}: {extent:?} {:?}", found.report);
     }
-    let reds = cloud.colors.iter().filter(|c| c[0].abs_diff(190) < 3 && c[1] < 40).count();
-    assert!(reds > 500, "{what}: {reds} red points");
     // The floor is at the bottom.
     let low = cloud
         .positions
@@ -232,6 +237,75 @@ fn rotated_and_scaled_clouds_are_leveled_and_converted_to_meters() {
     }
 }
 
+/// A binary glTF of points.
+fn glb(points: &Points) -> Vec<u8> {
+    let mut buffer = Vec::new();
+    points
+        .iter()
+        .for_each(|(p, _)| p.iter().for_each(|v| buffer.extend((*v as f32).to_le_bytes())));
+    let colors_at = buffer.len();
+    points.iter().for_each(|(_, [r, g, b])| buffer.extend([*r, *g, *b, 255]));
+    let bounds = Aabb::around(&points.iter().map(|(p, _)| p.cast()).collect::<Vec<_>>()).unwrap();
+    let (low, high) = (bounds.center - bounds.size / 2.0, bounds.center + bounds.size / 2.0);
+    let mut text = serde_json::json!({
+        "asset": {"version": "2.0"},
+        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"mode": 0, "attributes": {"POSITION": 0, "COLOR_0": 1}}]}],
+        "buffers": [{"byteLength": buffer.len()}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": colors_at},
+            {"buffer": 0, "byteOffset": colors_at, "byteLength": buffer.len() - colors_at}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": points.len(), "type": "VEC3",
+             "min": [low.x, low.y, low.z], "max": [high.x, high.y, high.z]},
+            {"bufferView": 1, "componentType": 5121, "normalized": true, "count": points.len(),
+             "type": "VEC4"}],
+    })
+    .to_string();
+    while !text.len().is_multiple_of(4) {
+        text.push(' ');
+    }
+    let length = |bytes: usize| (bytes as u32).to_le_bytes();
+    let mut file = b"glTF\x02\0\0\0".to_vec();
+    file.extend(length(28 + text.len() + buffer.len()));
+    file.extend(length(text.len()));
+    file.extend(b"JSON");
+    file.extend(text.bytes());
+    file.extend(length(buffer.len()));
+    file.extend(b"BIN\0");
+    file.extend(buffer);
+    file
+}
+
+/// glTF defines Y up. Programs write clouds with Z up into it nevertheless.
+#[test]
+fn a_gltf_that_stands_along_another_axis_is_found_out() {
+    let points = cloud();
+    let y_up = crate::room::y_up();
+    let by_the_format = transform_points(&points, |p| y_up.transform_point(p));
+    for (points, up, warned) in [(&by_the_format, "y", false), (&points, "z", true)] {
+        let found = read("room.glb", &glb(points));
+        assert_eq!(found.report.up.name(), up, "{:?}", found.report);
+        check_shape("glb", &found);
+        let told = found.report.warnings.iter().any(|w| w.contains("the format defines y up"));
+        assert_eq!(told, warned, "{:?}", found.report);
+    }
+}
+
+#[test]
+fn a_few_wrong_colors_do_not_darken_the_others() {
+    let points = cloud();
+    let mut text = String::new();
+    for (i, (p, color)) in points.iter().enumerate() {
+        let [r, g, b] = color.map(|c| f64::from(c) / 255.0);
+        let r = if i == 5000 { 90.0 } else { r };
+        writeln!(text, "{:.4} {:.4} {:.4} {r:.4} {g:.4} {b:.4}", p.x, p.y, p.z).unwrap();
+    }
+    let found = read("room.xyz", text.as_bytes());
+    check("colors", &found);
+    assert!(found.report.warnings.iter().any(|w| w.contains("colors of 1 points")));
+}
+
 #[test]
 fn map_coordinates_are_recovered_to_the_millimeter() {
     let points = cloud();
@@ -265,7 +339,7 @@ fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
         |out: &Out| out.put("wall.ply", ply(&wall)),
         |found| {
             let message = found.map(|found| found.report).unwrap_err().to_string();
-            assert!(message.contains("up=z"), "{message}");
+            assert!(message.contains("set up=z, or up=-z"), "{message}");
         },
     );
 }

@@ -12,9 +12,11 @@ use nalgebra::{Isometry3, Vector3};
 use room::{CAMERA, FRAMES, pose};
 use serde_json::json;
 use std::fs;
+use std::io::Write as _;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::FrameRef;
 use uniground_ingest::{IngestError, InspectedScan};
+use uniground_types::findings::{FindingKind, FindingSubject, warnings_of};
 use uniground_types::settings::ImportSettings;
 use writers::Out;
 
@@ -58,7 +60,7 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
 type Write = fn(&Out);
 
 /// Description, writer, and the format that must be recognized.
-const LAYOUTS: [(&str, Write, &str); 23] = [
+const LAYOUTS: [(&str, Write, &str); 26] = [
     ("plain", writers::plain, "color-depth-pose"),
     ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
     ("plain, depth as EXR", writers::plain_exr, "color-depth-pose"),
@@ -82,6 +84,9 @@ const LAYOUTS: [(&str, Write, &str); 23] = [
     ("TUM RGB-D, nanoseconds", writers::tum_nanoseconds, "tum-rgbd"),
     ("plain beside documents", writers::plain_beside_documents, "color-depth-pose"),
     ("ScanNet++ of an iPhone", writers::scannetpp, "scannetpp"),
+    ("RTAB-Map, named by number", writers::rtabmap_by_number, "rtabmap"),
+    ("plain, named parameters", writers::plain_with_named_parameters, "color-depth-pose"),
+    ("plain, in capitals", writers::plain_in_capitals, "color-depth-pose"),
 ];
 
 #[test]
@@ -106,6 +111,92 @@ fn every_layout_gives_the_same_scene() {
             }
         });
     }
+}
+
+/// Files that no frame uses, assumptions and what was read are in the report.
+#[test]
+fn findings_name_what_was_read_left_out_and_assumed() {
+    let write = |out: &Out| {
+        writers::plain(out);
+        out.put("thumbnails/1.jpg", "a picture");
+        out.put("thumbnails/2.jpg", "a picture");
+        out.put("video.mp4", "a video");
+        out.put("notes.txt", "not data");
+    };
+    with_import(write, |found| {
+        let report = found.unwrap().report;
+        let of = |kind: FindingKind, about: FindingSubject| {
+            let mut found = report.findings.iter().filter(|f| (f.kind, f.about) == (kind, about));
+            let finding = found.next().unwrap_or_else(|| panic!("{kind:?} {about:?} {report:?}"));
+            (finding.clone(), found.next().cloned())
+        };
+        let (frames, _) = of(FindingKind::Read, FindingSubject::Frames);
+        assert_eq!(frames.count, Some(FRAMES as u64));
+        assert!(frames.text.contains("color/*.jpg"), "{}", frames.text);
+        let (thumbnails, video) = of(FindingKind::LeftOut, FindingSubject::Files);
+        assert_eq!(
+            (thumbnails.count, thumbnails.file.as_deref()),
+            (Some(2), Some("thumbnails/1.jpg"))
+        );
+        assert_eq!(video.unwrap().text, "video.mp4 is not used");
+        let (pairs, _) = of(FindingKind::Assumed, FindingSubject::Frames);
+        assert!(pairs.text.contains("by name"), "{}", pairs.text);
+        let (poses, _) = of(FindingKind::Assumed, FindingSubject::Poses);
+        assert!(poses.confidence.unwrap() > 0.75, "{poses:?}");
+        let (up, _) = of(FindingKind::Assumed, FindingSubject::Up);
+        assert!(up.confidence.unwrap() > 0.5 && up.state_with.as_deref() == Some("up"), "{up:?}");
+        assert_eq!(report.warnings, warnings_of(&report.findings));
+    });
+}
+
+/// A check decodes every picture, so it finds what the parse would leave out.
+#[test]
+fn a_check_finds_pictures_that_cannot_be_decoded() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = Utf8Path::from_path(folder.path()).unwrap();
+    let frames = 2 * FRAMES.max(10);
+    for i in 0..frames {
+        let out = Out(root);
+        let (color, depth) = (format!("color/{i}.jpg"), format!("depth/{i}.png"));
+        out.pictures(i % FRAMES, (&color, &depth), &CAMERA, &CAMERA, 0.001);
+        out.put(&format!("pose/{i}.txt"), room::rows(&writers::matrix(&pose(i % FRAMES))));
+    }
+    Out(root).put("intrinsic.txt", writers::camera_matrix(&CAMERA));
+    // The middle of the compressed data, so that header and end marker are right.
+    let file = root.join("depth/3.png");
+    let mut bytes = fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 40].fill(0xa5);
+    fs::write(&file, bytes).unwrap();
+    let scan = uniground_ingest::open(root).unwrap();
+    let settings = ImportSettings::default();
+    let found = uniground_ingest::check(&scan, &settings, &Progress::silent()).unwrap();
+    assert_eq!((found.frames.len(), found.report.frames_skipped), (frames - 1, 1));
+    assert!(found.report.warnings.iter().any(|w| w.contains("depth/3.png")), "{:?}", found.report);
+}
+
+/// Zip programs choose the compression themselves.
+#[test]
+fn zip_entries_compressed_with_bzip2_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = Utf8Path::from_path(folder.path()).unwrap();
+    writers::plain(&Out(&root.join("scan")));
+    let archive = root.join("scan.zip");
+    let mut zip = zip::ZipWriter::new(fs::File::create(&archive).unwrap());
+    let options =
+        zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Bzip2);
+    for part in ["color", "depth", "pose"] {
+        for entry in root.join("scan").join(part).read_dir_utf8().unwrap() {
+            let entry = entry.unwrap();
+            zip.start_file(format!("{part}/{}", entry.file_name()), options).unwrap();
+            zip.write_all(&fs::read(entry.path()).unwrap()).unwrap();
+        }
+    }
+    zip.start_file("intrinsic.txt", options).unwrap();
+    zip.write_all(&fs::read(root.join("scan/intrinsic.txt")).unwrap()).unwrap();
+    zip.finish().unwrap();
+    let unpacked = uniground_ingest::ScanFolder::open(&archive).unwrap();
+    assert_eq!(uniground_ingest::open(&unpacked.path).unwrap().frames.len(), FRAMES);
 }
 
 /// Eight-bit images are read as depth only if their unit is given.
@@ -392,7 +483,9 @@ fn an_incomplete_scan_is_refused_with_the_recognized_layout() {
             }
         }
     };
-    let cases: [(Write, &str, &[&str]); 9] = [
+    let cases: [(Write, &str, &[&str]); 11] = [
+        (writers::plain, "pose", &["camera poses are needed"]),
+        (writers::plain, "depth", &["depth pictures are needed"]),
         (writers::tum, "groundtruth.txt", &["TUM RGB-D", "groundtruth.txt"]),
         (writers::tum, "rgb.txt", &["TUM RGB-D", "rgb.txt"]),
         (

@@ -19,7 +19,7 @@ impl Out<'_> {
         fs::write(path, bytes).unwrap();
     }
 
-    fn pictures(
+    pub fn pictures(
         &self,
         frame: usize,
         (color_name, depth_name): (&str, &str),
@@ -44,11 +44,11 @@ fn half() -> Intrinsics {
     CAMERA.scaled_to(80, 60)
 }
 
-fn matrix(pose: &Isometry3<f64>) -> Matrix4<f64> {
+pub fn matrix(pose: &Isometry3<f64>) -> Matrix4<f64> {
     pose.to_homogeneous()
 }
 
-fn camera_matrix(c: &Intrinsics) -> String {
+pub fn camera_matrix(c: &Intrinsics) -> String {
     format!("{} 0 {} 0\n0 {} {} 0\n0 0 1 0\n0 0 0 1\n", c.fx, c.cx, c.fy, c.cy)
 }
 
@@ -449,6 +449,59 @@ pub fn rtabmap(out: &Out) {
             c.fx, c.cx, c.fy, c.cy
         ),
     );
+}
+
+/// RTAB-Map, whose pictures are named by the numbers at the end of the poses' lines.
+pub fn rtabmap_by_number(out: &Out) {
+    rtabmap(out);
+    let poses = fs::read_to_string(out.0.join("scan_camera_poses.txt")).unwrap();
+    let mut numbered = String::new();
+    for (i, line) in poses.lines().enumerate() {
+        match i {
+            0 => numbered += "#timestamp x y z qx qy qz qw id\n",
+            _ => numbered += &format!("{line} {}\n", i * 7),
+        }
+    }
+    out.put("scan_camera_poses.txt", numbered);
+    for folder in ["scan_rgb", "scan_depth"] {
+        let mut names: Vec<_> =
+            fs::read_dir(out.0.join(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
+        names.sort();
+        for (i, path) in names.iter().enumerate() {
+            let ending = path.extension().unwrap().to_str().unwrap();
+            fs::rename(path, path.with_file_name(format!("{}.{ending}", (i + 1) * 7))).unwrap();
+        }
+    }
+}
+
+/// The plain layout with named camera parameters.
+pub fn plain_with_named_parameters(out: &Out) {
+    plain(out);
+    let Intrinsics { width, height, fx, fy, cx, cy } = CAMERA;
+    fs::remove_file(out.0.join("intrinsic.txt")).unwrap();
+    let camera = format!(
+        "{{\"fx\": {fx}, \"fy\": {fy}, \"cx\": {cx}, \"cy\": {cy}, \"width\": {width}, \"height\": {height}}}"
+    );
+    out.put("intrinsics.json", camera);
+}
+
+/// The plain layout with folders in capitals, the camera in `K.txt`, and poses as positions and
+/// quaternions.
+pub fn plain_in_capitals(out: &Out) {
+    plain(out);
+    for i in 0..FRAMES {
+        let numbers = position_and_quaternion(&matrix(&pose(i))).map(|v| format!("{v:.9}"));
+        out.put(&format!("pose/{i}.txt"), numbers.join(" "));
+    }
+    // numpy prints brackets.
+    let camera =
+        format!("[[{} 0 {}]\n [0 {} {}]\n [0 0 1]]", CAMERA.fx, CAMERA.cx, CAMERA.fy, CAMERA.cy);
+    out.put("intrinsic.txt", camera);
+    for (from, to) in
+        [("color", "Color"), ("depth", "Depth"), ("pose", "Pose"), ("intrinsic.txt", "K.txt")]
+    {
+        fs::rename(out.0.join(from), out.0.join(to)).unwrap();
+    }
 }
 
 /// nerfstudio, as programs on Windows write it: backslashes, and a byte order mark.

@@ -22,7 +22,7 @@ pub(super) fn sample_if_sparse(
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
     let Some(vertices) = gathered.as_complete() else { return Ok(()) };
-    let metres_per_unit = guess_units::guess_meters_per_unit(&vertices.positions, &mut Vec::new());
+    let metres_per_unit = guess_units::likeliest_meters_per_unit(&vertices.positions);
     let start = source.stream_position().map_err(|e| e.to_string())?;
     let (mut area, mut large_area) = (0.0, 0.0);
     for_each_triangle(rows, source, count, vertices, |triangle| {

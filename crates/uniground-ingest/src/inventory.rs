@@ -1,0 +1,131 @@
+//! Compares the files of an upload with those that its layout uses.
+
+use super::formats::is_of_system;
+use super::scan::Scan;
+use camino::{Utf8DirEntry, Utf8Path, Utf8PathBuf};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use uniground_types::findings::{Finding, FindingSubject};
+
+/// Extensions of files that describe a scan: layouts read some of them, people the others.
+const DESCRIPTIONS: [&str; 17] = [
+    "txt", "json", "yaml", "yml", "csv", "xml", "toml", "ini", "cfg", "conf", "md", "log", "pdf",
+    "html", "rtf", "docx", "mtl",
+];
+/// Extensions of files that a mesh of these formats refers to.
+const BESIDE_MESHES: [&str; 4] = ["bin", "png", "jpg", "jpeg"];
+/// Maximum number of files that are examined, and of kinds of unused files that are named.
+const MAX_FILES: usize = 500_000;
+const MAX_NAMED: usize = 8;
+
+/// Adds what the scan consists of, and which other files with data are in the upload.
+pub(super) fn record(folder: &Utf8Path, scan: &mut Scan) {
+    let mut findings = Vec::new();
+    if let Some(first) = scan.frames.first() {
+        let kind = |file: &Utf8Path| {
+            let ending = file.extension().map(|ending| format!(".{ending}")).unwrap_or_default();
+            file.parent().unwrap_or(Utf8Path::new("")).join(format!("*{ending}"))
+        };
+        // Poses of a list are written as "file, entry".
+        let pose = match first.pose_file.as_str().split_once(", ") {
+            Some((list, _)) => list.into(),
+            None => kind(&first.pose_file),
+        };
+        let text = format!(
+            "{} frames: color {}, depth {}, poses {pose}",
+            scan.frames.len(),
+            kind(&first.color),
+            kind(&first.depth),
+        );
+        findings.push(Finding::read(FindingSubject::Frames, text).counting(scan.frames.len()));
+    }
+    if let Some(cloud) = &scan.cloud {
+        let finding = Finding::read(FindingSubject::Cloud, format!("cloud: {cloud}"));
+        findings.push(finding.in_file(cloud.as_str()));
+    }
+    let unused = unused_files(folder, scan);
+    for ((kind, first), count) in unused.iter().take(MAX_NAMED) {
+        let mut text = format!("{kind}: {count} files are not used");
+        if *count == 1 {
+            text = format!("{first} is not used");
+        }
+        findings.push(
+            Finding::left_out(FindingSubject::Files, text)
+                .without_warning()
+                .in_file(first.as_str())
+                .counting(*count),
+        );
+    }
+    if unused.len() > MAX_NAMED {
+        let mut text = format!("{} more kinds of files are not used:", unused.len() - MAX_NAMED);
+        let rest = &unused[MAX_NAMED..];
+        rest.iter().take(MAX_NAMED).for_each(|((kind, _), _)| {
+            let _ = write!(text, " {kind}");
+        });
+        let count = rest.iter().map(|(_, count)| count).sum();
+        findings
+            .push(Finding::left_out(FindingSubject::Files, text).without_warning().counting(count));
+    }
+    findings.append(&mut scan.findings);
+    scan.findings = findings;
+}
+
+/// Returns the kinds of unused files with data (folder and extension), the first of each and their
+/// number, the most frequent kinds first.
+fn unused_files(folder: &Utf8Path, scan: &Scan) -> Vec<((String, Utf8PathBuf), usize)> {
+    let mut used: BTreeSet<Utf8PathBuf> = BTreeSet::new();
+    for frame in &scan.frames {
+        used.extend(
+            [&frame.color, &frame.depth, &frame.pose_file].map(|file| scan.root.join(file)),
+        );
+        used.extend(frame.optics.confidence.as_ref().map(|own| scan.root.join(&own.file)));
+    }
+    used.extend(scan.cloud.as_ref().map(|cloud| scan.root.join(cloud)));
+    let has_parts = scan
+        .cloud
+        .as_ref()
+        .and_then(|cloud| cloud.extension())
+        .is_some_and(|ending| ["obj", "gltf"].contains(&ending.to_ascii_lowercase().as_str()));
+    let mut kinds: BTreeMap<String, (Utf8PathBuf, usize)> = BTreeMap::new();
+    for file in files_below(folder) {
+        let ending = file.extension().unwrap_or_default().to_ascii_lowercase();
+        let is_part = has_parts && BESIDE_MESHES.contains(&ending.as_str());
+        if ending.is_empty()
+            || DESCRIPTIONS.contains(&ending.as_str())
+            || is_part
+            || used.contains(&file)
+        {
+            continue;
+        }
+        let Ok(name) = file.strip_prefix(folder) else { continue };
+        let kind = name.parent().unwrap_or(Utf8Path::new("")).join(format!("*.{ending}"));
+        kinds.entry(kind.into_string()).or_insert_with(|| (name.to_owned(), 0)).1 += 1;
+    }
+    let mut kinds: Vec<_> =
+        kinds.into_iter().map(|(kind, (first, count))| ((kind, first), count)).collect();
+    kinds.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+    kinds
+}
+
+/// Returns the files below a folder, without those of operating systems. Unreadable folders are skipped: reading
+/// their files would have failed.
+fn files_below(folder: &Utf8Path) -> Vec<Utf8PathBuf> {
+    let (mut files, mut folders) = (Vec::new(), vec![folder.to_owned()]);
+    while let Some(next) = folders.pop() {
+        let Ok(entries) = next.read_dir_utf8() else { continue };
+        let mut entries: Vec<Utf8DirEntry> = entries.filter_map(Result::ok).collect();
+        entries.sort_by(|a, b| a.file_name().cmp(b.file_name()));
+        for entry in entries {
+            match entry.file_type() {
+                _ if is_of_system(entry.file_name()) => {}
+                Ok(kind) if kind.is_dir() => folders.push(entry.into_path()),
+                Ok(kind) if kind.is_file() => files.push(entry.into_path()),
+                _ => {}
+            }
+        }
+        if files.len() > MAX_FILES {
+            break;
+        }
+    }
+    files
+}
