@@ -4,6 +4,7 @@
 use super::IngestError;
 use super::scan::{CameraAxes, RawFrame, Scan, Units};
 use rayon::prelude::*;
+use std::fmt::Write;
 use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseConvention};
 use uniground_geometry::statistics::median;
 use uniground_geometry::{Isometry3, Point3};
@@ -240,7 +241,8 @@ impl SourceConvention {
             agreement * 100.0
         );
         if let Some((next, rival)) = rival.filter(|(next, _)| *next > NOTHING_FITS) {
-            text += &format!("; next best is {}: {:.0}%", rival.describe(declared), next * 100.0);
+            let of_rival = rival.describe(declared);
+            let _ = write!(text, "; next best is {of_rival}: {:.0}%", next * 100.0);
         }
         Finding::assumed(FindingSubject::Poses, text)
             .without_warning()

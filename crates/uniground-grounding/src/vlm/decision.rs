@@ -364,7 +364,7 @@ mod tests {
         let after = |replies: &[Choice]| {
             let mut decision = Decision::default();
             replies.iter().for_each(|choice| {
-                decision.take(reply_with(*choice), &context, &[], PointForm::default())
+                decision.take(reply_with(*choice), &context, &[], PointForm::default());
             });
             (decision.outcome, decision.reply.predicted)
         };

@@ -64,7 +64,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         PoseFiles::Files(files) => !files.is_empty(),
         PoseFiles::List(..) => true,
     };
-    if !has_poses && !(pictures.color.is_empty() && pictures.depth.is_empty()) {
+    let has_pictures = !pictures.color.is_empty() || !pictures.depth.is_empty();
+    if has_pictures && !has_poses {
         return Err(super::incomplete(LOOKS_LIKE, NO_POSES));
     }
     if pictures.depth.is_empty() && !pictures.color.is_empty() {

@@ -126,30 +126,23 @@ pub(super) fn find_up_of_cloud(
         return Ok(up_along_axis(up_without_surfaces(said.up, said, findings), None));
     }
     let surfaces = surfaces::patches_of_cloud(cloud);
-    let (axis, fit) = match said.up {
-        Some(axis) => {
-            let otherwise = if said.by_format {
-                contradicted_axis(cloud, &surfaces, axis, findings)
-            } else {
-                None
-            };
-            let fit = otherwise.map_or_else(
-                || gravity::refine(&surfaces, &axis.direction(), 20.0),
-                |(_, fit)| fit,
-            );
-            let axis = otherwise.map_or(axis, |(axis, _)| axis);
-            if !is_clear(&fit) || angle_deg(&fit.up, &axis.direction()) > AGREEING_DEG {
-                return Ok(up_along_axis(axis, None));
-            }
-            (axis, fit)
+    let (axis, fit) = if let Some(stated) = said.up {
+        let other = match said.by_format {
+            true => contradicted_axis(cloud, &surfaces, stated, findings),
+            false => None,
+        };
+        let (axis, fit) = other
+            .unwrap_or_else(|| (stated, gravity::refine(&surfaces, &stated.direction(), 20.0)));
+        if !is_clear(&fit) || angle_deg(&fit.up, &axis.direction()) > AGREEING_DEG {
+            return Ok(up_along_axis(axis, None));
         }
-        None => {
-            let candidates = lone_cloud::up_candidates(cloud, &surfaces);
-            let (best, confidence) = lone_cloud::choose_up(&candidates)?;
-            let axis = UpAxis::nearest(&best.fit.up);
-            findings.push(assumed_axis(axis, "the shape of the cloud", Some(confidence)));
-            (axis, best.fit)
-        }
+        (axis, fit)
+    } else {
+        let candidates = lone_cloud::up_candidates(cloud, &surfaces);
+        let (best, confidence) = lone_cloud::choose_up(&candidates)?;
+        let axis = UpAxis::nearest(&best.fit.up);
+        findings.push(assumed_axis(axis, "the shape of the cloud", Some(confidence)));
+        (axis, best.fit)
     };
     Ok(rotate_upright(axis, &fit.up, LEVEL_DEG, fit.explained_share(), describe(&fit), findings))
 }

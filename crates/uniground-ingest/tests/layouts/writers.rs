@@ -459,7 +459,7 @@ pub fn rtabmap_by_number(out: &Out) {
     for (i, line) in poses.lines().enumerate() {
         match i {
             0 => numbered += "#timestamp x y z qx qy qz qw id\n",
-            _ => numbered += &format!("{line} {}\n", i * 7),
+            _ => writeln!(numbered, "{line} {}", i * 7).unwrap(),
         }
     }
     out.put("scan_camera_poses.txt", numbered);
