@@ -44,7 +44,7 @@ fn every_reply_format_of_the_corpus_is_read() {
 
 #[test]
 fn picture_position_is_read_in_every_format() {
-    let expected = Some(SeenAt { image: 3, at: [0.25, 0.5], name: "black alarm clock".into() });
+    let expected = Some(SeenAt { image: 3, at: [250.0, 500.0], name: "black alarm clock".into() });
     for text in [
         "Predicted ID: not listed\nExplanation: it stands there\nSeen at: image 3, x 250, y 500, black alarm clock",
         "**Predicted ID:** not listed (visible)\n**Seen at:** Image 3, at 250,500, black alarm clock",
