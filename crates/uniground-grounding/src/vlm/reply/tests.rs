@@ -59,7 +59,6 @@ fn picture_position_is_read_in_every_format() {
         );
     }
     assert_eq!(read("Predicted ID: 4\nSeen at: none").seen_at, None);
-    assert_eq!(read_seen_at("image 3, 1200, 20, lamp"), None);
 }
 
 #[test]
