@@ -20,8 +20,9 @@ pub(super) fn natural_sort_key(file: &Utf8Path) -> (Option<u64>, String) {
 pub(super) fn last_number(file: &Utf8Path) -> Option<u64> {
     let stem = file.file_stem()?;
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
-    let start = stem[..end].rfind(|c: char| !c.is_ascii_digit()).map_or(0, |at| at + 1);
-    stem[start..end].parse().ok()
+    // Cut off from the end: the character before the number can be longer than a byte.
+    let before = stem[..end].trim_end_matches(|c: char| c.is_ascii_digit());
+    stem[before.len()..end].parse().ok()
 }
 
 /// Returns the time in a name, seconds: `1305031102.175304`, or nanoseconds, microseconds or
@@ -177,7 +178,23 @@ mod tests {
         }
     }
 
+    #[test]
+    fn numbers_behind_characters_of_any_alphabet_are_read() {
+        for (name, number) in
+            [("写真3.jpg", Some(3)), ("Menü12.jpg", Some(12)), ("7.png", Some(7)), ("ü.png", None)]
+        {
+            assert_eq!(last_number(name.into()), number, "{name}");
+        }
+    }
+
     proptest! {
+        #[test]
+        fn names_of_any_characters_never_panic(name in "\\PC{0,12}") {
+            let file = Utf8Path::new(&name);
+            let _ = (last_number(file), parse_seconds(file), natural_sort_key(file));
+            let _ = match_files(&[file.to_owned()], &[file.to_owned()]);
+        }
+
         #[test]
         fn no_time_is_matched_twice(a in prop::collection::vec(0.0_f64..3.0, 0..30), b in prop::collection::vec(0.0_f64..3.0, 0..30)) {
             let some = |times: &[f64]| times.iter().copied().map(Some).collect::<Vec<_>>();
