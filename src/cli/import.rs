@@ -191,8 +191,8 @@ fn finding_line(finding: &Finding) -> (&'static str, String) {
         FindingKind::Changed => "changed",
         FindingKind::Unusual => "unusual",
     };
-    let sure = finding.confidence.map(|sure| format!(" (sure to {:.0}%)", sure * 100.0));
-    (title, format!("{}{}", finding.text, sure.unwrap_or_default()))
+    let confidence = finding.confidence.map(|share| format!(" (confidence {:.0}%)", share * 100.0));
+    (title, format!("{}{}", finding.text, confidence.unwrap_or_default()))
 }
 
 /// Rendered views of the cloud. The side view shows whether upright objects stand upright.

@@ -462,7 +462,7 @@ export const t = {
       changed: "Changed",
       unusual: "Unusual",
     },
-    sure: (share: number) => `sure to ${Math.round(share * 100)} %`,
+    confidence: (share: number) => `confidence ${Math.round(share * 100)} %`,
     found: "Found",
     superpoints: "Patches",
     instances: "Objects",

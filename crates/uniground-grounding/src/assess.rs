@@ -7,6 +7,7 @@
 //! chosen together, not one after the other.
 
 mod carried;
+mod distances;
 mod places;
 
 use super::SceneView;
@@ -15,7 +16,7 @@ use super::fit::{colors_fit, most_plausible, noun_fits, prefer_main_color, trait
 use super::relations::{self, SeenBy};
 use super::room::{Faced, Room};
 use super::solid::Solid;
-use places::{places_by_distance, ranks_by_distance};
+use places::ranks_by_distance;
 use std::cell::OnceCell;
 use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
@@ -43,14 +44,6 @@ const MAY_BE_MEANT: f32 = 0.5;
 const CARRIED: f32 = 0.25;
 /// Factor of a score when the anchor of a relation was not found. It may exist undetected.
 const NOT_FOUND: f32 = 0.3;
-
-/// An instance that stands on or in an anchor to at least this degree counts as touching it. In an
-/// order by distance it comes before all that are apart: distance in meters.
-const MOSTLY_HELD: f32 = 0.5;
-const HELD_M: f32 = -1e3;
-/// Lowest factor of "near" and "far" for instances that others surpass: of two that are near, the
-/// nearer one is rather meant, but "all chairs near the table" means both.
-const SURPASSED: f32 = 0.8;
 
 /// Factor of "on the wall" for an instance that stands in front of the wall.
 const AT_THE_WALL: f32 = 0.3;
@@ -308,7 +301,6 @@ impl<'a> Assessor<'a> {
             (kind, all) if kind.is_comparison() => self.match_by_distance(relation, fits, all),
             (RelationKind::Between, [a, b, ..]) => each(&|t| self.match_between(t, a, b)),
             (RelationKind::Between, [only]) => each(&|t| self.match_between(t, only, only)),
-            // Several anchors ("next to the sofa and the lamp") must all hold.
             (RelationKind::Near | RelationKind::Far, [only])
                 if Reach::in_words(&relation.text).is_none() =>
             {
@@ -316,6 +308,7 @@ impl<'a> Assessor<'a> {
                 self.rank_matches(relation, fits, &mut bonds);
                 bonds
             }
+            // Several anchors ("next to the sofa and the lamp") must all hold.
             (_, all) => each(&|t| {
                 let mut joint = RelationMatch { score: 1.0, anchor: None };
                 for candidates in all {
@@ -465,66 +458,6 @@ impl<'a> Assessor<'a> {
                 anchor: Some(self.id(i)),
             })
             .fold(NO_BOND, better_match)
-    }
-
-    /// Returns the distance by which instances are compared, meters. An instance that touches the
-    /// anchor because it stands on or in it is nearer than all others.
-    fn distance(&self, target: usize, anchor: usize) -> f32 {
-        let (of_target, of_anchor) = (&self.solids[target], &self.solids[anchor]);
-        let is_building = self.scene.instances[anchor].structure.is_some();
-        let held = !is_building && relations::holds(of_anchor, of_target) > MOSTLY_HELD;
-        relations::apart(of_target, of_anchor, is_building, self.room())
-            + if held { HELD_M } else { 0.0 }
-    }
-
-    /// Lowers "near" and "far" of instances that others surpass.
-    fn rank_matches(&self, relation: &Relation, fits: &[f32], bonds: &mut [RelationMatch]) {
-        let mut order: Vec<(f32, usize)> = most_plausible(fits, usize::MAX)
-            .into_iter()
-            .filter_map(|(t, _)| {
-                let anchor = bonds[t].anchor?.0 as usize - 1;
-                Some((self.distance(t, anchor), t))
-            })
-            .collect();
-        for (t, rank) in places_by_distance(relation, &mut order, fits) {
-            bonds[t].score *= SURPASSED + (1.0 - SURPASSED) * 0.5_f32.powf(rank);
-        }
-    }
-
-    /// Scores "closest to": compares the instances that the target may be, and each rank further
-    /// down counts less. Several anchors count by the sum of the distances to them.
-    fn match_by_distance(
-        &self,
-        relation: &Relation,
-        fits: &[f32],
-        anchors: &[Vec<(usize, f32)>],
-    ) -> Vec<RelationMatch> {
-        let [first, others @ ..] = anchors else { return vec![NO_BOND; fits.len()] };
-        let rivals = most_plausible(fits, usize::MAX);
-        let likeliest: Vec<usize> = others
-            .iter()
-            .filter_map(|c| c.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))))
-            .map(|c| c.0)
-            .collect();
-        let mut bonds = vec![NO_BOND; fits.len()];
-        for &(a, anchor_fit) in first {
-            let mut order: Vec<(f32, usize)> = rivals
-                .iter()
-                .map(|&(t, _)| t)
-                .filter(|&t| t != a && !likeliest.contains(&t))
-                .map(|t| {
-                    let others = likeliest.iter().map(|&b| self.distance(t, b)).sum::<f32>();
-                    (self.distance(t, a) + others, t)
-                })
-                .collect();
-            for (t, factor) in ranks_by_distance(relation, &mut order, fits) {
-                bonds[t] = better_match(
-                    bonds[t],
-                    RelationMatch { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) },
-                );
-            }
-        }
-        bonds
     }
 
     /// Scores relations to the observer: "closest to me", "in front of me".

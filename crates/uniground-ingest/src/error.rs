@@ -54,8 +54,8 @@ pub enum IngestError {
     TooManyDamaged { damaged: usize, total: usize, first: Box<IngestError> },
     #[error("this looks like {looks_like}, but {missing}")]
     IncompleteLayout { looks_like: &'static str, missing: String },
-    #[error("cannot determine which axis of the cloud points up ({reason}): set up={best}{next}")]
-    UpUnknown { reason: String, best: &'static str, next: String },
+    #[error("the cloud does not show which of its axes points up: {reason}. Set {choice}")]
+    UpUnknown { reason: String, choice: String },
     #[error(
         "{file} does not state its unit of length, and its size does not tell: {readings}. Set metres_per_unit"
     )]

@@ -17,7 +17,7 @@ use uniground_geometry::scene::{
 };
 use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
-use uniground_types::findings::{Finding, warnings_of};
+use uniground_types::findings::Finding;
 use uniground_types::settings::ImportSettings;
 
 /// A new surface this close to a known one counts as the same surface, meters. Pose drift and depth
@@ -121,8 +121,7 @@ pub fn add_scan(
     let kept = remaining_points(known, &looks, &fused, enough);
     let new = new_surface_points(&fused, known, &kept);
     let frames_skipped = skipped + (all - frames.len()) as u32;
-    let warnings = warnings_of(&findings);
-    Ok(Addition { made_of, frames, kept, new, apart_m: SAME_SURFACE_M, frames_skipped, warnings })
+    Ok(Addition { made_of, frames, kept, new, apart_m: SAME_SURFACE_M, frames_skipped, findings })
 }
 
 /// Within this distance of removed points, the new frames decide where surfaces are, meters.

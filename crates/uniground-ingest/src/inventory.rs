@@ -2,6 +2,7 @@
 
 use super::formats::is_of_system;
 use super::scan::Scan;
+use super::unpacked::BESIDE_MESHES;
 use camino::{Utf8DirEntry, Utf8Path, Utf8PathBuf};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -12,8 +13,6 @@ const DESCRIPTIONS: [&str; 17] = [
     "txt", "json", "yaml", "yml", "csv", "xml", "toml", "ini", "cfg", "conf", "md", "log", "pdf",
     "html", "rtf", "docx", "mtl",
 ];
-/// Extensions of files that a mesh of these formats refers to.
-const BESIDE_MESHES: [&str; 4] = ["bin", "png", "jpg", "jpeg"];
 /// Maximum number of files that are examined, and of kinds of unused files that are named.
 const MAX_FILES: usize = 500_000;
 const MAX_NAMED: usize = 8;
@@ -107,8 +106,8 @@ fn unused_files(folder: &Utf8Path, scan: &Scan) -> Vec<((String, Utf8PathBuf), u
     kinds
 }
 
-/// Returns the files below a folder, without those of operating systems. Unreadable folders are skipped: reading
-/// their files would have failed.
+/// Returns the files below a folder, without those of operating systems. Unreadable folders are
+/// skipped: reading their files would have failed.
 fn files_below(folder: &Utf8Path) -> Vec<Utf8PathBuf> {
     let (mut files, mut folders) = (Vec::new(), vec![folder.to_owned()]);
     while let Some(next) = folders.pop() {

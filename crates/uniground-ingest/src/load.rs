@@ -10,7 +10,7 @@ use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene};
 use uniground_geometry::{Isometry3, Point3, pose};
-use uniground_types::findings::{Finding, FindingSubject, warnings_of};
+use uniground_types::findings::{Finding, FindingSubject};
 use uniground_types::settings::ImportSettings;
 
 /// A scan in canonical form. A cloud that has to be fused is still missing.
@@ -40,25 +40,26 @@ pub fn load(
     let cloud = if let Some(cloud) = cloud {
         cloud
     } else {
+        let mut findings = Vec::new();
         let cloud = fusion::fuse(
             &mut frames,
             &settings.fusion,
-            &mut report.findings,
+            &mut findings,
             &progress.sub_range(0.2, 1.0),
         )?;
+        warn_of_odd_size(&cloud.positions, &mut findings);
+        report.add_findings(findings);
         report.count_undecodable(report.frames as usize - frames.len());
         cloud
     };
-    warn_of_odd_size(&cloud.positions, &mut report.findings);
-    report.warnings = warnings_of(&report.findings);
     Ok(SceneBundle { cloud, frames, report, additions: Vec::new() })
 }
 
-/// Does what [`inspect`] does, and decodes all pictures, so that everything is found that [`load`]
-/// would stop at or leave out.
+/// Does what [`inspect`] does, and decodes all pictures, so that damaged ones are found that
+/// [`load`] would stop at or leave out.
 ///
 /// # Errors
-/// Returns the errors of [`load`].
+/// Returns the errors of [`inspect`], and an error for too many pictures that cannot be decoded.
 pub fn check(
     scan: &Scan,
     settings: &ImportSettings,
@@ -66,10 +67,10 @@ pub fn check(
 ) -> Result<InspectedScan, IngestError> {
     let mut inspected = inspect(scan, settings, &progress.sub_range(0.0, 0.3))?;
     let InspectedScan { frames, report, .. } = &mut inspected;
-    let before = frames.len();
-    fusion::check_pictures(frames, &mut report.findings, &progress.sub_range(0.3, 1.0))?;
+    let (before, mut findings) = (frames.len(), Vec::new());
+    fusion::check_pictures(frames, &mut findings, &progress.sub_range(0.3, 1.0))?;
+    report.add_findings(findings);
     report.count_undecodable(before - frames.len());
-    report.warnings = warnings_of(&report.findings);
     Ok(inspected)
 }
 
@@ -78,8 +79,8 @@ pub fn check(
 ///
 /// # Errors
 /// Returns [`IngestError`]: [`IngestError::NothingFits`] when poses and depth do not agree under
-/// any interpretation, [`IngestError::UpUnknown`] for a cloud whose up direction cannot be
-/// determined.
+/// any interpretation, [`IngestError::ConventionUnclear`] when two do, [`IngestError::UnitUnknown`]
+/// and [`IngestError::UpUnknown`] for a cloud whose unit or up direction cannot be determined.
 pub fn inspect(
     scan: &Scan,
     settings: &ImportSettings,
@@ -145,7 +146,10 @@ pub fn inspect(
         cloud.positions.iter_mut().for_each(|p| *p = to_scene.turn * *p);
         cloud
     });
-    let report = ImportReport {
+    if let Some(cloud) = &cloud {
+        warn_of_odd_size(&cloud.positions, &mut findings);
+    }
+    let mut report = ImportReport {
         format: scan.format.into(),
         up: upright.axis,
         source_to_scene: Some(to_scene.source),
@@ -156,9 +160,10 @@ pub fn inspect(
         frames_skipped: scan.frames_skipped,
         cloud_points: cloud.as_ref().map(|cloud| cloud.len() as u64),
         reprojection_agreement: agreement,
-        warnings: warnings_of(&findings),
-        findings,
+        warnings: Vec::new(),
+        findings: Vec::new(),
     };
+    report.add_findings(findings);
     Ok(InspectedScan { frames, cloud, report })
 }
 

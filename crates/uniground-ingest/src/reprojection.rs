@@ -53,8 +53,8 @@ pub(super) struct SourceConvention {
 
 /// Depth units within this factor of each other agree with the same points.
 const SAME_UNIT: f32 = 1.0 + 2.0 * TOLERANCE;
-/// Minimum confidence of an interpretation that differs from the declared one. It is reached at 1.3
-/// times the agreement of the next best one.
+/// Minimum confidence of an interpretation that differs from the declared one. It is reached at 1.15
+/// times the agreement of the next best one: neighboring common units of depth are that close.
 const LEAST_SURE: f32 = 0.75;
 
 /// The interpretation that fits, with its agreement.
@@ -122,7 +122,7 @@ pub(super) fn check(
         best_of(&others)
     };
     if fits >= CLEARLY_RIGHT {
-        findings.push(declared.as_finding(fits, rival_of(&declared), &declared));
+        findings.push(declared.as_finding(fits, rival_of(&declared)));
         return as_declared(agreement);
     }
     let others: Vec<_> = common.iter().copied().filter(|(_, r)| *r != declared).collect();
@@ -204,7 +204,7 @@ pub(super) fn check(
             );
         }
         Some(agreement) => {
-            findings.push(declared.as_finding(agreement, rival_of(&declared), &declared));
+            findings.push(declared.as_finding(agreement, rival_of(&declared)));
         }
     }
     as_declared(agreement)
@@ -233,21 +233,23 @@ impl SourceConvention {
             && (1.0 / SAME_UNIT..SAME_UNIT).contains(&units)
     }
 
-    /// Describes that the declared interpretation is used.
-    fn as_finding(&self, agreement: f32, rival: Option<(f32, Self)>, declared: &Self) -> Finding {
+    /// Describes that this interpretation, the declared one, is used. A warning if another one fits
+    /// about as well.
+    fn as_finding(&self, agreement: f32, rival: Option<(f32, Self)>) -> Finding {
         let mut text = format!(
             "read with {}: {:.0}% of the sampled points fit the depth pictures",
-            self.describe(declared),
+            self.describe(self),
             agreement * 100.0
         );
         if let Some((next, rival)) = rival.filter(|(next, _)| *next > NOTHING_FITS) {
-            let of_rival = rival.describe(declared);
+            let of_rival = rival.describe(self);
             let _ = write!(text, "; next best is {of_rival}: {:.0}%", next * 100.0);
         }
-        Finding::assumed(FindingSubject::Poses, text)
-            .without_warning()
-            .with_confidence(confidence_over(agreement, rival))
-            .stated_with("scene.json")
+        let confidence = confidence_over(agreement, rival);
+        let finding = Finding::assumed(FindingSubject::Poses, text)
+            .with_confidence(confidence)
+            .stated_with("scene.json");
+        if confidence < LEAST_SURE { finding } else { finding.without_warning() }
     }
 
     fn describe(&self, declared: &Self) -> String {
@@ -267,7 +269,7 @@ impl SourceConvention {
 /// Returns how clearly an agreement is better than that of the next best interpretation, `0..=1`.
 fn confidence_over(agreement: f32, rival: Option<(f32, SourceConvention)>) -> f32 {
     let next = rival.map_or(0.0, |(next, _)| next);
-    let (this, next) = (agreement.max(f32::MIN_POSITIVE).powi(4), next.powi(4));
+    let (this, next) = (agreement.max(0.001).powi(8), next.powi(8));
     this / (this + next)
 }
 

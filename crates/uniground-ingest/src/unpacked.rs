@@ -124,7 +124,7 @@ fn put(file: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
 }
 
 /// Extensions of files that a mesh can refer to: its materials, buffers and pictures.
-const BESIDE_MESHES: [&str; 5] = ["mtl", "bin", "png", "jpg", "jpeg"];
+pub(super) const BESIDE_MESHES: [&str; 5] = ["mtl", "bin", "png", "jpg", "jpeg"];
 
 fn copy_sibling_files(
     mesh: &Utf8Path,

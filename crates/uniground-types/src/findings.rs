@@ -15,9 +15,8 @@ pub enum FindingSubject {
     Cloud,
     /// Colors of points.
     Color,
-    /// The unit of depth pictures.
-    Depth,
-    /// Direction of the poses and axes of the cameras.
+    /// Direction of the poses, axes of the cameras and unit of the depth pictures, which are checked
+    /// together.
     Poses,
     /// Intrinsics of the camera.
     Camera,
@@ -63,8 +62,8 @@ pub struct Finding {
     /// Number of files, frames or points.
     #[serde(default)]
     pub count: Option<u64>,
-    /// For assumptions: how clearly the data supports this reading over the next best one,
-    /// `0.5..=1`. Absent where nothing could be compared.
+    /// For assumptions: how clearly the data supports this reading over the next best one that was
+    /// tried, `0..=1`; below 0.5 the other one fits better. `null` where nothing was compared.
     #[serde(default)]
     pub confidence: Option<f32>,
     /// For assumptions: the parameter or file that states it instead, such as `up` or
@@ -157,10 +156,4 @@ impl Finding {
         self.state_with = Some(parameter.into());
         self
     }
-}
-
-/// Returns the texts of the findings that are warnings.
-#[must_use]
-pub fn warnings_of(findings: &[Finding]) -> Vec<String> {
-    findings.iter().filter(|finding| finding.warning).map(|finding| finding.text.clone()).collect()
 }

@@ -285,6 +285,13 @@ pub struct ImportReport {
 }
 
 impl ImportReport {
+    /// Adds findings. Those that are warnings are added to the warnings too.
+    pub fn add_findings(&mut self, findings: Vec<Finding>) {
+        let warnings = findings.iter().filter(|finding| finding.warning);
+        self.warnings.extend(warnings.map(|finding| finding.text.clone()));
+        self.findings.extend(findings);
+    }
+
     /// Counts frames as skipped that turned out to be unusable.
     pub fn count_undecodable(&mut self, frames: usize) {
         let frames = (frames as u32).min(self.frames);

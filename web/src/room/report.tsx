@@ -88,7 +88,7 @@ function Findings({ findings }: { findings: Finding[] }) {
         {quiet.map(({ kind, text, confidence }) => (
           <li key={text}>
             <b>{t.report.finding[kind]}</b>: {text}
-            {confidence != null && ` (${t.report.sure(confidence)})`}
+            {confidence != null && ` (${t.report.confidence(confidence)})`}
           </li>
         ))}
       </ul>

@@ -3,7 +3,7 @@
 use super::{FrameRef, ImportReport, PointCloud};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
-use uniground_types::findings::{Finding, FindingSubject};
+use uniground_types::findings::Finding;
 
 /// A scan in canonical form. The cloud is in memory; frames are decoded one at a time where needed.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -36,8 +36,8 @@ pub struct Addition {
     pub apart_m: f32,
     /// Number of frames that could not be used.
     pub frames_skipped: u32,
-    /// Problems that were accepted.
-    pub warnings: Vec<String>,
+    /// What was found while importing it.
+    pub findings: Vec<Finding>,
 }
 
 impl Addition {
@@ -70,9 +70,7 @@ impl SceneBundle {
         for addition in &self.additions {
             report.frames += addition.frames.len() as u32;
             report.frames_skipped += addition.frames_skipped;
-            report.warnings.extend(addition.warnings.iter().cloned());
-            let findings = addition.warnings.iter();
-            report.findings.extend(findings.map(|w| Finding::unusual(FindingSubject::Frames, w)));
+            report.add_findings(addition.findings.clone());
             frames.extend(addition.frames.iter().cloned());
         }
         (report, frames)

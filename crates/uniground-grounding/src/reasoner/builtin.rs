@@ -61,9 +61,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let mut verdict = decide_english(assessor, parsed);
     let best = (0..verdict.scores.len())
         .reduce(|best, i| if verdict.scores[i] > verdict.scores[best] { i } else { best });
-    let by_measures = |i| NamesFrom::of(assessor.scene, &parsed.target, i) == NamesFrom::Measures;
-    let asks_by_name = matches!(parsed.target.meaning(), Meaning::Nouns(_));
-    if asks_by_name && best.is_some_and(by_measures) {
+    if best.is_some_and(|best| is_guess(assessor.scene, &parsed.target, best)) {
         verdict.explanation.push_str(NAMES_ARE_GUESSES);
     }
     verdict
@@ -93,8 +91,7 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         return no_match(assessment.own.clone(), reason, why_nothing_fits(parsed));
     }
     let best = order[0];
-    let is_guess = matches!(parsed.target.meaning(), Meaning::Nouns(_))
-        && NamesFrom::of(assessor.scene, &parsed.target, best) == NamesFrom::Measures;
+    let is_guess = is_guess(assessor.scene, &parsed.target, best);
     let may_deny = !is_guess || assessment.own.iter().copied().fold(0.0, f32::max) < MEASURES_DENY;
     if may_deny && (best_fit < MIN_FIT || !colors_agree(assessment, &parsed.target, assessor.scene))
     {
@@ -172,6 +169,12 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         relation_used: relation_words(phrase),
         target_name_matches: Some(name_matches(assessor.scene, &parsed.target, best)),
     }
+}
+
+/// Returns whether the instance at an index is compared with a noun by its measures only.
+fn is_guess(scene: SceneView, target: &Phrase, index: usize) -> bool {
+    matches!(target.meaning(), Meaning::Nouns(_))
+        && NamesFrom::of(scene, target, index) == NamesFrom::Measures
 }
 
 /// Returns whether any instance that may be meant has the requested colors. A related color alone

@@ -205,8 +205,12 @@ fn list_names(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
         |source| IngestError::Io { file: folder.file_name().unwrap_or("archive").into(), source };
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(io)? {
-        let name = entry.map_err(io)?.file_name().to_string_lossy().into_owned();
-        if !is_of_system(&name) {
+        let entry = entry.map_err(io)?;
+        // Opening a pipe would wait for ever. Links are followed; a broken one is reported later.
+        let is_special =
+            fs::metadata(entry.path()).is_ok_and(|found| !found.is_file() && !found.is_dir());
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if !is_special && !is_of_system(&name) {
             names.push(name);
         }
     }

@@ -45,8 +45,7 @@ pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<(&UpCandidate, f32
     let Some(best) = candidates.first() else {
         return Err(IngestError::UpUnknown {
             reason: "it has no flat surfaces".into(),
-            best: UpAxis::Z.name(),
-            next: String::new(),
+            choice: "up=z, or another axis".into(),
         });
     };
     let lead = best.score - candidates.get(1).map_or(0.0, |next| next.score);
@@ -56,23 +55,18 @@ pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<(&UpCandidate, f32
     {
         return Ok((best, 1.0 / (1.0 + (-lead / AHEAD).exp())));
     }
-    let describe = |c: &UpCandidate| {
-        format!(
-            "{} (height {:.1} m, {})",
-            UpAxis::nearest(&c.fit.up).name(),
-            c.height_m,
-            describe(&c.fit)
-        )
+    let likeliest = &candidates[..candidates.len().min(2)];
+    let axis = |c: &UpCandidate| UpAxis::nearest(&c.fit.up).name();
+    let reading = |c: &UpCandidate| {
+        let UpCandidate { fit, height_m, .. } = c;
+        format!("with {} up it is {height_m:.1} m high and {}", axis(c), describe(fit))
     };
-    let why = if is_room { "its surfaces suggest" } else { "it is not a whole room" };
-    let readings: Vec<String> = candidates.iter().take(2).map(describe).collect();
+    let readings: Vec<String> = likeliest.iter().map(reading).collect();
+    let choices: Vec<String> = likeliest.iter().map(|c| format!("up={}", axis(c))).collect();
+    let part = if is_room { "" } else { "it is not a whole room; " };
     Err(IngestError::UpUnknown {
-        reason: format!("{why}: {}", readings.join(", or ")),
-        best: UpAxis::nearest(&best.fit.up).name(),
-        next: candidates
-            .get(1)
-            .map(|next| format!(", or up={}", UpAxis::nearest(&next.fit.up).name()))
-            .unwrap_or_default(),
+        reason: format!("{part}{}", readings.join("; ")),
+        choice: choices.join(" or "),
     })
 }
 

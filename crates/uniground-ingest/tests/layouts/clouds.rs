@@ -339,7 +339,7 @@ fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
         |out: &Out| out.put("wall.ply", ply(&wall)),
         |found| {
             let message = found.map(|found| found.report).unwrap_err().to_string();
-            assert!(message.contains("set up=z, or up=-z"), "{message}");
+            assert!(message.ends_with("Set up=z or up=-z"), "{message}");
         },
     );
 }

@@ -169,7 +169,7 @@ mod tests {
             new,
             apart_m: 0.04,
             frames_skipped: 0,
-            warnings: Vec::new(),
+            findings: Vec::new(),
         }
     }
 
