@@ -1876,8 +1876,8 @@ export interface components {
             about: components["schemas"]["FindingSubject"];
             /**
              * Format: float
-             * @description For assumptions: how clearly the data supports this reading over the next best one,
-             *     `0.5..=1`. Absent where nothing could be compared.
+             * @description For assumptions: how clearly the data supports this reading over the next best one that was
+             *     tried, `0..=1`; below 0.5 the other one fits better. `null` where nothing was compared.
              */
             confidence?: number | null;
             /**
@@ -1908,7 +1908,7 @@ export interface components {
          * @description What a finding is about.
          * @enum {string}
          */
-        FindingSubject: "files" | "frames" | "cloud" | "color" | "depth" | "poses" | "camera" | "units" | "up";
+        FindingSubject: "files" | "frames" | "cloud" | "color" | "poses" | "camera" | "units" | "up";
         /**
          * @description Metadata of a scene's floor map in the format of the ROS `map_server`. The JSON is also valid
          *     YAML. The upper left pixel has the smallest x and the largest y.

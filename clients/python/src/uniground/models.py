@@ -32,7 +32,7 @@ FailedCondition = Literal["start_not_free", "no_floor", "no_room", "not_reachabl
 """The first condition that excluded all positions, in the order of checking."""
 FindingKind = Literal["read", "left_out", "assumed", "changed", "unusual"]
 """The kind of a finding."""
-FindingSubject = Literal["files", "frames", "cloud", "color", "depth", "poses", "camera", "units", "up"]
+FindingSubject = Literal["files", "frames", "cloud", "color", "poses", "camera", "units", "up"]
 """What a finding is about."""
 FrameChoice = Literal["scene", "source", "map"]
 """Frame of a question's observer, and additional frame of the answer's boxes. Boxes in the scene's frame are always returned."""
@@ -710,8 +710,8 @@ class Finding(ShortRepr):
     warning: bool
     """Whether the finding can make results worse. Such findings are in `warnings` too."""
     confidence: Optional[float] = None
-    """For assumptions: how clearly the data supports this reading over the next best one, `0.5..=1`. Absent where nothing could be
-    compared.
+    """For assumptions: how clearly the data supports this reading over the next best one that was tried, `0..=1`; below 0.5 the other one
+    fits better. `null` where nothing was compared.
     """
     count: Optional[int] = None
     """Number of files, frames or points."""
