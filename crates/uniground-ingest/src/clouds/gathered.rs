@@ -1,6 +1,7 @@
 //! Collects points from a file into a cloud.
 
 use super::CloudKind;
+use super::color_range::{ChannelTally, ColorRange};
 use crate::IngestError;
 use camino::Utf8Path;
 use uniground_geometry::scene::PointCloud;
@@ -21,29 +22,20 @@ pub struct LoadedCloud {
     pub has_color: bool,
     /// The cloud was thinned out: one of this many points was kept.
     pub thinned: usize,
-    /// What was assumed about the file.
-    pub assumptions: Vec<Finding>,
-    /// Number of points whose color channels need the range, by range, for ranges that were told
-    /// from values.
-    pub(super) in_range: [usize; 3],
+    /// What was assumed about the file, and what in it is not used.
+    pub findings: Vec<Finding>,
+    /// Color channels so far, the narrowest range that the file's types allow, and the range that
+    /// the colors were read with.
+    channels: ChannelTally,
+    declared_range: ColorRange,
+    range: ColorRange,
 }
 
-/// Maximum share of points whose color channels exceed a range that are errors of the file.
-const OUTLIER_SHARE: f64 = 0.001;
-
 impl LoadedCloud {
-    /// Returns a narrower range of color channels that all but a few points keep to.
-    pub(super) fn narrower_color_range(&self) -> Option<ColorRange> {
-        let all: usize = self.in_range.iter().sum();
-        let few = |points: usize| points > 0 && points as f64 <= OUTLIER_SHARE * all as f64;
-        let [_, bytes, words] = self.in_range;
-        if few(bytes + words) {
-            Some(ColorRange::Unit)
-        } else if few(words) && bytes > 0 {
-            Some(ColorRange::Bytes)
-        } else {
-            None
-        }
+    /// Returns the range of the color channels, if the colors were read with another one.
+    pub(super) fn other_color_range(&self) -> Option<ColorRange> {
+        let (range, _) = self.channels.range(self.declared_range);
+        (range != self.range).then_some(range)
     }
 }
 
@@ -74,47 +66,9 @@ pub(super) struct CloudBuilder {
     loaded: LoadedCloud,
     bounds: CloudBounds,
     origin: Option<[f64; 3]>,
-    /// The range of the color channels so far, and the widest allowed one.
-    range: ColorRange,
-    widest: ColorRange,
+    /// The range of the color channels, if it is known.
+    fixed_range: Option<ColorRange>,
     seen: usize,
-}
-
-/// The range of color channels. Files do not always keep to the one that their types suggest:
-/// floats up to 255 and 16-bit numbers up to 255 both occur. So it is told from the values.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum ColorRange {
-    /// 0 to 1.
-    Unit,
-    /// 0 to 255.
-    Bytes,
-    /// 0 to 65,535.
-    Words,
-}
-
-impl ColorRange {
-    fn most(self) -> f64 {
-        match self {
-            Self::Unit => 1.0,
-            Self::Bytes => 255.0,
-            Self::Words => 65_535.0,
-        }
-    }
-
-    /// Returns the narrowest range that holds a channel. Values slightly above the end are rounding
-    /// errors.
-    fn needed_for(channel: f64) -> Self {
-        match channel {
-            v if v < 2.0 => Self::Unit,
-            v if v < 256.0 => Self::Bytes,
-            _ => Self::Words,
-        }
-    }
-
-    /// Returns the level of a channel, 0 to 255. Values outside of the range saturate.
-    fn to_level(self, channel: f64) -> u8 {
-        (channel * (255.0 / self.most())).round() as u8
-    }
 }
 
 impl CloudBuilder {
@@ -127,21 +81,16 @@ impl CloudBuilder {
             without_color: 0,
             has_color: false,
             thinned: 1,
-            assumptions: Vec::new(),
-            in_range: [0; 3],
+            findings: Vec::new(),
+            channels: ChannelTally::default(),
+            declared_range: ColorRange::Unit,
+            range: ColorRange::Unit,
         };
         let origin = match origin {
             CoordinateOrigin::Free => None,
             CoordinateOrigin::At(at) => Some(at),
         };
-        Self {
-            loaded,
-            bounds: *bounds,
-            origin,
-            range: ColorRange::Unit,
-            widest: ColorRange::Words,
-            seen: 0,
-        }
+        Self { loaded, bounds: *bounds, origin, fixed_range: None, seen: 0 }
     }
 
     /// Sets the expected number of points and allocates memory for those that are kept.
@@ -187,28 +136,27 @@ impl CloudBuilder {
     }
 
     /// Sets the narrowest range that the color channels can have.
-    pub fn set_color_range(&mut self, range: ColorRange) {
-        self.range = range.min(self.widest);
+    pub fn set_color_range(&mut self, declared: ColorRange) {
+        self.loaded.declared_range = declared;
+        self.loaded.range = self.fixed_range.unwrap_or(declared);
     }
 
-    /// Limits the range of the color channels. Channels beyond it saturate.
-    pub fn limit_color_range(&mut self, widest: ColorRange) {
-        self.widest = widest;
+    /// Reads the color channels with this range, whatever their values. Channels beyond it saturate.
+    pub fn fix_color_range(&mut self, range: ColorRange) {
+        self.fixed_range = Some(range);
+        self.loaded.range = range;
     }
 
     /// Adds a point with its color channels as they are in the file. Channels that are not numbers
     /// become gray.
     #[inline]
     pub fn push_channels(&mut self, position: [f64; 3], channels: [f64; 3]) {
-        // An infinite channel tells nothing about the others.
-        let largest = channels.into_iter().filter(|v| v.is_finite()).fold(0.0, f64::max);
-        let needed = ColorRange::needed_for(largest);
-        // Black tells nothing about the range.
-        self.loaded.in_range[needed as usize] += usize::from(largest > 0.0);
-        if needed.min(self.widest) > self.range {
-            self.widen_range(needed.min(self.widest));
+        let needed = self.loaded.channels.add(channels);
+        if self.fixed_range.is_none() && needed > self.loaded.range {
+            self.widen_range(needed);
         }
-        let level = |v: f64| if v.is_nan() { GREY[0] } else { self.range.to_level(v) };
+        let range = self.loaded.range;
+        let level = |v: f64| if v.is_nan() { GREY[0] } else { range.to_level(v) };
         let before = self.loaded.cloud.len();
         self.push(position, channels.map(level));
         if channels.iter().any(|v| v.is_nan()) {
@@ -219,16 +167,34 @@ impl CloudBuilder {
     /// Converts the colors so far, whose channels all fit into the narrower range.
     #[cold]
     fn widen_range(&mut self, wider: ColorRange) {
-        let scale = self.range.most() / wider.most();
+        let narrower = std::mem::replace(&mut self.loaded.range, wider);
         for color in &mut self.loaded.cloud.colors {
-            *color = color.map(|level| (f64::from(level) * scale).round() as u8);
+            *color = color.map(|level| wider.widen(level, narrower));
         }
-        self.range = wider;
     }
 
-    /// Records what was assumed about the file.
-    pub fn add_assumption(&mut self, assumption: Finding) {
-        self.loaded.assumptions.push(assumption);
+    /// Sets the colors of the kept points from 16-bit channels, for formats where they are known
+    /// only at the end.
+    pub fn set_wide_colors(&mut self, colors: &[[u16; 3]]) {
+        let declared = ColorRange::Bytes;
+        self.set_color_range(declared);
+        for color in colors {
+            self.loaded.channels.add(color.map(f64::from));
+        }
+        let (range, _) = self.loaded.channels.range(declared);
+        self.loaded.range = range;
+        for (own, color) in self.loaded.cloud.colors.iter_mut().zip(colors) {
+            *own = match range {
+                // Writers multiply bytes by 256 or by 257: both come back.
+                ColorRange::Words => color.map(|c| (c >> 8) as u8),
+                _ => color.map(|c| range.to_level(f64::from(c))),
+            };
+        }
+    }
+
+    /// Records what was assumed about the file, or what in it is not used.
+    pub fn add_finding(&mut self, finding: Finding) {
+        self.loaded.findings.push(finding);
     }
 
     /// Returns whether the file contains color.
@@ -249,13 +215,6 @@ impl CloudBuilder {
     /// Replaces the points by others with the same origin.
     pub fn replace(&mut self, cloud: PointCloud) {
         self.loaded.cloud = cloud;
-    }
-
-    /// Sets the colors of the kept points, for formats where they are known only at the end.
-    pub fn set_colors(&mut self, colors: impl Iterator<Item = [u8; 3]>) {
-        for (own, color) in self.loaded.cloud.colors.iter_mut().zip(colors) {
-            *own = color;
-        }
     }
 
     /// Returns the number of points so far, including those that were thinned out.
@@ -305,6 +264,11 @@ impl CloudBuilder {
         }
         if cloud.is_empty() {
             return Err(IngestError::EmptyCloud { file: file.to_owned() });
+        }
+        if self.loaded.has_color {
+            let LoadedCloud { channels, declared_range, .. } = &self.loaded;
+            let of_colors = channels.findings(*declared_range);
+            self.loaded.findings.extend(of_colors);
         }
         Ok(self.loaded)
     }

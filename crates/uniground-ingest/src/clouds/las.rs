@@ -66,18 +66,11 @@ fn read_compressed(
             ));
         }
         if colored {
-            set_colors(&mut gathered, &wide);
+            gathered.set_wide_colors(&wide);
         }
         Ok(gathered)
     });
     catch_panics(file, read)
-}
-
-/// Sets the colors. The standard requires 16 bits, but many writers store 8-bit values unscaled.
-/// The largest value distinguishes them.
-fn set_colors(gathered: &mut CloudBuilder, wide: &[[u16; 3]]) {
-    let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
-    gathered.set_colors(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));
 }
 
 fn open(

@@ -2,6 +2,7 @@
 //! format. All of them pass points to a [`CloudBuilder`], which drops invalid points, thins out
 //! clouds that are too large, and subtracts an offset from map coordinates.
 
+mod color_range;
 mod e57;
 mod gathered;
 mod gltf;
@@ -21,7 +22,6 @@ pub(super) use gathered::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use std::fs::File;
 use std::io::Read;
 use uniground_geometry::up_axis::UpAxis;
-use uniground_types::findings::{Finding, FindingSubject};
 
 /// A format of point clouds or meshes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -149,20 +149,12 @@ pub(super) fn read(
 ) -> Result<LoadedCloud, IngestError> {
     let kind = detect_kind(root, file)?;
     let loaded = read_with(root, file, kind, CloudBuilder::new(kind, bounds, origin))?;
-    // The range of colors is told from the values, and a single wrong one must not darken all
+    // The range of the colors is known only after all of them: a few wrong ones must not darken all
     // others.
-    let Some(range) = loaded.narrower_color_range() else { return Ok(loaded) };
-    let mut limited = CloudBuilder::new(kind, bounds, origin);
-    limited.limit_color_range(range);
-    let outliers: usize = loaded.in_range[range as usize + 1..].iter().sum();
-    limited.add_assumption(
-        Finding::assumed(
-            FindingSubject::Color,
-            format!("the colors of {outliers} points exceed the range of the others: cut off"),
-        )
-        .counting(outliers),
-    );
-    read_with(root, file, kind, limited)
+    let Some(range) = loaded.other_color_range() else { return Ok(loaded) };
+    let mut builder = CloudBuilder::new(kind, bounds, origin);
+    builder.fix_color_range(range);
+    read_with(root, file, kind, builder)
 }
 
 fn read_with(

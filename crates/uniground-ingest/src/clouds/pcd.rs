@@ -1,10 +1,11 @@
 //! PCD 0.7 (Point Cloud Library): ascii, binary and `binary_compressed`, with fields of any type in
 //! any order.
 //!
-//! Color is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is
-//! the sensor's position and does not transform the points.
+//! Color is `rgb` or `rgba`, packed into the four bytes of a float or an integer, or three fields
+//! `r`, `g` and `b`. The viewpoint is the sensor's position and does not transform the points.
 
 use super::CloudBuilder;
+use super::color_range::{ColorRange, channel_of_name};
 use super::gathered::{CloudBounds, GREY};
 use crate::IngestError;
 use crate::limited_reader::read_line;
@@ -77,17 +78,37 @@ struct Header {
     row_bytes: usize,
 }
 
+/// The fields of a point's color.
+#[derive(Clone, Copy)]
+enum ColorFields<'a> {
+    None,
+    /// Blue, green and red in the bytes of one number.
+    Packed(&'a Field),
+    /// Red, green and blue.
+    Channels([&'a Field; 3]),
+}
+
 impl Header {
     fn field(&self, name: &str) -> Option<&Field> {
         self.fields.iter().find(|field| field.name == name)
     }
 
-    /// Returns the fields x, y, z and the packed color.
-    fn position_and_color(&self) -> Option<([&Field; 3], Option<&Field>)> {
+    /// Returns the fields x, y, z and those of the color.
+    fn position_and_color(&self) -> Option<([&Field; 3], ColorFields<'_>)> {
         let xyz = [self.field("x")?, self.field("y")?, self.field("z")?];
         let packed =
             self.field("rgb").or_else(|| self.field("rgba")).filter(|field| field.size == 4);
-        Some((xyz, packed))
+        let channels = [0, 1, 2].map(|channel| {
+            self.fields.iter().find(|field| channel_of_name(&field.name) == Some(channel))
+        });
+        Some((
+            xyz,
+            match (packed, channels) {
+                (Some(packed), _) => ColorFields::Packed(packed),
+                (None, [Some(r), Some(g), Some(b)]) => ColorFields::Channels([r, g, b]),
+                _ => ColorFields::None,
+            },
+        ))
     }
 }
 
@@ -108,10 +129,14 @@ pub(super) fn read(
 ) -> Result<CloudBuilder, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (header, mut source) = open(root, file)?;
-    let (xyz, packed) = header
+    let (xyz, color) = header
         .position_and_color()
         .ok_or_else(|| malformed("its points have no fields x, y and z".into()))?;
-    gathered.set_has_color(packed.is_some());
+    gathered.set_has_color(!matches!(color, ColorFields::None));
+    if let ColorFields::Channels([red, ..]) = color {
+        let floats = red.kind == PcdFieldType::Float;
+        gathered.set_color_range(if floats { ColorRange::Unit } else { ColorRange::Bytes });
+    }
     if header.data != PcdEncoding::Ascii && xyz.iter().all(|field| field.size < 8) {
         gathered.set_single_precision();
     }
@@ -250,13 +275,19 @@ fn read_ascii(
     source: &mut impl BufRead,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some((xyz, packed)) = header.position_and_color() else { return Ok(()) };
+    let Some((xyz, color_fields)) = header.position_and_color() else { return Ok(()) };
     // Column numbers. Fields of several numbers can precede them.
     let column = |field: &Field| {
         header.fields.iter().take_while(|f| f.name != field.name).map(|f| f.count).sum::<usize>()
     };
-    let (xyz, packed) = (xyz.map(column), packed.map(|field| (column(field), field.kind)));
-    let most = xyz.iter().copied().chain(packed.map(|p| p.0)).max().unwrap_or(0);
+    let xyz = xyz.map(column);
+    let (packed, rgb) = match color_fields {
+        ColorFields::None => (None, None),
+        ColorFields::Packed(field) => (Some((column(field), field.kind)), None),
+        ColorFields::Channels(fields) => (None, Some(fields.map(column))),
+    };
+    let columns = xyz.into_iter().chain(packed.map(|p| p.0)).chain(rgb.into_iter().flatten());
+    let most = columns.max().unwrap_or(0);
     let mut line = Vec::new();
     for row in 0..header.points {
         if !read_line(source, &mut line, MAX_LINE_BYTES).map_err(|e| format!("point {row}: {e}"))? {
@@ -264,6 +295,7 @@ fn read_ascii(
         }
         let text = std::str::from_utf8(&line).map_err(|_| format!("point {row}: not text"))?;
         let (mut position, mut color, mut found) = ([f64::NAN; 3], GREY, 0);
+        let mut channels = [f64::NAN; 3];
         for (i, word) in text.split_ascii_whitespace().enumerate().take(most + 1) {
             found = i;
             let number = || {
@@ -271,6 +303,8 @@ fn read_ascii(
             };
             if let Some(axis) = xyz.iter().position(|c| *c == i) {
                 position[axis] = number()?;
+            } else if let Some(channel) = rgb.and_then(|rgb| rgb.iter().position(|c| *c == i)) {
+                channels[channel] = number()?;
             } else if let Some((_, kind)) = packed.filter(|(column, _)| *column == i) {
                 // Written as an integer, or as the float with the same bytes.
                 let bits = match (kind, word.parse::<u32>()) {
@@ -289,7 +323,10 @@ fn read_ascii(
                 most + 1
             ));
         }
-        gathered.push(position, color);
+        match rgb {
+            Some(_) => gathered.push_channels(position, channels),
+            None => gathered.push(position, color),
+        }
     }
     Ok(())
 }
@@ -299,7 +336,7 @@ fn read_binary(
     source: &mut impl Read,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some((xyz, packed)) = header.position_and_color() else { return Ok(()) };
+    let Some((xyz, color)) = header.position_and_color() else { return Ok(()) };
     let per_block = (BLOCK_BYTES / header.row_bytes).max(1);
     let mut block = vec![0; per_block * header.row_bytes];
     let mut left = header.points;
@@ -308,11 +345,17 @@ fn read_binary(
         let block = &mut block[..rows * header.row_bytes];
         source.read_exact(block).map_err(|e| format!("truncated: {e}"))?;
         for row in block.chunks_exact(header.row_bytes) {
-            let position = xyz.map(|field| field.read_number(&row[field.offset..]));
-            let color = packed.map_or(GREY, |f| {
-                unpack_bgr([row[f.offset], row[f.offset + 1], row[f.offset + 2], 0])
-            });
-            gathered.push(position, color);
+            let number = |field: &Field| field.read_number(&row[field.offset..]);
+            match color {
+                ColorFields::None => gathered.push(xyz.map(number), GREY),
+                ColorFields::Channels(rgb) => {
+                    gathered.push_channels(xyz.map(number), rgb.map(number));
+                }
+                ColorFields::Packed(Field { offset, .. }) => {
+                    let color = unpack_bgr([row[*offset], row[*offset + 1], row[*offset + 2], 0]);
+                    gathered.push(xyz.map(number), color);
+                }
+            }
         }
         left -= rows;
     }
@@ -325,7 +368,7 @@ fn read_compressed(
     source: &mut impl Read,
     gathered: &mut CloudBuilder,
 ) -> Result<(), String> {
-    let Some((xyz, packed)) = header.position_and_color() else { return Ok(()) };
+    let Some((xyz, color)) = header.position_and_color() else { return Ok(()) };
     let mut sizes = [0; 8];
     source.read_exact(&mut sizes).map_err(|e| format!("truncated: {e}"))?;
     let size = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| sizes[at + i])) as usize;
@@ -346,14 +389,17 @@ fn read_compressed(
     let column = |field: &Field| {
         &bytes[field.offset * header.points..][..field.size_bytes() * header.points]
     };
-    let (xyz, packed) = (xyz.map(|field| (field, column(field))), packed.map(column));
     for i in 0..header.points {
-        let position =
-            xyz.map(|(field, column)| field.read_number(&column[i * field.size_bytes()..]));
-        let color = packed.map_or(GREY, |column| {
-            unpack_bgr([column[i * 4], column[i * 4 + 1], column[i * 4 + 2], 0])
-        });
-        gathered.push(position, color);
+        let number = |field: &Field| field.read_number(&column(field)[i * field.size_bytes()..]);
+        match color {
+            ColorFields::None => gathered.push(xyz.map(number), GREY),
+            ColorFields::Channels(rgb) => gathered.push_channels(xyz.map(number), rgb.map(number)),
+            ColorFields::Packed(field) => {
+                let packed = &column(field)[i * 4..];
+                let color = unpack_bgr([packed[0], packed[1], packed[2], 0]);
+                gathered.push(xyz.map(number), color);
+            }
+        }
     }
     Ok(())
 }
@@ -467,6 +513,28 @@ mod tests {
             decompress_lzf(&[1, b'a', b'b', 0b111_00000, 255, 1], 11).is_err(),
             "longer than announced"
         );
+    }
+
+    #[test]
+    fn color_in_three_fields_is_read() {
+        let header = |data: &str| {
+            format!(
+                "VERSION 0.7\nFIELDS x y z r g b\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA {data}\n"
+            )
+            .into_bytes()
+        };
+        let ascii = [&header("ascii")[..], b"1 2 3 10 20 255\n"].concat();
+        let mut binary = header("binary");
+        [1.0_f32, 2.0, 3.0].iter().for_each(|v| binary.extend(v.to_le_bytes()));
+        binary.extend([10, 20, 255]);
+        for bytes in [ascii, binary] {
+            let loaded = read_bytes(&bytes).unwrap();
+            assert!(loaded.has_color);
+            assert_eq!(
+                (loaded.cloud.positions, loaded.cloud.colors),
+                (vec![Point3::new(1.0, 2.0, 3.0)], vec![[10, 20, 255]])
+            );
+        }
     }
 
     #[test]

@@ -8,7 +8,8 @@ mod faces;
 mod rows;
 
 use super::CloudBuilder;
-use super::gathered::{CloudBounds, ColorRange, GREY};
+use super::color_range::{ColorRange, channel_of_name};
+use super::gathered::{CloudBounds, GREY};
 use crate::IngestError;
 use crate::limited_reader::BYTE_ORDER_MARK;
 use camino::Utf8Path;
@@ -17,6 +18,7 @@ use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, PropertyDef, PropertyTy
 use rows::PlyRows;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
+use uniground_types::findings::{Finding, FindingSubject};
 
 const MAX_HEADER_BYTES: usize = 64 << 10;
 /// Maximum number of properties of all elements together.
@@ -56,16 +58,18 @@ pub fn read(
             rows.skip(&mut source, element.count).map_err(named)?;
             continue;
         }
-        gathered.set_has_color(
-            ["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)),
-        );
+        let of_channel = |channel: usize| {
+            let is_channel = |property: &&PropertyDef| matches!(Field::from_name(&property.name), Some(Field::Channel(c)) if c == channel);
+            element.properties.values().find(is_channel)
+        };
+        gathered.set_has_color((0..3).all(|channel| of_channel(channel).is_some()));
         let is_float = |property: &PropertyDef| {
             matches!(
                 property.data_type,
                 PropertyType::Scalar(ScalarType::Float | ScalarType::Double)
             )
         };
-        let floats = element.properties.get("red").is_some_and(is_float);
+        let floats = of_channel(0).is_some_and(is_float);
         gathered.set_color_range(if floats { ColorRange::Unit } else { ColorRange::Bytes });
         let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
         if !["x", "y", "z"].iter().any(in_doubles) {
@@ -74,6 +78,17 @@ pub fn read(
         gathered.expect(file, element.count)?;
         rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
         has_vertices = true;
+        if header.elements.values().next_back().is_some_and(|last| last.name == element.name) {
+            let surplus =
+                count_surplus(&mut source).map_err(|source| IngestError::reading(file, source))?;
+            if surplus > 0 {
+                let text = format!(
+                    "{surplus} bytes after the {} points that the header declares are not read: does it declare too few?",
+                    element.count
+                );
+                gathered.add_finding(Finding::left_out(FindingSubject::Cloud, text));
+            }
+        }
         if !header
             .elements
             .values()
@@ -83,6 +98,20 @@ pub fn read(
         }
     }
     Ok(gathered)
+}
+
+/// Returns the number of bytes up to the end of the file, without white space.
+fn count_surplus(source: &mut impl BufRead) -> io::Result<u64> {
+    let mut surplus = 0;
+    loop {
+        let block = source.fill_buf()?;
+        if block.is_empty() {
+            return Ok(surplus);
+        }
+        surplus += block.iter().filter(|byte| !byte.is_ascii_whitespace()).count() as u64;
+        let read = block.len();
+        source.consume(read);
+    }
 }
 
 /// Returns the checked header, and the file positioned at the first row.
@@ -187,10 +216,8 @@ enum Field {
 
 impl Field {
     fn from_name(name: &str) -> Option<Self> {
-        let at = |names: [&str; 3]| names.iter().position(|known| *known == name);
-        at(["x", "y", "z"])
-            .map(Self::Coordinate)
-            .or_else(|| at(["red", "green", "blue"]).map(Self::Channel))
+        let coordinate = ["x", "y", "z"].iter().position(|known| *known == name);
+        coordinate.map(Self::Coordinate).or_else(|| channel_of_name(name).map(Self::Channel))
     }
 }
 
@@ -274,6 +301,30 @@ mod tests {
             (loaded.cloud.positions[0], loaded.cloud.colors[0]),
             (Point3::new(1.0, 2.0, 3.0), [1, 2, 3])
         );
+    }
+
+    #[test]
+    fn color_channels_have_several_usual_names() {
+        for [red, green, blue] in
+            [["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"], ["R", "G", "B"]]
+        {
+            let names = XYZ_RGB.replace("red", red).replace("green", green).replace("blue", blue);
+            let bytes = [&header("ascii", 1, &names)[..], b"1 2 3 10 20 30\n"].concat();
+            let loaded = read_bytes(&bytes).unwrap();
+            assert!(loaded.has_color && loaded.cloud.colors == [[10, 20, 30]], "{red}");
+        }
+    }
+
+    #[test]
+    fn data_after_the_declared_points_is_named() {
+        let rows = b"1 2 3 10 20 30\n4 5 6 10 20 30\n\n";
+        let findings = |count| {
+            let bytes = [&header("ascii", count, XYZ_RGB)[..], rows].concat();
+            read_bytes(&bytes).unwrap().findings
+        };
+        assert_eq!(findings(2), []);
+        let [finding] = &findings(1)[..] else { panic!() };
+        assert!(finding.text.contains("after the 1 points"), "{}", finding.text);
     }
 
     #[test]

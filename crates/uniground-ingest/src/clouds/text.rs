@@ -2,7 +2,8 @@
 //! the number of columns and their values.
 
 use super::CloudBuilder;
-use super::gathered::{ColorRange, GREY};
+use super::color_range::{ColorRange, channel_of_name};
+use super::gathered::GREY;
 use crate::IngestError;
 use crate::limited_reader::{BYTE_ORDER_MARK, read_line};
 use camino::Utf8Path;
@@ -16,6 +17,8 @@ const MAX_LINE_BYTES: u64 = 4 << 10;
 const LOOKED_AT: usize = 1000;
 /// Maximum number of columns of a line that are examined.
 const MAX_COLUMNS: usize = 32;
+/// Maximum number of lines without three numbers: headings, a count and damaged lines.
+const MAX_BROKEN: usize = 3;
 
 #[derive(Debug, Clone, PartialEq)]
 struct Columns {
@@ -89,10 +92,10 @@ pub(super) fn read(
     let columns = detect_columns(root, file)?;
     gathered.set_has_color(columns.color.is_some());
     columns.color.iter().for_each(|(_, range)| gathered.set_color_range(*range));
-    columns.assumption.into_iter().for_each(|assumption| gathered.add_assumption(assumption));
+    columns.assumption.into_iter().for_each(|assumption| gathered.add_finding(assumption));
     let mut source = open(root, file)?;
     let mut line = Vec::new();
-    let (mut number, mut skipped) = (0_usize, 0_usize);
+    let (mut number, mut skipped, mut broken) = (0_usize, 0_usize, Vec::new());
     while read_line(&mut source, &mut line, MAX_LINE_BYTES)
         .map_err(|e| malformed(format!("line {}: {e}", number + 1)))?
     {
@@ -109,9 +112,13 @@ pub(super) fn read(
             found += 1;
         }
         if !readable || found < 3 {
-            // A heading, a count or a comment is accepted at the beginning only.
-            skipped += usize::from(found > 0 && !text.trim_start().starts_with(['#', '/']));
-            if skipped > 3 {
+            // Headings, counts and comments are no points.
+            let is_broken = found > 0 && !text.trim_start().starts_with(['#', '/']);
+            skipped += usize::from(is_broken);
+            if is_broken && gathered.points_read() > 0 {
+                broken.push(number);
+            }
+            if skipped > MAX_BROKEN {
                 return Err(malformed(format!(
                     "line {number} does not have three or more numbers"
                 )));
@@ -128,6 +135,11 @@ pub(super) fn read(
         }
     }
     gathered.thin_if_full(file)?;
+    if !broken.is_empty() {
+        let text = format!("lines without three numbers are skipped: {broken:?}");
+        let finding = Finding::left_out(FindingSubject::Cloud, text).counting(broken.len());
+        gathered.add_finding(finding);
+    }
     Ok(gathered)
 }
 
@@ -225,15 +237,13 @@ fn correlation(rows: &[Vec<f64>], a: usize, b: usize) -> f64 {
 fn columns_from_heading(line: &str) -> Option<([usize; 3], Option<[usize; 3]>)> {
     let line = line.trim_start_matches(['#', '/']).to_ascii_lowercase();
     let names: Vec<&str> = split_words(&line).map(|word| word.trim_matches('"')).collect();
-    let of = |wanted: [&[&str]; 3]| -> Option<[usize; 3]> {
-        let at: Vec<usize> = wanted
-            .iter()
-            .filter_map(|known| names.iter().position(|name| known.contains(name)))
-            .collect();
-        at.try_into().ok()
+    let find = |of: &dyn Fn(usize, &str) -> bool| -> Option<[usize; 3]> {
+        let at = [0, 1, 2].map(|i| names.iter().position(|name| of(i, name)));
+        let [Some(a), Some(b), Some(c)] = at else { return None };
+        Some([a, b, c])
     };
-    let position = of([&["x"], &["y"], &["z"]])?;
-    Some((position, of([&["r", "red"], &["g", "green"], &["b", "blue"]])))
+    let position = find(&|axis, name| name == ["x", "y", "z"][axis])?;
+    Some((position, find(&|channel, name| channel_of_name(name) == Some(channel))))
 }
 
 /// Reads lines of text with a limit on their length.
@@ -340,7 +350,7 @@ mod tests {
         let colors = |name: &str, line: &dyn Fn(u32) -> String| {
             let text: String = (0..300).map(|i| line(i) + "\n").collect();
             let loaded = read_text(name, text.as_bytes()).unwrap();
-            let [assumption] = &loaded.assumptions[..] else { panic!("{:?}", loaded.assumptions) };
+            let [assumption] = &loaded.findings[..] else { panic!("{:?}", loaded.findings) };
             assert!(assumption.warning && assumption.confidence.unwrap() > 0.5);
             loaded.cloud.colors
         };

@@ -137,7 +137,7 @@ impl LasRecords {
             left -= rows as u64;
         }
         if self.color.is_some() {
-            super::set_colors(&mut gathered, &wide);
+            gathered.set_wide_colors(&wide);
         }
         Ok(gathered)
     }
