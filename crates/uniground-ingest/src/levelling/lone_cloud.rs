@@ -55,13 +55,15 @@ pub(super) fn choose_up(candidates: &[UpCandidate]) -> Result<(&UpCandidate, f32
     {
         return Ok((best, 1.0 / (1.0 + (-lead / AHEAD).exp())));
     }
-    let likeliest = &candidates[..candidates.len().min(2)];
     let axis = |c: &UpCandidate| UpAxis::nearest(&c.fit.up).name();
+    // Directions between two axes are named by the nearest one.
+    let other = candidates.iter().find(|c| axis(c) != axis(best));
+    let likeliest: Vec<&UpCandidate> = std::iter::once(best).chain(other).collect();
     let reading = |c: &UpCandidate| {
         let UpCandidate { fit, height_m, .. } = c;
         format!("with {} up it is {height_m:.1} m high and {}", axis(c), describe(fit))
     };
-    let readings: Vec<String> = likeliest.iter().map(reading).collect();
+    let readings: Vec<String> = likeliest.iter().map(|c| reading(c)).collect();
     let choices: Vec<String> = likeliest.iter().map(|c| format!("up={}", axis(c))).collect();
     let part = if is_room { "" } else { "it is not a whole room; " };
     Err(IngestError::UpUnknown {
@@ -301,6 +303,18 @@ mod tests {
             let up = chosen.unwrap().0.fit.up;
             prop_assert!(up.dot(&(turn * Vector3::z())) > 0.998, "{up}");
         }
+    }
+
+    #[test]
+    fn two_directions_near_one_axis_are_named_once() {
+        let candidate = |x: f32, score: f32| {
+            let up = Vector3::new(x, 0.0, 1.0).normalize();
+            let fit = UpFit { up, level: 0.5, upright: 0.4, clearness: 0.1 };
+            UpCandidate { fit, score, height_m: 1.0, width_m: 1.0 }
+        };
+        let all = [candidate(0.0, 0.5), candidate(0.3, 0.45), candidate(9.0, 0.4)];
+        let message = choose_up(&all).unwrap_err().to_string();
+        assert!(message.ends_with("Set up=z or up=x"), "{message}");
     }
 
     #[test]

@@ -58,6 +58,8 @@ const CLEARNESS: f32 = 0.06;
 const LEVEL_SHARE: f32 = 0.03;
 /// Minimum confidence for another up direction than the one that the files' format defines.
 const SURE_AGAINST_FORMAT: f32 = 0.85;
+/// Cameras that differ by more than this from the stated axis contradict it, degrees.
+const CONTRADICTING_DEG: f32 = 45.0;
 /// Surfaces and cameras that differ by more than this disagree about up, degrees.
 const AGREEING_DEG: f32 = 25.0;
 
@@ -72,6 +74,13 @@ pub(super) fn find_up_of_frames(
     let cameras = cameras::up_from_cameras(&poses);
     let held = UpAxis::from_cameras(&poses);
     let axis = said.up.or(held).or(cameras.map(|c| UpAxis::nearest(&c.up)));
+    // Cameras without roll tell up, whatever they look at.
+    if let (Some(stated), Some(cameras)) = (said.up, cameras.filter(|cameras| cameras.by_roll))
+        && angle_deg(&cameras.up, &stated.direction()) > CONTRADICTING_DEG
+    {
+        let held = UpAxis::nearest(&cameras.up);
+        findings.push(contradiction(stated, held, "the cameras are held upright along"));
+    }
     if said.choice == LevellingChoice::Off {
         return Ok(up_along_axis(up_without_surfaces(axis, said, findings), None));
     }
@@ -127,10 +136,7 @@ pub(super) fn find_up_of_cloud(
     }
     let surfaces = surfaces::patches_of_cloud(cloud);
     let (axis, fit) = if let Some(stated) = said.up {
-        let other = match said.by_format {
-            true => contradicted_axis(cloud, &surfaces, stated, findings),
-            false => None,
-        };
+        let other = contradicted_axis(cloud, &surfaces, stated, said.by_format, findings);
         let (axis, fit) = other
             .unwrap_or_else(|| (stated, gravity::refine(&surfaces, &stated.direction(), 20.0)));
         if !is_clear(&fit) || angle_deg(&fit.up, &axis.direction()) > AGREEING_DEG {
@@ -148,17 +154,22 @@ pub(super) fn find_up_of_cloud(
 }
 
 /// Returns the up direction that the cloud shows, if it clearly is another one than the axis that
-/// the files' format defines.
+/// the files' format defines. An axis that the files or the request state is kept, with a warning.
 fn contradicted_axis(
     cloud: &PointCloud,
     surfaces: &[SurfacePatch],
     defined: UpAxis,
+    by_format: bool,
     findings: &mut Vec<Finding>,
 ) -> Option<(UpAxis, UpFit)> {
     let candidates = lone_cloud::up_candidates(cloud, surfaces);
     let (best, confidence) = lone_cloud::choose_up(&candidates).ok()?;
     let axis = UpAxis::nearest(&best.fit.up);
     if axis == defined || confidence < SURE_AGAINST_FORMAT {
+        return None;
+    }
+    if !by_format {
+        findings.push(contradiction(defined, axis, "the cloud stands along"));
         return None;
     }
     let text = format!(
@@ -171,6 +182,15 @@ fn contradicted_axis(
         Finding::assumed(FindingSubject::Up, text).with_confidence(confidence).stated_with("up"),
     );
     Some((axis, best.fit))
+}
+
+/// Describes that the data shows another up axis than the stated one, which is used.
+fn contradiction(stated: UpAxis, shown: UpAxis, evidence: &str) -> Finding {
+    let (stated, shown) = (stated.name(), shown.name());
+    let text = format!(
+        "{stated} up is stated and used, but {evidence} {shown}: set up={shown} if the scene lies on its side"
+    );
+    Finding::unusual(FindingSubject::Up, text).stated_with("up")
 }
 
 fn assumed_axis(axis: UpAxis, from: &str, confidence: Option<f32>) -> Finding {
