@@ -63,9 +63,9 @@ pub enum IngestError {
     #[error(transparent)]
     Frame(#[from] FrameError),
     #[error(
-        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other convention fits (best: {hypothesis}, {other_agreement:.0}%). Check pose, camera_axes and depth_scale_m"
+        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other convention fits (best: {hypothesis}, {other_agreement:.0}%). {cause}"
     )]
-    NothingFits { agreement: f32, hypothesis: String, other_agreement: f32 },
+    NothingFits { agreement: f32, hypothesis: String, other_agreement: f32, cause: String },
     #[error(
         "cloud, poses and depth do not agree as declared ({agreement:.0}% of the sampled points fit the depth pictures), and two other readings fit about equally well: {readings}. State the right one in a scene.json"
     )]

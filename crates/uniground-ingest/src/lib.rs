@@ -12,6 +12,7 @@ pub mod archive;
 mod clouds;
 mod error;
 mod formats;
+mod frame_agreement;
 mod fusion;
 mod growth;
 mod guess_units;

@@ -3,7 +3,7 @@
 use super::levelling::{self, UpDirection, UpHint};
 use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::{RawFrame, Scan, Units};
-use super::{IngestError, UPLOADED, clouds, fusion, guess_units};
+use super::{IngestError, UPLOADED, clouds, frame_agreement, fusion, guess_units};
 use camino::Utf8Path;
 use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use uniground_geometry::boxes::Aabb;
@@ -118,6 +118,9 @@ pub fn inspect(
         rescale(&mut own.cloud, reading.metres_per_unit / declared.metres_per_unit);
     }
 
+    let own_points = own_cloud.as_ref().map(|own| &own.cloud.positions[..]);
+    frame_agreement::check(scan, &frames, own_points, &mut findings)?;
+
     let of_format =
         own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up_axis());
     let said = UpHint {
@@ -191,8 +194,8 @@ fn read_own_cloud(
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
     let LoadedCloud { dropped, without_color, has_color, thinned, .. } = loaded;
     let mut add = |finding: Finding| findings.push(finding.in_file(file.as_str()));
-    for assumption in &loaded.assumptions {
-        add(Finding { text: format!("{file}: {}", assumption.text), ..assumption.clone() });
+    for finding in &loaded.findings {
+        add(Finding { text: format!("{file}: {}", finding.text), ..finding.clone() });
     }
     if without_color > 0 {
         let text =

@@ -1,8 +1,11 @@
 //! Checks that the geometry agrees with the depth pictures. Wrong pose directions, camera axes and
 //! depth scales are detected here.
 
+mod causes;
+
 use super::IngestError;
-use super::scan::{CameraAxes, RawFrame, Scan, Units};
+use super::scan::{CameraAxes, Scan, Units, camera_to_world};
+use causes::with_scalar_first;
 use rayon::prelude::*;
 use std::fmt::Write;
 use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseConvention};
@@ -85,15 +88,32 @@ pub(super) fn check(
     findings: &mut Vec<Finding>,
 ) -> Result<CheckedConvention, IngestError> {
     let as_declared = |agreement| Ok(CheckedConvention { reading: declared, agreement });
-    if frames.is_empty() || (own_cloud.is_none() && frames.len() < 2) {
+    if frames.is_empty() {
+        return as_declared(None);
+    }
+    if own_cloud.is_none() && !has_distinct_views(frames) {
+        let which = match frames.len() {
+            1 => "there is only one frame".to_owned(),
+            n => format!("all {n} frames are taken from the same place"),
+        };
+        let text = format!(
+            "{which}: the direction of the poses, the camera axes and the depth scale cannot be checked and are taken as declared"
+        );
+        findings.push(
+            Finding::assumed(FindingSubject::Poses, text)
+                .with_confidence(0.5)
+                .stated_with("scene.json"),
+        );
         return as_declared(None);
     }
     // Unreadable pictures are reported by another check.
-    let sampled: Vec<(&RawFrame, &FrameRef, DepthImage)> = frames
-        .par_iter()
-        .zip(&scan.frames)
+    let sampled: Vec<SampledFrame> = (0..frames.len())
+        .into_par_iter()
         .step_by(frames.len().div_ceil(MAX_FRAMES))
-        .filter_map(|(frame, raw)| Some((raw, frame, frame.decode_depth().ok()?)))
+        .filter_map(|at| {
+            let frame = &frames[at];
+            Some(SampledFrame { at, frame, depth: frame.decode_depth().ok()? })
+        })
         .collect();
     if sampled.is_empty() {
         return as_declared(None);
@@ -123,6 +143,7 @@ pub(super) fn check(
     };
     if fits >= CLEARLY_RIGHT {
         findings.push(declared.as_finding(fits, rival_of(&declared)));
+        findings.extend(sample.find_shift(&declared, fits));
         return as_declared(agreement);
     }
     let others: Vec<_> = common.iter().copied().filter(|(_, r)| *r != declared).collect();
@@ -190,12 +211,19 @@ pub(super) fn check(
         Some(agreement) if agreement < NOTHING_FITS => {
             let (other_agreement, hypothesis) =
                 best.map_or((0.0, "none".into()), |(other, reading)| (other * 100.0, reading.describe(&declared)));
-            return Err(IngestError::NothingFits { agreement: agreement * 100.0, hypothesis, other_agreement });
+            return Err(IngestError::NothingFits {
+                agreement: agreement * 100.0,
+                hypothesis,
+                other_agreement,
+                cause: sample.likely_cause(&declared, agreement).unwrap_or(CHECK_CONVENTIONS.into()),
+            });
         }
         Some(agreement) if agreement < SUSPICIOUS => {
+            let cause = sample.likely_cause(&declared, agreement);
             let text = format!(
-                "only {:.0}% of the sampled points agree with the depth pictures (a correct scan has 60 to 90%): check the direction of the poses, the camera axes, the depth scale, the intrinsics, and which pictures and poses belong together",
-                agreement * 100.0
+                "only {:.0}% of the sampled points agree with the depth pictures (a correct scan has 60 to 90%): {}",
+                agreement * 100.0,
+                cause.as_deref().unwrap_or(CHECK_ALL)
             );
             findings.push(
                 Finding::unusual(FindingSubject::Poses, text)
@@ -205,9 +233,30 @@ pub(super) fn check(
         }
         Some(agreement) => {
             findings.push(declared.as_finding(agreement, rival_of(&declared)));
+            findings.extend(sample.find_shift(&declared, agreement));
         }
     }
     as_declared(agreement)
+}
+
+/// What to check where no cause is known.
+const CHECK_CONVENTIONS: &str = "Check pose, camera_axes and depth_scale_m";
+const CHECK_ALL: &str = "check the direction of the poses, the camera axes, the depth scale, the intrinsics, and which pictures and poses belong together";
+/// Cameras closer to each other than this have the same view: the depth of one fits that of the
+/// other under any convention.
+const SAME_PLACE_M: f32 = 0.01;
+const SAME_DIRECTION_RAD: f32 = 0.02;
+
+/// Returns whether two cameras have different views.
+fn is_distinct(a: &Isometry3<f32>, b: &Isometry3<f32>) -> bool {
+    (a.translation.vector - b.translation.vector).norm() > SAME_PLACE_M
+        || a.rotation.angle_to(&b.rotation) > SAME_DIRECTION_RAD
+}
+
+/// Returns whether any frame has another view than the first.
+fn has_distinct_views(frames: &[FrameRef]) -> bool {
+    let Some((first, others)) = frames.split_first() else { return false };
+    others.iter().any(|frame| is_distinct(&frame.camera_to_world, &first.camera_to_world))
 }
 
 impl SourceConvention {
@@ -279,25 +328,48 @@ struct ReprojectionSample<'a> {
     scan: &'a Scan,
     /// The convention that was used to decode the depth and scale the cloud.
     declared: SourceConvention,
-    frames: Vec<(&'a RawFrame, &'a FrameRef, DepthImage)>,
+    frames: Vec<SampledFrame<'a>>,
     cloud: Option<Vec<Point3<f32>>>,
+}
+
+/// A frame of the sample.
+struct SampledFrame<'a> {
+    /// Position in the scan's frames.
+    at: usize,
+    frame: &'a FrameRef,
+    depth: DepthImage,
+}
+
+/// Which pose a frame takes. Any but the first is a mistake that scans contain.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum PoseOf {
+    Itself,
+    Next,
+    Previous,
+    /// Its own, whose quaternion is in the order `w x y z`.
+    ScalarFirst,
 }
 
 impl ReprojectionSample<'_> {
     /// Returns the agreement in `0..=1` under one interpretation. `None` when too few points fall
     /// on measured depth.
     fn agreement(&self, reading: &SourceConvention) -> Option<f32> {
+        self.agreement_with(reading, PoseOf::Itself)
+    }
+
+    /// Returns the agreement if frames take other poses than their own.
+    fn agreement_with(&self, reading: &SourceConvention, pose: PoseOf) -> Option<f32> {
         let cameras: Vec<(Camera, Isometry3<f32>)> = self
             .frames
             .iter()
-            .map(|(raw, frame, _)| self.camera(raw, frame, reading))
+            .map(|sampled| self.camera(sampled, reading, pose))
             .collect::<Option<_>>()?;
         let rescale = reading.depth_scale_m / self.declared.depth_scale_m;
         let relength = (reading.metres_per_unit / self.declared.metres_per_unit) as f32;
         let measured = self
             .frames
             .iter()
-            .flat_map(|(_, _, depth)| depth.depth_m.iter().step_by(97))
+            .flat_map(|sampled| sampled.depth.depth_m.iter().step_by(97))
             .filter(|z| **z > 0.0);
         let typical_m = median(&mut measured.map(|z| z * rescale).collect::<Vec<_>>())?;
         if !PLAUSIBLE_DEPTH_M.contains(&typical_m) {
@@ -311,7 +383,7 @@ impl ReprojectionSample<'_> {
                 .frames
                 .iter()
                 .enumerate()
-                .flat_map(|(i, (_, _, depth))| {
+                .flat_map(|(i, SampledFrame { depth, .. })| {
                     let (camera, camera_to_world) = &cameras[i];
                     let step = (depth.depth_m.len() / per_frame).max(1);
                     let measured = (0..depth.depth_m.len())
@@ -335,9 +407,12 @@ impl ReprojectionSample<'_> {
                 .collect(),
         };
         let (mut agree, mut seen) = (0_usize, 0_usize);
-        for (i, ((camera, _), (_, _, depth))) in cameras.iter().zip(&self.frames).enumerate() {
+        for ((camera, pose), SampledFrame { depth, .. }) in cameras.iter().zip(&self.frames) {
+            // A frame, and copies of it, must not be used to check its own points.
+            let is_other: Vec<bool> =
+                cameras.iter().map(|(_, other)| is_distinct(pose, other)).collect();
             for (origin, point) in &points {
-                if *origin == Some(i) {
+                if origin.is_some_and(|origin| !is_other[origin]) {
                     continue;
                 }
                 let Some(pixel) = camera.project(point) else { continue };
@@ -359,11 +434,11 @@ impl ReprojectionSample<'_> {
         let Some(points) = &self.cloud else { return Vec::new() };
         let with_unit = |reading: SourceConvention| {
             let mut ratios = Vec::new();
-            for (raw, frame, depth) in &self.frames {
-                let (camera, _) = self.camera(raw, frame, &reading)?;
+            for sampled in &self.frames {
+                let (camera, _) = self.camera(sampled, &reading, PoseOf::Itself)?;
                 ratios.extend(points.iter().filter_map(|point| {
                     let pixel = camera.project(point)?;
-                    let measured_m = depth.at(pixel.cell());
+                    let measured_m = sampled.depth.at(pixel.cell());
                     (measured_m > 0.0 && pixel.z_m > 0.0).then(|| (pixel.z_m / measured_m).ln())
                 }));
             }
@@ -383,13 +458,20 @@ impl ReprojectionSample<'_> {
     /// Returns the frame's camera under an interpretation of its pose, in the world of the files.
     fn camera(
         &self,
-        raw: &RawFrame,
-        frame: &FrameRef,
+        sampled: &SampledFrame,
         reading: &SourceConvention,
+        pose: PoseOf,
     ) -> Option<(Camera, Isometry3<f32>)> {
         let units = Units { origin: self.scan.origin, metres_per_unit: reading.metres_per_unit };
-        let camera_to_world = raw.camera_to_world(reading.pose, reading.axes, &units).ok()?;
-        Some((Camera::new(frame.depth_intrinsics, &camera_to_world), camera_to_world))
+        let frames = &self.scan.frames;
+        let pose = match pose {
+            PoseOf::Itself => frames[sampled.at].pose,
+            PoseOf::Next => frames[(sampled.at + 1).min(frames.len() - 1)].pose,
+            PoseOf::Previous => frames[sampled.at.saturating_sub(1)].pose,
+            PoseOf::ScalarFirst => with_scalar_first(&frames[sampled.at].pose)?,
+        };
+        let camera_to_world = camera_to_world(&pose, reading.pose, reading.axes, &units).ok()?;
+        Some((Camera::new(sampled.frame.depth_intrinsics, &camera_to_world), camera_to_world))
     }
 }
 

@@ -4,6 +4,7 @@ use super::IngestError;
 use camino::{Utf8Path, Utf8PathBuf};
 use image::ImageReader;
 use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
+use std::collections::BTreeSet;
 use uniground_geometry::scene::{
     FrameIndex, Intrinsics, Optics, PoseConvention, float_picture_size, is_compressed_floats,
     is_float_picture,
@@ -24,6 +25,8 @@ pub struct Scan {
     pub name: Option<String>,
     /// The scan's own point cloud. `None`: a cloud is fused from the frames.
     pub cloud: Option<Utf8PathBuf>,
+    /// Text files that describe the scan, such as intrinsics and lists of poses.
+    pub described_by: BTreeSet<Utf8PathBuf>,
     /// Frames in the order of the files. Frames whose pose is marked as lost are omitted.
     pub frames: Vec<RawFrame>,
     /// The up axis as written in the files. `None`: not stated.
@@ -147,6 +150,7 @@ impl Scan {
             format,
             name: None,
             cloud: None,
+            described_by: BTreeSet::new(),
             frames: Vec::new(),
             up: None,
             by_gravity: false,
@@ -184,17 +188,27 @@ impl RawFrame {
         axes: CameraAxes,
         units: &Units,
     ) -> Result<Isometry3<f32>, pose::PoseError> {
-        let mut matrix = self.pose;
-        for axis in 0..3 {
-            matrix[(axis, 3)] = (matrix[(axis, 3)] - units.origin[axis]) * units.metres_per_unit;
-        }
-        let rigid = pose::rigid(&matrix.cast())?;
-        let camera_to_world = match convention {
-            PoseConvention::CameraToWorld => rigid,
-            PoseConvention::WorldToCamera => rigid.inverse(),
-        };
-        Ok(camera_to_world * axes.rotation_from_opencv())
+        camera_to_world(&self.pose, convention, axes, units)
     }
+}
+
+/// Returns a pose in the files' units under a convention, as [`RawFrame::camera_to_world`] does.
+pub(super) fn camera_to_world(
+    pose: &Matrix4<f64>,
+    convention: PoseConvention,
+    axes: CameraAxes,
+    units: &Units,
+) -> Result<Isometry3<f32>, pose::PoseError> {
+    let mut matrix = *pose;
+    for axis in 0..3 {
+        matrix[(axis, 3)] = (matrix[(axis, 3)] - units.origin[axis]) * units.metres_per_unit;
+    }
+    let rigid = pose::rigid(&matrix.cast())?;
+    let camera_to_world = match convention {
+        PoseConvention::CameraToWorld => rigid,
+        PoseConvention::WorldToCamera => rigid.inverse(),
+    };
+    Ok(camera_to_world * axes.rotation_from_opencv())
 }
 
 /// How positions in the files are converted to meters near the origin.

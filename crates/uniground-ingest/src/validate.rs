@@ -125,10 +125,12 @@ fn checked(
         .zip([0.0, 0.0, 0.0, 1.0])
         .any(|(v, expected)| (v - expected).abs() > 1e-3)
     {
-        return Err(IngestError::malformed(
-            frame.pose_file.clone(),
-            "the last row of a pose must be 0 0 0 1",
-        ));
+        let last_column = frame.pose.column(3).iter().copied().collect::<Vec<f64>>();
+        let reason = match last_column[..] == [0.0, 0.0, 0.0, 1.0] {
+            true => "the last column of the pose is 0 0 0 1: write matrices row by row",
+            false => "the last row of a pose must be 0 0 0 1",
+        };
+        return Err(IngestError::malformed(frame.pose_file.clone(), reason));
     }
     let lens_is_odd = [frame.optics.color_lens, frame.optics.depth_lens]
         .iter()
@@ -208,7 +210,9 @@ fn fit(
         )));
     }
     if !(0.0..=width as f32).contains(&cx) || !(0.0..=height as f32).contains(&cy) {
-        return Err(bad(format!("the principal point ({cx}, {cy}) lies outside {width}x{height}")));
+        return Err(bad(format!(
+            "the principal point ({cx}, {cy}) lies outside {width}x{height}: check the order of the numbers, and scale intrinsics that are for another picture size"
+        )));
     }
     let Some((found_width, found_height)) = picture_size(root, file)? else {
         return Ok(intrinsics);
