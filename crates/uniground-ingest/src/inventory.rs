@@ -8,11 +8,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use uniground_types::findings::{Finding, FindingSubject};
 
-/// Extensions of files that describe a scan: layouts read some of them, people the others.
-const DESCRIPTIONS: [&str; 17] = [
-    "txt", "json", "yaml", "yml", "csv", "xml", "toml", "ini", "cfg", "conf", "md", "log", "pdf",
-    "html", "rtf", "docx", "mtl",
-];
+/// Extensions of files that are for people. Other files are named if nothing reads them.
+const DOCUMENTS: [&str; 6] = ["md", "log", "pdf", "html", "rtf", "docx"];
+/// Names of text files that are for people, in lower case.
+const FOR_PEOPLE: [&str; 7] =
+    ["readme", "license", "licence", "attribution", "copying", "notice", "changelog"];
 /// Maximum number of files that are examined, and of kinds of unused files that are named.
 const MAX_FILES: usize = 500_000;
 const MAX_NAMED: usize = 8;
@@ -31,10 +31,11 @@ pub(super) fn record(folder: &Utf8Path, scan: &mut Scan) {
             None => kind(&first.pose_file),
         };
         let text = format!(
-            "{} frames: color {}, depth {}, poses {pose}",
+            "{} frames: color {}, depth {}, poses {pose}{}",
             scan.frames.len(),
             kind(&first.color),
             kind(&first.depth),
+            other_descriptions(scan),
         );
         findings.push(Finding::read(FindingSubject::Frames, text).counting(scan.frames.len()));
     }
@@ -69,6 +70,33 @@ pub(super) fn record(folder: &Utf8Path, scan: &mut Scan) {
     scan.findings = findings;
 }
 
+/// Returns ", described by " and the text files that were read besides poses, or nothing.
+fn other_descriptions(scan: &Scan) -> String {
+    let of_poses: BTreeSet<&str> = scan
+        .frames
+        .iter()
+        .map(|frame| frame.pose_file.as_str())
+        .map(|file| file.split_once(", ").map_or(file, |(list, _)| list))
+        .collect();
+    let others: Vec<&str> = scan
+        .described_by
+        .iter()
+        .map(|file| file.as_str())
+        .filter(|file| !of_poses.contains(file))
+        .collect();
+    match others.len() {
+        0 => String::new(),
+        n if n > MAX_NAMED => format!(", described by {} and {} more", others[0], n - 1),
+        _ => format!(", described by {}", others.join(", ")),
+    }
+}
+
+/// Returns whether a text file is for people, by its name.
+fn is_for_people(file: &Utf8Path) -> bool {
+    let name = file.file_name().unwrap_or_default().to_ascii_lowercase();
+    FOR_PEOPLE.iter().any(|known| name.starts_with(known))
+}
+
 /// Returns the kinds of unused files with data (folder and extension), the first of each and their
 /// number, the most frequent kinds first.
 fn unused_files(folder: &Utf8Path, scan: &Scan) -> Vec<((String, Utf8PathBuf), usize)> {
@@ -80,6 +108,7 @@ fn unused_files(folder: &Utf8Path, scan: &Scan) -> Vec<((String, Utf8PathBuf), u
         used.extend(frame.optics.confidence.as_ref().map(|own| scan.root.join(&own.file)));
     }
     used.extend(scan.cloud.as_ref().map(|cloud| scan.root.join(cloud)));
+    used.extend(scan.described_by.iter().map(|file| scan.root.join(file)));
     let has_parts = scan
         .cloud
         .as_ref()
@@ -90,7 +119,8 @@ fn unused_files(folder: &Utf8Path, scan: &Scan) -> Vec<((String, Utf8PathBuf), u
         let ending = file.extension().unwrap_or_default().to_ascii_lowercase();
         let is_part = has_parts && BESIDE_MESHES.contains(&ending.as_str());
         if ending.is_empty()
-            || DESCRIPTIONS.contains(&ending.as_str())
+            || DOCUMENTS.contains(&ending.as_str())
+            || is_for_people(&file)
             || is_part
             || used.contains(&file)
         {

@@ -3,11 +3,10 @@
 //! level, Z up. The mesh `*_3dod_mesh.ply` is one folder up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, FolderListing, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES, TextFiles};
 use super::numbers::parse;
 use super::trajectory::{TimedPose, pose_at};
 use super::{entry_path, incomplete, intrinsics, pairing};
-use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -129,8 +128,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Reads lines of time, rotation (axis times angle) and translation.
-fn read_poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<TimedPose>, IngestError> {
-    let text = read_text(root, file, MAX_TRAJECTORY_BYTES)?;
+fn read_poses(root: &TextFiles, file: &Utf8Path) -> Result<Vec<TimedPose>, IngestError> {
+    let text = root.read_text(file, MAX_TRAJECTORY_BYTES)?;
     let mut poses = Vec::new();
     for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let values = parse(line).ok();

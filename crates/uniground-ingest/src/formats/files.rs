@@ -3,14 +3,48 @@
 use super::check_frames;
 use crate::IngestError;
 use crate::clouds::CloudKind;
+use crate::limited_reader::read_text;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Deserializer};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::ops::Deref;
+use std::sync::{Mutex, PoisonError};
+
+/// The folder that a layout is read from. Records the text files that are read.
+pub(super) struct TextFiles {
+    root: Utf8PathBuf,
+    read: Mutex<BTreeSet<Utf8PathBuf>>,
+}
+
+impl TextFiles {
+    pub fn new(root: &Utf8Path) -> Self {
+        Self { root: root.to_owned(), read: Mutex::default() }
+    }
+
+    /// Reads a text file of at most `most` bytes, without a byte order mark.
+    pub fn read_text(&self, file: &Utf8Path, most: u64) -> Result<String, IngestError> {
+        self.read.lock().unwrap_or_else(PoisonError::into_inner).insert(file.to_owned());
+        read_text(&self.root, file, most)
+    }
+
+    /// Returns the text files that were read, relative to the folder.
+    pub fn into_read(self) -> BTreeSet<Utf8PathBuf> {
+        self.read.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Deref for TextFiles {
+    type Target = Utf8Path;
+
+    fn deref(&self) -> &Utf8Path {
+        &self.root
+    }
+}
 
 /// A folder of a scan: its entries, without hidden files and files that operating systems create.
 pub(super) struct FolderListing {
-    pub root: Utf8PathBuf,
+    pub root: TextFiles,
     /// Sorted.
     names: Vec<String>,
 }
@@ -31,7 +65,7 @@ const CLOUDS: &[&str] = &[
 
 impl FolderListing {
     pub fn open(root: &Utf8Path) -> Result<Self, IngestError> {
-        Ok(Self { root: root.to_owned(), names: list_names(root)? })
+        Ok(Self { root: TextFiles::new(root), names: list_names(root)? })
     }
 
     pub fn names(&self) -> &[String] {

@@ -1,9 +1,8 @@
 //! Reads camera matrices from separate files.
 
-use super::files::FolderListing;
-use super::numbers::{parse, read_numbers};
+use super::files::{FolderListing, TextFiles};
+use super::numbers::parse;
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::picture_size;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
@@ -95,12 +94,12 @@ pub(super) fn read_color_intrinsics(
 /// Reads a 3x3 or 4x4 matrix, four numbers `fx fy cx cy` with or without their names, or JSON with
 /// Open3D's matrix or with these names. Without a size of its own, the picture's size is used.
 pub(super) fn read_intrinsics(
-    root: &Utf8Path,
+    root: &TextFiles,
     file: &Utf8Path,
     picture: &Utf8Path,
 ) -> Result<Intrinsics, IngestError> {
     if file.extension() == Some("json") {
-        let text = read_text(root, file, MAX_JSON_BYTES)?;
+        let text = root.read_text(file, MAX_JSON_BYTES)?;
         let camera: JsonCamera = serde_json::from_str(&text).map_err(|_| {
             IngestError::malformed(
                 file,
@@ -126,16 +125,18 @@ pub(super) fn read_intrinsics(
             )),
         };
     }
-    if let Some(values) = named_parameters(&read_text(root, file, MAX_JSON_BYTES)?) {
+    let text = root.read_text(file, MAX_JSON_BYTES)?;
+    if let Some(values) = named_parameters(&text) {
         return intrinsics_from_values(root, file, &values, picture);
     }
-    let values = read_numbers(root, file)?;
+    let values = parse(&text)
+        .map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))?;
     intrinsics_from_values(root, file, &values, picture)
 }
 
 /// Builds the same from given numbers.
 pub(super) fn intrinsics_from_values(
-    root: &Utf8Path,
+    root: &TextFiles,
     file: &Utf8Path,
     values: &[f64],
     picture: &Utf8Path,
@@ -158,8 +159,8 @@ pub(super) fn intrinsics_from_values(
 }
 
 /// Reads `width height fx fy cx cy`, the format of ARKitScenes.
-pub(super) fn read_pincam(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
-    let text = read_text(root, file, MAX_JSON_BYTES)?;
+pub(super) fn read_pincam(root: &TextFiles, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
+    let text = root.read_text(file, MAX_JSON_BYTES)?;
     let values = parse(&text)
         .map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))?;
     let [w, h, fx, fy, cx, cy] = values[..] else {

@@ -73,8 +73,9 @@ pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let mut folder = FolderListing::open(folder)?;
     for _ in 0..MAX_STEPS {
         if let Some(layout) = LAYOUTS.iter().find(|layout| (layout.can_read)(&folder)) {
-            let scan = (layout.read)(&folder)?;
+            let mut scan = (layout.read)(&folder)?;
             check_frames(scan.format, scan.frames.len())?;
+            scan.described_by = folder.root.into_read();
             return Ok(scan);
         }
         // Archives often consist of one folder: enter it.
@@ -83,7 +84,21 @@ pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
             None => break,
         }
     }
-    Err(IngestError::UnknownLayout { found: folder.describe() })
+    let scans = scans_within(&folder);
+    let found = match scans.len() {
+        0 | 1 => folder.describe(),
+        n => format!("{n} scans ({}): upload each of them alone", scans.join(", ")),
+    };
+    Err(IngestError::UnknownLayout { found })
+}
+
+/// Returns the folders within this one that are scans by themselves.
+fn scans_within(folder: &FolderListing) -> Vec<String> {
+    let is_scan = |name: &&str| {
+        let inner = FolderListing::open(&folder.root.join(name));
+        inner.is_ok_and(|inner| LAYOUTS.iter().any(|layout| (layout.can_read)(&inner)))
+    };
+    folder.folders().filter(is_scan).map(|name| format!("{name}/")).collect()
 }
 
 /// Refuses a scan with more than the maximum number of frames.

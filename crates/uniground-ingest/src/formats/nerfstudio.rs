@@ -2,11 +2,12 @@
 //! with lens distortion. Depth is optional in this format and required here. Without it, only the
 //! cloud that the file names is read.
 
-use super::files::{FolderListing, check_inside, deserialize_optional_path, deserialize_path};
+use super::files::{
+    FolderListing, TextFiles, check_inside, deserialize_optional_path, deserialize_path,
+};
 use super::numbers::matrix_from_values;
 use super::{entry_path, incomplete};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan, picture_size, usual_depth_scale_m};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
@@ -115,7 +116,7 @@ pub(super) fn can_read(folder: &FolderListing) -> bool {
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let root = &folder.root;
-    let text = read_text(root, Utf8Path::new(FILE), MAX_BYTES)?;
+    let text = root.read_text(Utf8Path::new(FILE), MAX_BYTES)?;
     let transforms: Transforms =
         serde_json::from_str(&text).map_err(|e| IngestError::malformed(FILE, e))?;
     let fisheye = transforms
@@ -171,7 +172,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 fn to_raw_frame(
-    root: &Utf8Path,
+    root: &TextFiles,
     number: usize,
     frame: &Frame,
     all: Camera,

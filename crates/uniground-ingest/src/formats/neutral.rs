@@ -4,7 +4,6 @@ use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{FolderListing, check_inside, deserialize_optional_path, deserialize_path};
 use super::numbers::read_pose;
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan, usual_depth_scale_m};
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;
@@ -81,7 +80,7 @@ pub(super) fn can_read(folder: &FolderListing) -> bool {
 
 pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let (root, file) = (&folder.root, Utf8Path::new(FILE));
-    let text = read_text(root, file, MAX_MANIFEST_BYTES)?;
+    let text = root.read_text(file, MAX_MANIFEST_BYTES)?;
     let manifest: Manifest = serde_json::from_str(text.trim_start_matches('\u{feff}'))
         .map_err(|e| IngestError::malformed(file, e))?;
     if manifest.format != FORMAT {

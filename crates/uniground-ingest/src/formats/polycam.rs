@@ -3,10 +3,9 @@
 //! made level, Y up.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, FolderListing, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES, TextFiles};
 use super::{incomplete, pairing};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan};
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;
@@ -161,7 +160,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
 }
 
-fn read_camera(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
-    serde_json::from_str(&read_text(root, file, MAX_CAMERA_BYTES)?)
+fn read_camera(root: &TextFiles, file: &Utf8Path) -> Result<Camera, IngestError> {
+    serde_json::from_str(&root.read_text(file, MAX_CAMERA_BYTES)?)
         .map_err(|e| IngestError::malformed(file, e))
 }

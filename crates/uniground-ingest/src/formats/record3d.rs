@@ -8,7 +8,6 @@ use super::files::FolderListing;
 use super::numbers::pose_from_quaternion;
 use super::{entry_path, incomplete};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan, picture_size};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
@@ -77,7 +76,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if !folder.has_file(file.as_str()) {
         return Err(incomplete(LOOKS_LIKE, "the file metadata is missing"));
     }
-    let metadata: Metadata = serde_json::from_str(&read_text(&folder.root, file, MAX_BYTES)?)
+    let metadata: Metadata = serde_json::from_str(&folder.root.read_text(file, MAX_BYTES)?)
         .map_err(|e| IngestError::malformed(file, e))?;
     let [fx, _, _, _, fy, _, cx, cy, _] = metadata.k[..] else {
         return Err(IngestError::malformed(

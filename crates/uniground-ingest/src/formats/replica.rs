@@ -2,10 +2,9 @@
 //! pose per line, and `cam_params.json` in the same folder or one folder up.
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
-use super::files::{DEPTHS, FolderListing, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES, TextFiles};
 use super::{incomplete, trajectory};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
@@ -98,8 +97,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     Ok(scan)
 }
 
-fn read_parameters(root: &Utf8Path, file: &Utf8Path) -> Result<Camera, IngestError> {
-    let text = read_text(root, file, MAX_JSON_BYTES)?;
+fn read_parameters(root: &TextFiles, file: &Utf8Path) -> Result<Camera, IngestError> {
+    let text = root.read_text(file, MAX_JSON_BYTES)?;
     Ok(serde_json::from_str::<Parameters>(&text)
         .map_err(|e| IngestError::malformed(file, e))?
         .camera)

@@ -2,10 +2,9 @@
 //! times, in a world with Z up.
 
 use super::color_depth_pose::{FrameCameras, PoseFiles, ScanImages, UnmatchedImages, add_frames};
-use super::files::{DEPTHS, FolderListing, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES, TextFiles};
 use super::{incomplete, trajectory};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::Intrinsics;
@@ -73,8 +72,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 
 /// Reads OpenCV's YAML: `image_width`, `image_height`, and the projection matrix, which is that of
 /// the rectified picture.
-fn read_camera(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
-    let text = read_text(root, file, MAX_CALIBRATION_BYTES)?;
+fn read_camera(root: &TextFiles, file: &Utf8Path) -> Result<Intrinsics, IngestError> {
+    let text = root.read_text(file, MAX_CALIBRATION_BYTES)?;
     let missing =
         |key: &str| IngestError::malformed(file, format!("{key} is missing or not a number"));
     let number = |key: &str| -> Result<u32, IngestError> {

@@ -6,7 +6,6 @@ use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::matrix_from_values;
 use super::{incomplete, intrinsics, pairing};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::{CameraAxes, RawFrame, Scan};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
@@ -78,7 +77,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
                 });
             };
             let file: &Utf8Path = &taken[taken_at];
-            let taken: ScannerAppFrame = serde_json::from_str(&read_text(root, file, MAX_BYTES)?)
+            let taken: ScannerAppFrame = serde_json::from_str(&root.read_text(file, MAX_BYTES)?)
                 .map_err(|e| IngestError::malformed(file, e))?;
             let pose = matrix_from_values(&taken.pose).ok_or_else(|| {
                 IngestError::malformed(file, "cameraPoseARFrame must have 16 numbers")

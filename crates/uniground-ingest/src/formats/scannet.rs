@@ -7,7 +7,6 @@ use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::{find_values, matrix_from_values, parse};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;
@@ -95,7 +94,7 @@ fn read_alignment(
         .filter(|name| name.starts_with("scene") && Utf8Path::new(name).extension() == Some("txt"))
     {
         let file = Utf8Path::new(name);
-        let text = read_text(&folder.root, file, MAX_META_BYTES)?;
+        let text = folder.root.read_text(file, MAX_META_BYTES)?;
         let Some(values) = find_values(&text, "axisAlignment") else { continue };
         let values = parse(values).map_err(|word| {
             IngestError::malformed(file, format!("axisAlignment: {word:?} is not a number"))

@@ -5,7 +5,6 @@ use super::color_depth_pose::find_cloud;
 use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::{entry_path, incomplete, pairing};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan, picture_size};
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;
@@ -49,7 +48,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     }
     let file = Utf8Path::new(FILE);
     let entries: BTreeMap<String, Entry> =
-        serde_json::from_str(&read_text(&folder.root, file, MAX_BYTES)?)
+        serde_json::from_str(&folder.root.read_text(file, MAX_BYTES)?)
             .map_err(|e| IngestError::malformed(file, e))?;
     let is_aligned = entries.values().all(|entry| entry.aligned_pose.is_some());
     let named: Vec<Utf8PathBuf> = entries.keys().map(Utf8PathBuf::from).collect();

@@ -7,7 +7,6 @@ use super::files::{DEPTHS, FolderListing, PICTURES};
 use super::numbers::{find_values, parse};
 use super::{incomplete, intrinsics};
 use crate::IngestError;
-use crate::limited_reader::read_text;
 use crate::scan::Scan;
 use camino::{Utf8Path, Utf8PathBuf};
 use uniground_geometry::scene::Intrinsics;
@@ -73,7 +72,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let mut scan = Scan::new(root, if is_3rscan { "3rscan" } else { "7-scenes" });
     let cameras = match info {
         Some(info) => {
-            let text = read_text(root, &info, MAX_INFO_BYTES)?;
+            let text = root.read_text(&info, MAX_INFO_BYTES)?;
             if let Some(shift) = find_values(&text, "m_depthShift")
                 .and_then(|v| v.parse::<f32>().ok())
                 .filter(|s| *s > 0.0)

@@ -2,10 +2,9 @@
 //! decoded here. One command extracts their frames, and the error message names it.
 
 use super::color_depth_pose::LEAST_CONFIDENCE;
-use super::files::{DEPTHS, FolderListing, PICTURES};
+use super::files::{DEPTHS, FolderListing, PICTURES, TextFiles};
 use super::numbers::{parse, pose_from_quaternion};
 use super::{entry_path, incomplete, intrinsics, pairing};
-use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
 use camino::Utf8Path;
@@ -81,9 +80,9 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 }
 
 /// Reads `timestamp, frame, x, y, z, qx, qy, qz, qw`, by the frame's number.
-fn read_poses(root: &Utf8Path) -> Result<BTreeMap<u64, nalgebra::Matrix4<f64>>, IngestError> {
+fn read_poses(root: &TextFiles) -> Result<BTreeMap<u64, nalgebra::Matrix4<f64>>, IngestError> {
     let file = Utf8Path::new(ODOMETRY);
-    let text = read_text(root, file, MAX_BYTES)?;
+    let text = root.read_text(file, MAX_BYTES)?;
     let mut poses = BTreeMap::new();
     // The first line names the columns.
     for (number, line) in

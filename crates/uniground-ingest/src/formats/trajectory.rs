@@ -1,9 +1,9 @@
 //! Files that hold all poses of a scan: one pose per line (4x4, 3x4, or a time with position and
 //! quaternion), or Open3D's log with five lines per pose.
 
+use super::files::TextFiles;
 use super::numbers::{matrix_from_values, parse, pose_from_quaternion};
 use super::pairing::to_seconds;
-use crate::limited_reader::read_text;
 use crate::{IngestError, MAX_FRAMES};
 use camino::Utf8Path;
 use nalgebra::Matrix4;
@@ -29,8 +29,8 @@ pub(super) struct TimedPose {
 }
 
 /// Reads any of these formats. The number of values per line distinguishes them.
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, IngestError> {
-    let text = read_text(root, file, MAX_BYTES)?;
+pub(super) fn read(root: &TextFiles, file: &Utf8Path) -> Result<Trajectory, IngestError> {
+    let text = root.read_text(file, MAX_BYTES)?;
     let mut rows: Vec<Vec<f64>> = Vec::new();
     for (number, line) in text.lines().enumerate() {
         let line = line.trim();
@@ -136,7 +136,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("t.txt"), text).unwrap();
-        read(root, Utf8Path::new("t.txt"))
+        read(&TextFiles::new(root), Utf8Path::new("t.txt"))
     }
 
     #[test]

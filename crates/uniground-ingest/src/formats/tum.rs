@@ -2,10 +2,9 @@
 //! is in 1/5000 m and registered to the color picture. The cameras are known from the number of the
 //! Kinect in the sequence's name.
 
-use super::files::FolderListing;
+use super::files::{FolderListing, TextFiles};
 use super::trajectory::{self, Trajectory};
 use super::{entry_path, incomplete, intrinsics, pairing};
-use crate::limited_reader::read_text;
 use crate::scan::{RawFrame, Scan};
 use crate::{IngestError, MAX_FRAMES};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -98,11 +97,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
 
 /// Reads a list of `time file`, and the text of its heading.
 fn read_picture_list(
-    root: &Utf8Path,
+    root: &TextFiles,
     name: &str,
 ) -> Result<(Vec<(f64, Utf8PathBuf)>, String), IngestError> {
     let file = Utf8Path::new(name);
-    let text = read_text(root, file, MAX_LIST_BYTES)?;
+    let text = root.read_text(file, MAX_LIST_BYTES)?;
     let (mut list, mut heading) = (Vec::new(), String::new());
     for (number, line) in text.lines().enumerate() {
         let line = line.trim();

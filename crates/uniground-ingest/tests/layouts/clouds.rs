@@ -5,7 +5,10 @@ use crate::writers::Out;
 use nalgebra::{Matrix4, Point3};
 use std::fmt::Write;
 use uniground_geometry::boxes::Aabb;
+use uniground_geometry::progress::Progress;
+use uniground_geometry::up_axis::UpAxis;
 use uniground_ingest::InspectedScan;
+use uniground_types::settings::ImportSettings;
 
 fn xyz(points: &Points) -> Vec<u8> {
     let mut text = String::new();
@@ -342,6 +345,22 @@ fn a_partial_cloud_is_refused_and_asks_for_the_up_axis() {
             assert!(message.ends_with("Set up=z or up=-z"), "{message}");
         },
     );
+}
+
+/// A stated axis is used, whatever the cloud shows.
+#[test]
+fn a_stated_up_axis_that_the_cloud_contradicts_is_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = camino::Utf8Path::from_path(folder.path()).unwrap();
+    Out(root).put("room.ply", ply(&cloud()));
+    let scan = uniground_ingest::open(root).unwrap();
+    for (up, warned) in [(UpAxis::X, true), (UpAxis::Z, false)] {
+        let settings = ImportSettings { up: Some(up), ..ImportSettings::default() };
+        let found = uniground_ingest::inspect(&scan, &settings, &Progress::silent()).unwrap();
+        assert_eq!(found.report.up, up);
+        let warnings = &found.report.warnings;
+        assert_eq!(warnings.iter().any(|w| w.contains("set up=z")), warned, "{warnings:?}");
+    }
 }
 
 /// A cloud without walls is assumed to be Z up if its objects stand that way. Rotated onto its

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod clouds;
+mod mistakes;
 mod room;
 mod writers;
 
@@ -121,7 +122,8 @@ fn findings_name_what_was_read_left_out_and_assumed() {
         out.put("thumbnails/1.jpg", "a picture");
         out.put("thumbnails/2.jpg", "a picture");
         out.put("video.mp4", "a video");
-        out.put("notes.txt", "not data");
+        out.put("depth_to_color.txt", "1 0 0 0");
+        out.put("README.txt", "for people");
     };
     with_import(write, |found| {
         let report = found.unwrap().report;
@@ -133,12 +135,21 @@ fn findings_name_what_was_read_left_out_and_assumed() {
         let (frames, _) = of(FindingKind::Read, FindingSubject::Frames);
         assert_eq!(frames.count, Some(FRAMES as u64));
         assert!(frames.text.contains("color/*.jpg"), "{}", frames.text);
-        let (thumbnails, video) = of(FindingKind::LeftOut, FindingSubject::Files);
+        assert!(frames.text.ends_with("described by intrinsic.txt"), "{}", frames.text);
+        let left_out: Vec<(&str, u64)> = report
+            .findings
+            .iter()
+            .filter(|finding| finding.kind == FindingKind::LeftOut)
+            .map(|finding| (finding.text.as_str(), finding.count.unwrap()))
+            .collect();
         assert_eq!(
-            (thumbnails.count, thumbnails.file.as_deref()),
-            (Some(2), Some("thumbnails/1.jpg"))
+            left_out,
+            [
+                ("thumbnails/*.jpg: 2 files are not used", 2),
+                ("video.mp4 is not used", 1),
+                ("depth_to_color.txt is not used", 1),
+            ]
         );
-        assert_eq!(video.unwrap().text, "video.mp4 is not used");
         let (pairs, _) = of(FindingKind::Assumed, FindingSubject::Frames);
         assert!(pairs.text.contains("by name"), "{}", pairs.text);
         let (poses, _) = of(FindingKind::Assumed, FindingSubject::Poses);

@@ -1,0 +1,174 @@
+//! Scans with mistakes that people make: each is found and named.
+
+use crate::room::{self, CAMERA, FRAMES, pose};
+use crate::with_import;
+use crate::writers::{self, Out};
+use nalgebra::Vector3;
+use uniground_types::findings::{Finding, FindingSubject};
+
+/// Replaces the poses of the plain layout.
+fn replace_poses(out: &Out, pose_of: impl Fn(usize) -> nalgebra::Matrix4<f64>) {
+    writers::plain(out);
+    (0..FRAMES).for_each(|i| out.put(&format!("pose/{i}.txt"), room::rows(&pose_of(i))));
+}
+
+fn moved(i: usize, by: [f64; 3]) -> nalgebra::Matrix4<f64> {
+    nalgebra::Matrix4::new_translation(&Vector3::from(by)) * writers::matrix(&pose(i))
+}
+
+/// Returns the warnings of a scan about what its frames show.
+fn warnings(write: impl Fn(&Out)) -> Vec<String> {
+    with_import(write, |found| {
+        let about = |f: &Finding| {
+            f.warning && [FindingSubject::Poses, FindingSubject::Frames].contains(&f.about)
+        };
+        found.unwrap().report.findings.into_iter().filter(about).map(|f| f.text).collect()
+    })
+}
+
+#[test]
+fn frames_that_contradict_the_others_are_named() {
+    assert_eq!(warnings(writers::plain), [""; 0]);
+    let one = warnings(|out| {
+        replace_poses(out, |i| moved(i, if i == 5 { [0.6, 0.5, 0.0] } else { [0.0; 3] }));
+    });
+    assert!(one.iter().any(|w| w.starts_with("1 of 12") && w.ends_with("color/5.jpg")), "{one:?}");
+    let depth = warnings(|out| {
+        writers::plain(out);
+        out.pictures(5, ("color/5.jpg", "depth/5.png"), &CAMERA, &CAMERA, 0.001 / 1.4);
+    });
+    assert!(depth.iter().any(|w| w.ends_with("color/5.jpg")), "{depth:?}");
+    let every_second = warnings(|out| {
+        replace_poses(out, |i| moved(i, if i % 2 == 0 { [0.0; 3] } else { [0.6, 0.5, 0.0] }));
+    });
+    assert!(every_second.iter().any(|w| w.contains("contradict")), "{every_second:?}");
+}
+
+#[test]
+fn causes_of_wrong_poses_are_named() {
+    let shifted =
+        warnings(|out| replace_poses(out, |i| writers::matrix(&pose((i + 1).min(FRAMES - 1)))));
+    assert!(shifted.iter().any(|w| w.contains("the pose of the previous one")), "{shifted:?}");
+    let scalar_first = |out: &Out| {
+        writers::plain(out);
+        for i in 0..FRAMES {
+            let (p, q) = (pose(i).translation.vector, pose(i).rotation.coords);
+            let line = [p.x, p.y, p.z, q.w, q.x, q.y, q.z].map(|v| v.to_string()).join(" ");
+            out.put(&format!("pose/{i}.txt"), line);
+        }
+    };
+    with_import(scalar_first, |found| {
+        let message = match found {
+            Ok(found) => found.report.warnings.join("; "),
+            Err(error) => error.to_string(),
+        };
+        assert!(message.contains("write them as x y z w"), "{message}");
+    });
+    let by_columns = |out: &Out| replace_poses(out, |i| writers::matrix(&pose(i)).transpose());
+    with_import(by_columns, |found| {
+        let message = found.map(|found| found.report).unwrap_err().to_string();
+        assert!(message.contains("write matrices row by row"), "{message}");
+    });
+}
+
+/// A single view agrees with itself under any convention.
+#[test]
+fn copies_of_one_frame_check_nothing() {
+    let copies = warnings(|out| {
+        writers::plain(out);
+        for i in 1..FRAMES {
+            out.pictures(
+                0,
+                (&format!("color/{i}.jpg"), &format!("depth/{i}.png")),
+                &CAMERA,
+                &CAMERA,
+                0.001,
+            );
+            out.put(&format!("pose/{i}.txt"), room::rows(&writers::matrix(&pose(0))));
+        }
+    });
+    assert!(copies.iter().any(|w| w.starts_with("all 12 frames are taken from")), "{copies:?}");
+    let single = warnings(|out| {
+        out.put("intrinsic.txt", writers::camera_matrix(&CAMERA));
+        out.pictures(0, ("color/0.jpg", "depth/0.png"), &CAMERA, &CAMERA, 0.001);
+        out.put("pose/0.txt", room::rows(&writers::matrix(&pose(0))));
+    });
+    assert!(single.iter().any(|w| w.starts_with("there is only one frame")), "{single:?}");
+}
+
+#[test]
+fn depth_pictures_without_a_measurement_are_named() {
+    let empty = |out: &Out, i: usize| {
+        let nothing = image::ImageBuffer::<image::Luma<u16>, _>::new(CAMERA.width, CAMERA.height);
+        let picture = room::encoded(&nothing.into(), image::ImageFormat::Png);
+        out.put(&format!("depth/{i}.png"), picture);
+    };
+    let one = warnings(|out| {
+        writers::plain(out);
+        empty(out, 3);
+    });
+    assert!(
+        one.iter().any(|w| w.contains("no measurement") && w.ends_with("color/3.jpg")),
+        "{one:?}"
+    );
+    let all = |out: &Out| {
+        writers::plain(out);
+        (0..FRAMES).for_each(|i| empty(out, i));
+    };
+    with_import(all, |found| {
+        let message = found.map(|found| found.report).unwrap_err().to_string();
+        assert!(message.contains("the depth pictures have no measurement"), "{message}");
+    });
+    let doubtful = |out: &Out| {
+        writers::plain(out);
+        let none = image::GrayImage::new(CAMERA.width, CAMERA.height);
+        let picture = room::encoded(&none.into(), image::ImageFormat::Png);
+        (0..FRAMES).for_each(|i| out.put(&format!("confidence/{i}.png"), &picture));
+    };
+    with_import(doubtful, |found| {
+        let message = found.map(|found| found.report).unwrap_err().to_string();
+        assert!(message.contains("no measurement above the confidence level 1"), "{message}");
+    });
+}
+
+#[test]
+fn two_scans_in_one_archive_are_named() {
+    let write = |out: &Out| {
+        writers::plain(&Out(&out.0.join("monday")));
+        writers::plain(&Out(&out.0.join("tuesday")));
+    };
+    with_import(write, |found| {
+        let message = found.map(|found| found.report).unwrap_err().to_string();
+        assert!(message.contains("2 scans (monday/, tuesday/)"), "{message}");
+    });
+}
+
+#[test]
+fn intrinsics_for_another_picture_size_are_explained() {
+    let write = |out: &Out| {
+        writers::plain(out);
+        out.put("intrinsic.txt", writers::camera_matrix(&CAMERA.scaled_to(640, 480)));
+    };
+    with_import(write, |found| {
+        let message = found.map(|found| found.report).unwrap_err().to_string();
+        assert!(
+            message.contains("scale intrinsics that are for another picture size"),
+            "{message}"
+        );
+    });
+}
+
+/// Opening a pipe would wait for ever.
+#[test]
+fn pipes_in_a_folder_are_skipped() {
+    with_import(
+        |out| {
+            writers::plain(out);
+            for name in ["notes.png", "color/99.jpg", "cloud.ply"] {
+                let made = std::process::Command::new("mkfifo").arg(out.0.join(name)).status();
+                assert!(made.unwrap().success());
+            }
+        },
+        |found| assert_eq!(found.unwrap().frames.len(), FRAMES),
+    );
+}
