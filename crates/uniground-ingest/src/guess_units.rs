@@ -100,7 +100,7 @@ impl UnitGuess {
         let LengthUnit { name, meters, .. } = unit;
         let (long_m, short_m) = (self.longest * meters, self.shortest * meters);
         format!(
-            "{long_m:.2} m across and {short_m:.2} m high or deep with {name} (metres_per_unit={meters})"
+            "{name} (metres_per_unit={meters}), longest side {long_m:.2} m, shortest {short_m:.2} m"
         )
     }
 

@@ -33,10 +33,10 @@ const SUSPICIOUS: f32 = 0.4;
 const NOTHING_FITS: f32 = 0.03;
 /// Plausible median depth of an indoor scan, meters. A scale that leads outside is rejected.
 const PLAUSIBLE_DEPTH_M: std::ops::RangeInclusive<f32> = 0.15..=30.0;
-/// Common depth units: millimeters, meters, `RealSense` L515's 1/4000, TUM's 1/5000, Replica's
-/// 1/6553.5, `RealSense` D405's 1/10000.
-const DEPTH_SCALES_M: [f32; 6] =
-    [0.001, 1.0, 1.0 / 4000.0, 1.0 / 5000.0, 1.0 / 6553.5, 1.0 / 10_000.0];
+/// Common depth units: millimeters, meters, centimeters, `RealSense` L515's 1/4000, TUM's 1/5000,
+/// Replica's 1/6553.5, `RealSense` D405's 1/10000.
+const DEPTH_SCALES_M: [f32; 7] =
+    [0.001, 1.0, 0.01, 1.0 / 4000.0, 1.0 / 5000.0, 1.0 / 6553.5, 1.0 / 10_000.0];
 /// Width of the window, in logarithms of distances, that a fitted unit of depth agrees within.
 const FIT_WINDOW: f32 = 0.05;
 /// Minimum share of the compared points in that window. Of unrelated distances 2 to 5 % are.

@@ -162,13 +162,17 @@ impl ChannelTally {
         let mut findings = Vec::new();
         if range != declared {
             let (low, high) = range.ends();
-            let text = format!(
-                "color channels are read as {low} to {high}, told from their values: write them as 0 to 255 if the colors are wrong"
-            );
-            let finding = Finding::assumed(FindingSubject::Color, text);
+            let text =
+                format!("color channels are read as {low} to {high}, told from their values");
             let is_usual =
                 [ColorRange::Unit, ColorRange::Bytes, ColorRange::Words].contains(&range);
-            findings.push(if is_usual { finding.without_warning() } else { finding });
+            findings.push(match is_usual {
+                true => Finding::assumed(FindingSubject::Color, text).without_warning(),
+                false => Finding::assumed(
+                    FindingSubject::Color,
+                    format!("{text}: write them as 0 to 255 if the colors are wrong"),
+                ),
+            });
         }
         if beyond > 0 {
             let text =
