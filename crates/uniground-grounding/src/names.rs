@@ -116,7 +116,13 @@ impl GivenName {
         let named = text
             .strip_prefix("structure")
             .map_or(text.as_str(), |rest| rest.trim_start_matches([':', ' ', '-']));
-        let words: Vec<String> = main_words(named).map(|word| singular(&word).to_owned()).collect();
+        let words: Vec<String> = main_words(named);
+        // "chest of drawers" has no singular within.
+        let in_singular = |(i, word): (usize, &String)| match i.checked_sub(1).map(|i| &words[i]) {
+            Some(before) if before == "of" => word.clone(),
+            _ => singular(word).to_owned(),
+        };
+        let words: Vec<String> = words.iter().enumerate().map(in_singular).collect();
         let kind = structure_in(&words).map_or(kind, Kind::Structure);
         Some(Self { kind, phrase: uniground_language::parse(named).target, words })
     }
@@ -212,22 +218,31 @@ fn structure_in(words: &[String]) -> Option<Structure> {
 
 /// Returns the words of a name up to the first that leads to another object. "and" leads to another
 /// object, except between colors.
-fn main_words(name: &str) -> impl Iterator<Item = String> {
+fn main_words(name: &str) -> Vec<String> {
     let is_color = |word: &String| ColorName::ALL.iter().any(|color| color.as_str() == word);
-    let mut words: Vec<String> = Vec::new();
-    for word in name
+    let all: Vec<String> = name
         .split(|c: char| !c.is_alphanumeric())
         .filter(|word| !word.is_empty())
         .map(str::to_lowercase)
-    {
+        .collect();
+    // "chest of drawers" is one noun.
+    let is_within_noun = |at: usize| {
+        at > 0
+            && all.get(at + 1).is_some()
+            && Lexicon::get().is_known(&all[at - 1..=at + 1].join(" "))
+    };
+    let mut words: Vec<String> = Vec::new();
+    for (at, word) in all.iter().enumerate() {
+        let word = word.clone();
         match word.as_str() {
+            _ if is_within_noun(at) => words.push(word),
             "and" if words.last().is_some_and(is_color) => {}
             "and" => break,
             word if ELSEWHERE.contains(&word) => break,
             _ => words.push(word),
         }
     }
-    words.into_iter()
+    words
 }
 
 fn singular(word: &str) -> &str {

@@ -54,7 +54,9 @@ impl WordNet {
     }
 
     /// Returns how `a` is related to `b`, by the nearest of their meanings. `None` if neither is a
-    /// kind of the other. Plurals are recognized, and leading modifiers are ignored: a "folding
+    /// kind of the other. A rare meaning makes no link: a "pot" can be a toilet, and so can a "stool",
+    /// but they are not the same. Only the broader word may have a rare meaning: a guitar is an
+    /// "instrument". Plurals are recognized, and leading modifiers are ignored: a "folding
     /// step stool" is a step stool.
     #[must_use]
     pub fn relation_between(&self, a: &str, b: &str) -> Option<Kinship> {
@@ -64,15 +66,16 @@ impl WordNet {
     /// Returns the same for the kinds that two words name.
     #[must_use]
     pub fn relation_of_kinds(&self, a: &[u32], b: &[u32]) -> Option<Kinship> {
-        let pairs = || a.iter().flat_map(|&a| b.iter().map(move |&b| (a, b)));
-        if pairs().any(|(a, b)| a == b) {
+        // The most common meaning comes first.
+        let (usual_a, usual_b) = (*a.first()?, *b.first()?);
+        if usual_a == usual_b {
             return Some(Kinship::Same);
         }
-        let narrower =
-            pairs().filter_map(|(a, b)| self.steps_up(a, b)).min().map(Kinship::Narrower);
-        narrower.or_else(|| {
-            pairs().filter_map(|(a, b)| self.steps_up(b, a)).min().map(Kinship::Broader)
-        })
+        let steps = |kind: u32, above: &[u32]| {
+            above.iter().filter_map(|&above| self.steps_up(kind, above)).min()
+        };
+        let narrower = steps(usual_a, b).map(Kinship::Narrower);
+        narrower.or_else(|| steps(usual_b, a).map(Kinship::Broader))
     }
 
     /// Returns whether the most common meaning of a word is a kind of `above`, any number of steps
@@ -212,6 +215,12 @@ mod tests {
             ("thing", "chair"),
             ("artifact", "lamp"),
             ("xyzzy", "lamp"),
+            // Kinds that both words mean rarely, or one of them.
+            ("pot", "stool"),
+            ("pot", "toilet"),
+            ("dresser", "toilet"),
+            ("earbuds", "phone"),
+            ("hat", "lid"),
         ] {
             assert_eq!(of(a, b), None, "{a} {b}");
         }
