@@ -262,6 +262,7 @@ fn summarize(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let traits = target.traits.iter().map(|s| s.as_str().to_owned());
     let colors = target.colors.iter().map(|c| c.as_str().to_owned());
     let other_than = target.other_than.iter().map(|c| format!("not {}", c.as_str()));
+    let excluded = target.excluded.iter().map(|word| format!("not {word}"));
     let with = target.with.iter().map(|w| {
         let count = w.phrase.count.map_or_else(String::new, |n| format!("{n} "));
         format!("{} {count}{}", if w.absent { "without" } else { "with" }, w.phrase.text())
@@ -277,6 +278,7 @@ fn summarize(parsed: &ParsedQuery) -> ParsedQuerySummary {
         attributes: traits
             .chain(colors)
             .chain(other_than)
+            .chain(excluded)
             .chain(with)
             .chain(uses)
             .chain(superlative)

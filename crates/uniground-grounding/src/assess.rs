@@ -12,7 +12,9 @@ mod places;
 
 use super::SceneView;
 use super::direction::Directions;
-use super::fit::{colors_fit, most_plausible, noun_fits, prefer_main_color, trait_fits};
+use super::fit::{
+    colors_fit, excluded_words_fit, most_plausible, noun_fits, prefer_main_color, trait_fits,
+};
 use super::relations::{self, SeenBy};
 use super::room::{Faced, Room};
 use super::solid::Solid;
@@ -181,7 +183,11 @@ impl<'a> Assessor<'a> {
         let instances = self.scene.instances;
         let nouns = noun_fits(self.scene, phrase);
         let of_color = |(i, noun): (usize, &f32)| {
-            if *noun > 0.0 { noun * colors_fit(self.scene, phrase, i) } else { 0.0 }
+            if *noun > 0.0 {
+                noun * colors_fit(self.scene, phrase, i) * excluded_words_fit(self.scene, phrase, i)
+            } else {
+                0.0
+            }
         };
         let mut own: Vec<f32> = nouns.iter().enumerate().map(of_color).collect();
         prefer_main_color(self.scene, phrase, &nouns, &mut own);

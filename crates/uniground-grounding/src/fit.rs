@@ -9,7 +9,7 @@ use super::readings::{Reading, Readings};
 use super::solid::Solid;
 use std::collections::HashSet;
 use uniground_geometry::color::{ColorName, srgb_to_lab};
-use uniground_geometry::scene::{Instance, Level, Structure, Support};
+use uniground_geometry::scene::{Instance, Level, Support};
 use uniground_language::{Meaning, Phrase, Trait};
 use uniground_models::attributes::{self, Noun, noun_fit};
 
@@ -29,7 +29,7 @@ const LIKELY: f32 = 0.35;
 /// Factor for the fits of other instances where some instance has the noun as its name.
 const NOT_CALLED_SO: f32 = 0.85;
 /// Fit from which an instance counts as named by the noun itself.
-const CALLED_SO: f32 = 0.95;
+pub(super) const CALLED_SO: f32 = 0.95;
 /// Smaller instances are seldom meant by "thing", meters.
 const NOTABLE_M: f32 = 0.1;
 /// Factor for a color that is not there at all. Not 0, because the scan's light may be odd.
@@ -44,8 +44,19 @@ const WOODEN: [ColorName; 4] =
 const PAINTED: f32 = 0.5;
 /// An instance may be meant when its fit is at least this share of the best fit.
 pub(super) const PLAUSIBLE: f32 = 0.3;
-/// Nouns that a floor or a ceiling may be taken for.
-const COVERINGS: [&str; 6] = ["rug", "carpet", "mat", "doormat", "ceiling light", "skylight"];
+/// Factor for the fits of instances without a name of their own, where another instance has the noun
+/// as its name. What only measures or looks alike does not beat it.
+const ONLY_ALIKE: f32 = 0.5;
+/// Share of an encoder's first guess from which it is the instance's name.
+const HIGH_SHARE: f32 = 0.7;
+/// Score of the first guess by measures from which a part or a whole has that name.
+const NAMED_BY_MEASURES: f32 = 0.9;
+/// Factor for a part or a whole that measures name so.
+const NAMED_COMPOUND: f32 = 0.85;
+/// Factor for an instance that a word describes which must not describe it.
+const EXCLUDED: f32 = 0.05;
+/// Factor for a wooden color where the question excludes wood.
+const WOODEN_LOOK: f32 = 0.3;
 /// An instance has the noun with at least this share of the best fit.
 const HAS_NOUN: f32 = 0.7;
 /// Largest color fit of an instance with another main color than the requested one, where another
@@ -58,10 +69,19 @@ const OPPOSITE_TRAIT: f32 = 0.3;
 /// by index. Keeps one instance for each place.
 #[must_use]
 pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
+    if !phrase.among.is_empty() {
+        // An earlier answer has decided on these.
+        return scene
+            .instances
+            .iter()
+            .map(|instance| f32::from(u8::from(phrase.among.contains(&instance.id))))
+            .collect();
+    }
     let readings = Readings::of(phrase);
     let (mut fits, mut share) = (vec![0.0_f32; scene.instances.len()], 1.0);
     for Reading { weight, phrase, meaning } in readings.iter() {
-        let read = fits_of_reading(scene, phrase, meaning);
+        let mut read = fits_of_reading(scene, phrase, meaning);
+        prefer_named(scene, meaning, &mut read);
         let is_there = read.iter().any(|fit| *fit >= CALLED_SO);
         fits.iter_mut().zip(read).for_each(|(best, fit)| *best = best.max(weight * share * fit));
         // The room has the noun that was said, so another noun is seldom meant.
@@ -105,13 +125,8 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         Meaning::Structure(structure) => {
             f32::from(u8::from(instance.structure == Some(*structure)))
         }
-        // A floor or a ceiling is nothing that stands in the room, except what covers it.
-        Meaning::Nouns(nouns)
-            if matches!(instance.structure, Some(Structure::Floor | Structure::Ceiling))
-                && !nouns.iter().any(|noun| COVERINGS.contains(&noun.name.as_str())) =>
-        {
-            0.0
-        }
+        // A wall is no window, whatever it measures.
+        Meaning::Nouns(_) if instance.structure.is_some() => 0.0,
         Meaning::Nouns(nouns) => {
             let (mut by_measure, mut by_looks) = (0.0_f32, None::<f32>);
             for (noun, breadth) in nouns.iter().zip(&breadths) {
@@ -122,7 +137,14 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
                     .or(by_looks);
             }
             // Appearance has been weighed against all other names already, measures have not.
-            let guessed = if instance.level == Level::Thing { 1.0 } else { GUESSED };
+            let is_named = instance.names.first().is_some_and(|guess| {
+                guess.score >= NAMED_BY_MEASURES && names.contains(guess.name.as_str())
+            });
+            let guessed = match instance.level {
+                Level::Thing => 1.0,
+                _ if is_named => NAMED_COMPOUND,
+                _ => GUESSED,
+            };
             by_looks.unwrap_or_else(|| {
                 guessed * by_measure * share_among_names(by_measure, &names, instance).sqrt()
             })
@@ -140,6 +162,27 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         _ => unnamed((index, instance)),
     };
     scene.instances.iter().enumerate().map(fit).collect()
+}
+
+/// Where some instance has the noun as its name, given or by an encoder with a high share, lowers
+/// the fit of those that have no name and are only alike.
+fn prefer_named(scene: SceneView, meaning: &Meaning, fits: &mut [f32]) {
+    let Meaning::Nouns(nouns) = meaning else { return };
+    let is_guessed_so = |instance: &Instance| {
+        scene.appearance.is_some()
+            && instance.names.first().is_some_and(|guess| {
+                guess.score >= HIGH_SHARE && nouns.iter().any(|noun| noun.name == guess.name)
+            })
+    };
+    let has_name = |i: usize| match scene.names.get(i) {
+        Some(_) => fits[i] >= CALLED_SO,
+        None => fits[i] >= LIKELY && is_guessed_so(&scene.instances[i]),
+    };
+    let named: Vec<bool> = (0..fits.len()).map(has_name).collect();
+    if named.contains(&true) {
+        let is_only_alike = |i: &usize| !named[*i] && scene.names.get(*i).is_none();
+        (0..fits.len()).filter(is_only_alike).for_each(|i| fits[i] *= ONLY_ALIKE);
+    }
 }
 
 /// Returns the factor for words such as "leather" or "kitchen" that a name does not contain.
@@ -200,6 +243,59 @@ pub fn colors_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     wanted.chain(unwanted).product::<f32>() * wooden_fit(scene, phrase, index)
 }
 
+/// Returns how well a color fits the instance at an index, by its name and its surface, `0..=1`.
+pub(super) fn color_fit(scene: SceneView, color: ColorName, index: usize) -> f32 {
+    let phrase = Phrase { colors: vec![color], ..Phrase::default() };
+    colors_fit(scene, &phrase, index)
+}
+
+/// Returns the fit of the instance at an index to the words that must not describe it: "not wooden".
+#[must_use]
+pub fn excluded_words_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
+    let word_fit = |word: &String| {
+        let name = scene.names.get(index);
+        if name.is_some_and(|name| same_words(word).iter().any(|word| name.has_word(word))) {
+            return EXCLUDED;
+        }
+        if WOOD.contains(&word.as_str()) {
+            1.0 - (1.0 - WOODEN_LOOK) * wooden_look(scene, index)
+        } else {
+            1.0
+        }
+    };
+    phrase.excluded.iter().map(word_fit).product()
+}
+
+/// Returns whether an excluded word can be checked: by the names of instances, or as wood by color.
+#[must_use]
+pub fn can_check_word(scene: SceneView, word: &str) -> bool {
+    let is_said = |index: usize| {
+        scene
+            .names
+            .get(index)
+            .is_some_and(|name| same_words(word).iter().any(|word| name.has_word(word)))
+    };
+    WOOD.contains(&word) || (0..scene.instances.len()).any(is_said)
+}
+
+/// Returns the words that say the same of an instance: "wooden" and "wood".
+fn same_words(word: &str) -> Vec<&str> {
+    const SAME: [&[&str]; 3] =
+        [&["metal", "metallic"], &["fabric", "cloth", "upholstered"], &["plastic", "acrylic"]];
+    if WOOD.contains(&word) {
+        return WOOD.to_vec();
+    }
+    let same = SAME.iter().find(|same| same.contains(&word));
+    same.map_or_else(|| vec![word], |same| same.to_vec())
+}
+
+/// Returns the share of an instance's surface that has a color of wood, `0..=1`.
+fn wooden_look(scene: SceneView, index: usize) -> f32 {
+    let seen: f32 =
+        WOODEN.iter().map(|&color| attributes::color_fit(color, &scene.instances[index])).sum();
+    seen.min(1.0)
+}
+
 /// Where the requested color is the main color of some instance that has the noun, limits the fit
 /// of those with another main color: "the grey armchair" is not the white one beside a grey one.
 pub fn prefer_main_color(scene: SceneView, phrase: &Phrase, nouns: &[f32], own: &mut [f32]) {
@@ -231,9 +327,7 @@ fn wooden_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     if !is_said || !phrase.colors.is_empty() || is_named() {
         return 1.0;
     }
-    let seen: f32 =
-        WOODEN.iter().map(|&color| attributes::color_fit(color, &scene.instances[index])).sum();
-    PAINTED + (1.0 - PAINTED) * seen.min(1.0)
+    PAINTED + (1.0 - PAINTED) * wooden_look(scene, index)
 }
 
 /// Returns the fit of every instance to a trait, `0..=1`. "Large" and "dark" compare it with the
@@ -330,7 +424,7 @@ mod tests {
     use proptest::prelude::*;
     use uniground_geometry::boxes::Aabb;
     use uniground_geometry::color::ColorHistogram;
-    use uniground_geometry::scene::{InstanceId, NameGuess};
+    use uniground_geometry::scene::{InstanceId, NameGuess, Structure};
     use uniground_geometry::{Point3, Vector3};
     use uniground_models::attributes::Lexicon;
     use uniground_testing::thing;
@@ -415,6 +509,62 @@ mod tests {
         ];
         assert_close(&reading_fits(&room, &noun_phrase("wall")), &[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]);
         assert_close(&reading_fits(&room, &noun_phrase("floor")), &[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn structure_answers_only_to_words_for_structure() {
+        let size = |id| Instance {
+            height_above_floor_m: 0.9,
+            support: Support::Wall { id: InstanceId(9) },
+            ..sized(id, [1.2, 0.02, 1.3])
+        };
+        let wall = Instance { structure: Some(Structure::Wall), ..size(1) };
+        let window = noun_phrase("window");
+        assert!(reading_fits(&[size(1)], &window)[0] > 0.1, "it measures like a window");
+        for structure in [Structure::Wall, Structure::Floor, Structure::Ceiling] {
+            let room = [Instance { structure: Some(structure), ..size(1) }, named(2, "window")];
+            assert_close(&reading_fits(&room, &window), &[0.0, 1.0]);
+        }
+        assert_close(&reading_fits(&[wall], &noun_phrase("wall")), &[1.0]);
+    }
+
+    #[test]
+    fn what_only_measures_alike_does_not_beat_a_name() {
+        let chairs =
+            [chair(1), Instance { given_name: Some("chair".into()), ..sized(2, [0.1; 3]) }];
+        let alone = with_scene(&chairs[..1], |scene| noun_fits(scene, &noun_phrase("chair")))[0];
+        let fits = with_scene(&chairs, |scene| noun_fits(scene, &noun_phrase("chair")));
+        assert!(alone > 0.7 && (fits[0] - ONLY_ALIKE * alone).abs() < 0.2 * alone, "{fits:?}");
+        assert_close(&fits[1..], &[1.0]);
+        // A broader name is none.
+        let seats = [stool(1), Instance { given_name: Some("stool".into()), ..sized(2, [0.1; 3]) }];
+        let fits = with_scene(&seats, |scene| noun_fits(scene, &noun_phrase("bar stool")));
+        let alone = with_scene(&seats[..1], |scene| noun_fits(scene, &noun_phrase("bar stool")));
+        assert_close(&fits[..1], &alone);
+    }
+
+    #[test]
+    fn a_whole_answers_to_its_own_name() {
+        let whole = |score| Instance {
+            level: Level::Whole,
+            things: vec![InstanceId(1)],
+            ..guessed(chair(2), &[("chair", score), ("stool", 0.1)])
+        };
+        let part = guessed(sized(1, [0.45, 0.45, 0.1]), &[("cushion", 0.8), ("box", 0.5)]);
+        let fits = |score| {
+            let room = [part.clone(), whole(score)];
+            with_scene(&room, |scene| noun_fits(scene, &noun_phrase("chair")))
+        };
+        let (sure, guess) = (fits(0.95), fits(0.6));
+        assert!(sure[0] == 0.0 && sure[1] > 1.3 * guess[1], "{sure:?} {guess:?}");
+    }
+
+    #[test]
+    fn instances_of_an_earlier_answer_are_the_only_ones() {
+        let room = [named(1, "mug"), named(2, "mug"), named(3, "lamp")];
+        let asked = Phrase { among: vec![InstanceId(2), InstanceId(3)], ..noun_phrase("mugs") };
+        let fits = with_scene(&room, |scene| noun_fits(scene, &asked));
+        assert_close(&fits, &[0.0, 1.0, 1.0]);
     }
 
     #[test]

@@ -151,23 +151,118 @@ pub(super) fn length_at(words: &[&str]) -> Option<(f32, usize)> {
     Some((number * unit, length + 1))
 }
 
+/// A unit of length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LengthUnit {
+    /// 1000 m.
+    Kilometers,
+    /// 1 m.
+    Meters,
+    /// 0.01 m.
+    Centimeters,
+    /// 0.001 m.
+    Millimeters,
+    /// 0.9144 m.
+    Yards,
+    /// 0.3048 m.
+    Feet,
+    /// 0.0254 m.
+    Inches,
+}
+
+impl LengthUnit {
+    /// All seven values, to find one by its [`as_str`](Self::as_str).
+    pub const ALL: [Self; 7] = [
+        Self::Kilometers,
+        Self::Meters,
+        Self::Centimeters,
+        Self::Millimeters,
+        Self::Yards,
+        Self::Feet,
+        Self::Inches,
+    ];
+
+    /// Returns the unit that a word names.
+    fn in_word(word: &str) -> Option<Self> {
+        Some(match word {
+            "km" | "kilometer" | "kilometers" | "kilometre" | "kilometres" => Self::Kilometers,
+            "m" | "meter" | "meters" | "metre" | "metres" => Self::Meters,
+            "cm" | "cms" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => {
+                Self::Centimeters
+            }
+            "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => Self::Millimeters,
+            "ft" | "foot" | "feet" => Self::Feet,
+            "inch" | "inches" => Self::Inches,
+            "yard" | "yards" => Self::Yards,
+            _ => return None,
+        })
+    }
+
+    /// Returns its length in meters.
+    #[must_use]
+    pub fn meters(self) -> f32 {
+        match self {
+            Self::Kilometers => 1000.0,
+            Self::Meters => 1.0,
+            Self::Centimeters => 0.01,
+            Self::Millimeters => 0.001,
+            Self::Yards => 0.9144,
+            Self::Feet => 0.3048,
+            Self::Inches => 0.0254,
+        }
+    }
+
+    /// Returns its name in data and in texts.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Kilometers => "km",
+            Self::Meters => "m",
+            Self::Centimeters => "cm",
+            Self::Millimeters => "mm",
+            Self::Yards => "yards",
+            Self::Feet => "feet",
+            Self::Inches => "inches",
+        }
+    }
+}
+
 /// Returns a unit of length in meters.
 fn unit(word: &str) -> Option<f32> {
-    Some(match word {
-        "km" | "kilometer" | "kilometers" | "kilometre" | "kilometres" => 1000.0,
-        "m" | "meter" | "meters" | "metre" | "metres" => 1.0,
-        "cm" | "centimeter" | "centimeters" | "centimetre" | "centimetres" => 0.01,
-        "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => 0.001,
-        "ft" | "foot" | "feet" => 0.3048,
-        "inch" | "inches" => 0.0254,
-        "yard" | "yards" => 0.9144,
-        _ => return None,
-    })
+    LengthUnit::in_word(word).map(LengthUnit::meters)
 }
 
 /// Returns whether a word is a unit of length.
 pub(super) fn is_unit(word: &str) -> bool {
     word != BREAK && unit(word).is_some()
+}
+
+/// Removes the unit that the answer has to use, and returns it: "how wide is the door in inches",
+/// "how many inches wide is the door".
+pub(super) fn take_unit(words: &mut Vec<&str>) -> Option<LengthUnit> {
+    if let ["how", "many", unit, ..] = words[..] {
+        return LengthUnit::in_word(unit);
+    }
+    let ends = |rest: &[&str]| {
+        rest.first().is_none_or(|word| matches!(*word, BREAK | "is" | "are" | "of" | "from" | "to"))
+    };
+    (2..words.len()).find_map(|i| {
+        let length = match words[i..] {
+            ["square" | "cubic", ..] => 2,
+            _ => 1,
+        };
+        let unit = LengthUnit::in_word(words.get(i + length - 1)?)?;
+        if words[i - 1] != "in" || !ends(&words[i + length..]) {
+            return None;
+        }
+        words.drain(i - 1..i + length);
+        Some(unit)
+    })
+}
+
+/// Returns the range that a joined token names, as its limits in meters.
+pub(super) fn joined_reach(token: &str) -> Option<Reach> {
+    joined_words(token).and_then(|words| Reach::in_words(&words))
 }
 
 #[cfg(test)]

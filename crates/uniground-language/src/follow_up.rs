@@ -2,7 +2,9 @@
 //! one". They are rewritten to questions that stand alone, with ids for what they point at.
 
 use super::forms::words::{is_place, singular};
-use super::forms::{Aspect, ComparedBy, Comparison, Dimension, Form, Reference};
+use super::forms::{
+    Aspect, Bound, Claim, ComparedBy, Comparison, Dimension, Form, Limit, Reference,
+};
 use super::pieces::longest_noun;
 use super::tokens::{BREAK, tokenize};
 use super::words;
@@ -21,7 +23,12 @@ pub struct Earlier {
     pub name: Option<String>,
     /// The other object that its question names.
     pub anchor: Option<InstanceId>,
+    /// All instances that were its answer: "which of them are red".
+    pub targets: Vec<InstanceId>,
 }
+
+/// Maximum number of instances that "them" stands for one by one.
+const MOST_OF_THEM: usize = 100;
 
 /// Words with which a question goes on.
 const GOES_ON: [&[&str]; 9] = [
@@ -49,6 +56,9 @@ pub fn resolve(query: &str, earlier: Option<&Earlier>, selected: Option<Instance
     let lead = goes_on.filter(is_more_than_lead).map_or(0, |run| run.len());
     let elliptic = lead > 0 && !is_question(&words[lead..]);
     words.drain(..lead);
+    if let Some(earlier) = earlier {
+        replace_group_pronouns(&mut words, earlier);
+    }
     let noun = earlier.and_then(noun_of);
     if let Some(instance) = earlier.and_then(|earlier| earlier.instance)
         && let Some(noun) = &noun
@@ -236,6 +246,71 @@ fn replace_plural_pronouns(words: &mut Vec<String>, noun: &str) {
     }
 }
 
+/// Replaces "them", "those" and "which ones" by the objects of an earlier answer that had several:
+/// "which of the mugs #3, #4 and #5".
+fn replace_group_pronouns(words: &mut Vec<String>, earlier: &Earlier) {
+    let Earlier { targets, .. } = earlier;
+    if targets.len() < 2 || targets.len() > MOST_OF_THEM {
+        return;
+    }
+    let noun = parse(&earlier.query).target;
+    let noun = match noun.meaning() {
+        Meaning::Nouns(_) if noun.uses.is_empty() => plural_of(&noun.head),
+        _ => "things".to_owned(),
+    };
+    let ids: Vec<String> = targets.iter().map(|id| reference(*id)).collect();
+    let Some((last, before)) = ids.split_last() else { return };
+    let named: Vec<String> = ["the".to_owned(), noun]
+        .into_iter()
+        .chain(
+            before
+                .iter()
+                .enumerate()
+                .map(|(i, id)| if i + 1 < before.len() { format!("{id},") } else { id.clone() }),
+        )
+        .chain(["and".to_owned(), last.clone()])
+        .collect();
+    let is_pronoun = |word: &String| matches!(word.as_str(), "them" | "they" | "those" | "these");
+    // "those chairs" names its objects.
+    let stands_alone = |i: usize| {
+        is_pronoun(&words[i])
+            && (matches!(words[i].as_str(), "them" | "they") || !is_named(&words[i + 1..]))
+    };
+    if let Some(i) = (0..words.len()).find(|&i| stands_alone(i)) {
+        words.splice(i..=i, named);
+    } else {
+        let replaced = match words_of(words)[..] {
+            ["which" | "what", "ones", ..] | ["which", "one", ..] => 1..2,
+            // "which is closer to the door", but not "which is taller, the lamp or the shelf"
+            ["which", "is" | "are", ref rest @ ..] if !rest.contains(&"or") => 1..1,
+            _ => return,
+        };
+        words.splice(replaced, std::iter::once("of".to_owned()).chain(named));
+    }
+}
+
+fn words_of(words: &[String]) -> Vec<&str> {
+    words.iter().map(String::as_str).collect()
+}
+
+/// Returns the plural of a noun, with the words before it: "red chairs".
+#[must_use]
+pub fn plural_of(noun: &str) -> String {
+    // "chair that is not red"
+    if let Some((noun, rest)) = noun.split_once(" that is ") {
+        return format!("{} that are {rest}", plural_of(noun));
+    }
+    match noun {
+        noun if Lexicon::get().is_plural(noun) || noun.ends_with('s') => noun.to_owned(),
+        noun if noun.contains(" that ") => noun.to_owned(),
+        noun if noun.ends_with("ch") || noun.ends_with("sh") || noun.ends_with('x') => {
+            format!("{noun}es")
+        }
+        noun if noun.ends_with("lf") => format!("{}ves", &noun[..noun.len() - 1]),
+        noun => format!("{noun}s"),
+    }
+}
+
 /// Returns the earlier question, asked about another object. `None` where it asked only for an
 /// object.
 fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
@@ -274,7 +349,8 @@ fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
             }
             _ => format!("list all {}", object.strip_prefix("the ").unwrap_or(object)),
         },
-        Form::Holds(_) => {
+        Form::Holds(Claim { is_negated, .. }) => {
+            let not = if *is_negated { "not " } else { "" };
             let claim = parsed.target.relations.first().map(|relation| {
                 let anchors: Vec<String> = relation
                     .anchors
@@ -284,8 +360,9 @@ fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
                 format!("{} {}", relation.text, anchors.join(" and "))
             });
             let color = parsed.target.colors.first().map(|color| color.as_str().to_owned());
-            format!("is {object} {}", claim.or(color)?)
+            format!("is {object} {not}{}", claim.or(color)?)
         }
+        Form::Limit(limit) => asked_of_limit(limit, object, &other),
         Form::Comparison(Comparison {
             by: ComparedBy::Dimension(_), word, other: than, ..
         }) => {
@@ -308,6 +385,32 @@ fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
     })
 }
 
+/// Returns a question about a limit, asked about another object.
+fn asked_of_limit(limit: &Limit, object: &str, other: &dyn Fn(&Phrase) -> String) -> String {
+    let bound = match limit.bound {
+        Bound::Above => "more than",
+        Bound::Below => "less than",
+        Bound::About => "about",
+    };
+    let given = limit.given_m;
+    match &limit.by {
+        ComparedBy::Distance(Reference::Observer) => format!("is {object} {bound} {given} m away"),
+        ComparedBy::Distance(Reference::Object(phrase)) => {
+            format!("is {object} {bound} {given} m from {}", other(phrase))
+        }
+        ComparedBy::Dimension(dimension) => {
+            let measured = match dimension {
+                Dimension::Height => "tall",
+                Dimension::Depth => "deep",
+                Dimension::Elevation => "above the floor",
+                Dimension::Width => "wide",
+                Dimension::All | Dimension::Length | Dimension::Area | Dimension::Volume => "long",
+            };
+            format!("is {object} {bound} {given} m {measured}")
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -318,6 +421,7 @@ mod tests {
             instance: Some(InstanceId(12)),
             name: Some("mug".into()),
             anchor: Some(InstanceId(3)),
+            targets: Vec::new(),
         }
     }
 
@@ -391,6 +495,49 @@ mod tests {
         ] {
             assert_eq!(resolve(query, Some(&earlier(before)), None), resolved);
         }
+    }
+
+    #[test]
+    fn them_are_the_objects_of_the_earlier_answer() {
+        let targets = vec![InstanceId(3), InstanceId(4), InstanceId(5)];
+        for (before, query, resolved) in [
+            ("all mugs", "which of them are red?", "which of the mugs #3, #4 and #5 are red"),
+            (
+                "list every mug on the table",
+                "which of those is closest to the door?",
+                "which of the mugs #3, #4 and #5 is closest to the door",
+            ),
+            ("all mugs", "which ones are red", "which of the mugs #3, #4 and #5 are red"),
+            (
+                "all mugs",
+                "which one is the tallest",
+                "which of the mugs #3, #4 and #5 is the tallest",
+            ),
+            (
+                "what is on the desk",
+                "how many of them are red",
+                "how many of the things #3, #4 and #5 are red",
+            ),
+            ("all mugs", "are they on the desk?", "are the mugs #3, #4 and #5 on the desk"),
+            (
+                "all mugs",
+                "which is taller, the lamp or the shelf",
+                "which is taller, the lamp or the shelf",
+            ),
+            ("all mugs", "are those chairs red", "are those chairs red"),
+        ] {
+            let earlier = Earlier { targets: targets.clone(), ..earlier(before) };
+            assert_eq!(resolve(query, Some(&earlier), None), resolved, "{query}");
+        }
+        let parsed = parse("which of the mugs #3, #4 and #5 are red");
+        assert_eq!((parsed.target.head.as_str(), &parsed.target.among), ("mugs", &targets));
+        assert_eq!((&parsed.form, parsed.target.colors.len()), (&Form::List, 1), "{parsed:?}");
+        assert!(parsed.not_understood.is_empty(), "{parsed:?}");
+        let parsed = parse("which of the mugs #3, #4 and #5 is closest to the door");
+        assert_eq!(parsed.quantity, crate::Quantity::One);
+        assert_eq!(parsed.target.among, targets);
+        let parsed = parse("how far is #3 from #4");
+        assert!(parsed.target.among.is_empty(), "{parsed:?}");
     }
 
     proptest::proptest! {

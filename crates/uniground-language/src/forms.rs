@@ -6,11 +6,13 @@
 
 mod comparisons;
 mod descriptions;
+mod limits;
 mod lists;
 mod measures;
 mod patterns;
 pub(super) mod words;
 
+use super::distances::LengthUnit;
 use super::tokens::BREAK;
 use super::{ParsedQuery, Phrase};
 use std::ops::RangeInclusive;
@@ -33,9 +35,11 @@ pub enum Form {
     Exists,
     /// Whether their number is in a range: "are there more than 3 chairs", "are there no chairs".
     Number(RangeInclusive<u32>),
-    /// Whether what is said of an object holds: "is the mug on the table" has "the mug" as its
-    /// subject, and "the mug on the table" as the target of the question.
-    Holds(Box<Phrase>),
+    /// Whether what is said of an object holds: "is the mug on the table". The target of the
+    /// question is the object with what is said of it: "the mug on the table".
+    Holds(Claim),
+    /// Whether a measure of it is within a limit: "is the door wider than 90 cm".
+    Limit(Limit),
     /// Whether it is larger, closer and so on than another: "is the sofa longer than the rug".
     Comparison(Comparison),
     /// Which of the two is larger, closer and so on: "which is taller, the lamp or the shelf".
@@ -53,14 +57,11 @@ impl Form {
     #[must_use]
     pub fn phrases(&self) -> Vec<&Phrase> {
         match self {
-            Self::Holds(subject) => vec![&**subject],
+            Self::Holds(claim) => vec![&*claim.subject],
+            Self::Limit(limit) => limit.by.phrase().into_iter().collect(),
             Self::Distance(reference) => reference.phrase().into_iter().collect(),
             Self::Comparison(comparison) | Self::Choice(comparison) => {
-                let mut phrases = vec![&*comparison.other];
-                if let ComparedBy::Distance(reference) = &comparison.by {
-                    phrases.extend(reference.phrase());
-                }
-                phrases
+                std::iter::once(&*comparison.other).chain(comparison.by.phrase()).collect()
             }
             Self::Fit(passage) => {
                 std::iter::once(&*passage.place).chain(passage.second.as_deref()).collect()
@@ -75,6 +76,41 @@ impl Form {
             | Self::Place => Vec::new(),
         }
     }
+}
+
+/// What a question claims of an object, or of all objects of a kind.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Claim {
+    /// The object: "the mug".
+    pub subject: Box<Phrase>,
+    /// Whether the question denies it: "is the mug not on the table".
+    pub is_negated: bool,
+    /// Whether it has to hold of all of them: "are all chairs on the floor".
+    pub of_all: bool,
+}
+
+/// A limit that a question sets to a measure: "wider than 90 cm".
+#[derive(Debug, Clone, PartialEq)]
+pub struct Limit {
+    /// What is measured.
+    pub by: ComparedBy,
+    /// The side of the limit that is asked for.
+    pub bound: Bound,
+    /// The given length, meters.
+    pub given_m: f32,
+    /// Whether it has to hold of all of them: "are all shelves lower than 2 m".
+    pub of_all: bool,
+}
+
+/// A side of a limit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bound {
+    /// "more than", "at least"
+    Above,
+    /// "less than", "at most"
+    Below,
+    /// "90 cm wide"
+    About,
 }
 
 /// What is measured of an object's box.
@@ -129,13 +165,22 @@ pub struct Comparison {
     pub other: Box<Phrase>,
 }
 
-/// What two objects are compared by.
+/// What two objects are compared by, or one with a given length.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ComparedBy {
     /// A measure of their boxes.
     Dimension(Dimension),
     /// Their distances to a third object or to the person who asks.
     Distance(Reference),
+}
+
+impl ComparedBy {
+    fn phrase(&self) -> Option<&Phrase> {
+        match self {
+            Self::Dimension(_) => None,
+            Self::Distance(reference) => reference.phrase(),
+        }
+    }
 }
 
 /// Where an object may fit, or a person's or robot's given size.
@@ -187,6 +232,8 @@ pub(super) struct Request {
     pub except: Vec<Phrase>,
     /// Words of the other objects that were not understood.
     pub not_understood: Vec<String>,
+    /// The unit that the answer has to use.
+    pub unit: Option<LengthUnit>,
 }
 
 /// Reads words that describe an object.
@@ -198,7 +245,7 @@ pub(super) fn recognize(mut tokens: Vec<String>, read: ReadObject) -> Request {
     words::expand_contractions(&mut tokens);
     refer_to_the_sentence_before(&mut tokens);
     let (tokens, except) = words::split_exceptions(&tokens);
-    let mut reader = patterns::PatternReader { read, not_understood: Vec::new() };
+    let mut reader = patterns::PatternReader { read, not_understood: Vec::new(), unit: None };
     let clauses = std::iter::once(0)
         .chain((1..tokens.len()).filter(|&i| tokens[i - 1] == BREAK))
         .filter(|&start| start < tokens.len());
@@ -211,7 +258,8 @@ pub(super) fn recognize(mut tokens: Vec<String>, read: ReadObject) -> Request {
     }
     let (form, target) = found.unwrap_or((Form::Object, tokens));
     let except = except.map_or_else(Vec::new, |except| reader.objects(&except));
-    Request { form, target, except, not_understood: reader.not_understood }
+    let patterns::PatternReader { not_understood, unit, .. } = reader;
+    Request { form, target, except, not_understood, unit }
 }
 
 /// Replaces "it" by what the sentence before names: "there is a desk in the corner. what is on it?"

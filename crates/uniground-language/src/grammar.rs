@@ -14,11 +14,13 @@ use super::observers;
 use super::pieces::{Piece, address, has_noun_ahead, is_bare_noun, is_filler, pieces};
 use super::rewrites::rewrite;
 use super::situations;
-use super::tokens::{correct_spelling, tokenize};
+use super::tokens::{BREAK, correct_spelling, tokenize};
 use super::words::{self, Meaning};
 use super::{
     Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative,
+    instance_in, instances_in,
 };
+use uniground_models::attributes::Lexicon;
 
 /// What a relation belongs to when it follows an object that is not the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,8 +77,9 @@ pub fn parse(query: &str) -> ParsedQuery {
     let is_one_of_several = tokens.first().is_some_and(|word| word == "which")
         && tokens.get(1).is_some_and(|word| word == "of")
         && tokens.iter().any(|word| word == "is");
-    let forms::Request { form, target, except, not_understood } =
-        forms::recognize(distances::join(tokens), &|tokens| read_object(tokens.to_vec()));
+    let tokens = distances::join(join_ids(tokens));
+    let forms::Request { form, target, except, not_understood, unit } =
+        forms::recognize(tokens, &|tokens| read_object(tokens.to_vec()));
     let mut parsed = read_object(target);
     parsed.not_understood.extend(not_understood);
     // "which of the two chairs is closer" asks for one of them.
@@ -90,8 +93,45 @@ pub fn parse(query: &str) -> ParsedQuery {
     for later in &mut parsed.later {
         later.form.clone_from(&form);
         later.except.clone_from(&except);
+        later.unit = unit;
     }
-    ParsedQuery { foreign, form, except, ..parsed }
+    ParsedQuery { foreign, form, except, unit, ..parsed }
+}
+
+/// Joins an enumeration of instances to one token: "#3, #4 and #5" is `#3+#4+#5`.
+fn join_ids(tokens: Vec<String>) -> Vec<String> {
+    let mut joined: Vec<String> = Vec::with_capacity(tokens.len());
+    let is_id = |token: Option<&String>| token.is_some_and(|token| instance_in(token).is_some());
+    let mut at = 0;
+    while at < tokens.len() {
+        let mut end = at + 1;
+        let mut ids = vec![tokens[at].clone()];
+        while is_id(tokens.get(at)) {
+            let between =
+                tokens[end..].iter().take_while(|t| matches!(t.as_str(), BREAK | "and")).count();
+            if between == 0 || !is_id(tokens.get(end + between)) {
+                break;
+            }
+            ids.push(tokens[end + between].clone());
+            end += between + 1;
+        }
+        // "the distance between #3 and #4" names two objects.
+        if ids.len() > 2 || ids.len() == 2 && at > 0 && is_of_a_group(&tokens[..at]) {
+            joined.push(ids.join("+"));
+            at = end;
+        } else {
+            joined.push(tokens[at].clone());
+            at += 1;
+        }
+    }
+    joined
+}
+
+/// Returns whether the words before ids name what they are: "which of the mugs", "the mugs".
+fn is_of_a_group(before: &[String]) -> bool {
+    before.last().is_some_and(|word| {
+        matches!(word.as_str(), "of" | "things") || Lexicon::get().is_plural(word)
+    })
 }
 
 /// Reads words that describe an object.
@@ -176,10 +216,13 @@ impl Reader {
         for (i, piece) in pieces.iter().enumerate() {
             match piece {
                 Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
-                // "that is not plastic": cannot be checked, but the negation does not apply to the
-                // next object.
+                // "that is not plastic": the negation does not apply to the next object.
                 Piece::Unknown(word) if std::mem::take(&mut self.negated) => {
-                    self.query.not_understood.push(format!("not {word}"));
+                    self.last_negated = true;
+                    if !words::is_material(word) {
+                        self.query.not_understood.push(format!("not {word}"));
+                    }
+                    self.top().phrase.excluded.push(word.clone());
                 }
                 Piece::Unknown(word) => self.top().unknown.push(word.clone()),
                 Piece::Break if self.describes() && has_noun_ahead(&pieces[i + 1..]) => {}
@@ -202,6 +245,21 @@ impl Reader {
 
     fn noun(&mut self, head: &str, rest: &[Piece]) {
         let (of, number) = (std::mem::take(&mut self.of), self.number.take());
+        // "which of the mugs #3, #4 and #5"
+        if let Some(ids) = instances_in(head) {
+            let frame = self.top();
+            if frame.phrase.head.is_empty() {
+                "things".clone_into(&mut frame.phrase.head);
+            }
+            frame.phrase.among = ids;
+            return;
+        }
+        // "that is not glass"
+        if self.negated && words::is_material(head) {
+            (self.negated, self.last_negated) = (false, true);
+            self.top().phrase.excluded.push(head.to_owned());
+            return;
+        }
         // "not the chair by the door" negates the relation, "not the armchair" the noun.
         let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
             matches!(
@@ -296,6 +354,8 @@ impl Reader {
             }
             Meaning::Ordinal(rank) => self.ordinal = Some(rank),
             Meaning::Number(count) => self.number = Some(count),
+            // "not on a nightstand or a desk": on neither.
+            Meaning::Or if self.repeats_negated_relation() => {}
             Meaning::Or => self.negated = self.last_negated,
             Meaning::Bare => {
                 self.push(Role::With { absent: true });
@@ -319,7 +379,10 @@ impl Reader {
                 if negated { phrase.other_than.push(color) } else { phrase.colors.push(color) }
             }
             Meaning::Trait(seen) => self.top().phrase.traits.push(seen),
-            Meaning::Not => self.negated = true,
+            Meaning::Not => {
+                self.agree(text);
+                self.negated = true;
+            }
             Meaning::And => self.and(rest),
             // "the closest of the chairs" asks for a chair.
             Meaning::Of => {
@@ -351,12 +414,63 @@ impl Reader {
             }
             Meaning::Filler => self.filler(text),
             // "the slim case that is squeezed in": the words before name it.
-            Meaning::OfLast => self.name_by_unknown(),
+            Meaning::OfLast => {
+                self.name_by_unknown();
+                self.agree(text);
+            }
             Meaning::ThereIs => {
                 self.unwind(0);
                 self.there_is = self.target.is_some();
             }
             Meaning::Pronoun => self.pronoun(),
+        }
+    }
+
+    /// Begins another anchor of a negated relation; returns whether the last one is negated.
+    fn repeats_negated_relation(&mut self) -> bool {
+        let [.., below, anchor] = &self.stack[..] else { return false };
+        let is_anchor = matches!(anchor.role, Role::Anchor { .. }) && !anchor.is_empty();
+        let Some(relation) =
+            below.phrase.relations.last().filter(|relation| is_anchor && relation.negated)
+        else {
+            return false;
+        };
+        let (kind, text) = (relation.kind, relation.text.clone());
+        self.pop();
+        self.negated = true;
+        self.relation(kind, &text);
+        true
+    }
+
+    /// Closes the objects that a verb does not agree with: in "the chairs around the table that
+    /// are green" the chairs are green. Where it agrees with several, the reading decides.
+    fn agree(&mut self, text: &str) {
+        let is_plural = match text.rsplit(' ').next() {
+            Some("are" | "aren't") => true,
+            Some("is" | "isn't") => false,
+            _ => return,
+        };
+        let agrees = |frame: &Frame| {
+            let phrase = &frame.phrase;
+            let several =
+                phrase.count.map_or_else(|| Lexicon::get().is_plural(&phrase.head), |n| n > 1);
+            !phrase.head.is_empty() && several == is_plural
+        };
+        let Some(last) = self.stack.len().checked_sub(1) else { return };
+        let is_anchor = |frame: &Frame| {
+            matches!(frame.role, Role::Anchor { .. } | Role::With { .. })
+                && !frame.phrase.head.is_empty()
+        };
+        let Some(keep) = (0..=last).rev().find(|&i| agrees(&self.stack[i])) else { return };
+        if self.stack[keep + 1..].iter().all(is_anchor) {
+            self.unwind(keep + 1);
+        }
+        let is_first_meant = self.attach == Attach::Target
+            && self.stack.len() > 1
+            && agrees(&self.stack[0])
+            && self.stack[1..].iter().all(is_anchor);
+        if is_first_meant {
+            self.unwind(1);
         }
     }
 

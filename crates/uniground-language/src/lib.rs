@@ -30,10 +30,12 @@ mod vlm;
 mod words;
 pub mod zones;
 
-pub use distances::Reach;
+pub use distances::{LengthUnit, Reach};
 pub use doubt::Doubt;
-pub use follow_up::{Earlier, resolve as resolve_follow_up};
-pub use forms::{Aspect, ComparedBy, Comparison, Dimension, Form, Passage, Reference, Way};
+pub use follow_up::{Earlier, plural_of, resolve as resolve_follow_up};
+pub use forms::{
+    Aspect, Bound, Claim, ComparedBy, Comparison, Dimension, Form, Limit, Passage, Reference, Way,
+};
 pub use grammar::parse;
 pub use parsers::{AutoParser, BuiltinParser, FellBack, QueryParser, Reading, VlmParser};
 pub use relation_kinds::RelationKind;
@@ -73,6 +75,8 @@ pub struct ParsedQuery {
     pub form: Form,
     /// Objects that a list must not have: "everything on the desk except the laptop".
     pub except: Vec<Phrase>,
+    /// The unit that the answer has to use: "how wide is the door in inches".
+    pub unit: Option<LengthUnit>,
 }
 
 impl ParsedQuery {
@@ -164,6 +168,10 @@ pub struct Phrase {
     pub other_things: Vec<String>,
     /// The words that gave the use: "wine" of "something to pour wine from".
     pub purpose: Vec<String>,
+    /// Words that must not describe it, and that no geometry can check: "not wooden".
+    pub excluded: Vec<String>,
+    /// The instances it has to be one of: "which of the mugs #3, #4 and #5". Empty for any.
+    pub among: Vec<InstanceId>,
     /// Colors it must have. If there are two, they share its surface: each has to be there.
     pub colors: Vec<ColorName>,
     /// Whether the colors are approximate ("pinkish"): a similar color fits too.
@@ -238,23 +246,18 @@ impl Phrase {
     /// Returns the phrase in words: "small red chair".
     #[must_use]
     pub fn text(&self) -> String {
-        let traits = self.traits.iter().map(|s| s.as_str());
-        let colors = self
-            .other_than
-            .iter()
-            .flat_map(|c| ["not", c.as_str()])
-            .chain(self.colors.iter().map(|c| c.as_str()));
         let head = match (&self.head, self.uses.is_empty()) {
             (head, true) if head.is_empty() => "thing".to_owned(),
             (head, true) => head.clone(),
             (_, false) => format!("something to {}", self.uses.join(" or ")),
         };
-        traits
-            .chain(colors)
-            .chain(self.unchecked.iter().map(String::as_str))
-            .chain([head.as_str()])
-            .collect::<Vec<_>>()
-            .join(" ")
+        let mut words: Vec<&str> = self.traits.iter().map(|s| s.as_str()).collect();
+        words.extend(self.other_than.iter().flat_map(|c| ["not", c.as_str()]));
+        words.extend(self.excluded.iter().flat_map(|word| ["not", word.as_str()]));
+        words.extend(self.colors.iter().map(|c| c.as_str()));
+        words.extend(self.unchecked.iter().map(String::as_str));
+        words.push(&head);
+        words.join(" ")
     }
 
     fn is_empty(&self) -> bool {
@@ -265,6 +268,11 @@ impl Phrase {
 /// Returns the instance that a word names by its id: "#12".
 fn instance_in(word: &str) -> Option<InstanceId> {
     word.strip_prefix('#')?.parse().ok().map(InstanceId)
+}
+
+/// Returns the instances that a token names by their ids: "#3+#4+#5".
+fn instances_in(word: &str) -> Option<Vec<InstanceId>> {
+    word.contains('+').then(|| word.split('+').map(instance_in).collect()).flatten()
 }
 
 /// Returns the part of the building that a word names.

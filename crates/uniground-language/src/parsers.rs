@@ -1,7 +1,7 @@
 //! Parsers of queries: the built-in grammar, a chat model, or the model where the grammar is in
 //! doubt.
 
-use super::{Form, ParsedQuery, vlm};
+use super::{Form, ParsedQuery, Quantity, vlm};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use std::sync::Arc;
@@ -65,8 +65,8 @@ pub struct VlmParser {
 }
 
 impl VlmParser {
-    /// Asks the model, and falls back to the grammar's reading. The grammar always decides how many
-    /// objects are requested.
+    /// Asks the model, and falls back to the grammar's reading. Where the grammar reads a number of
+    /// objects or a unit, these stay.
     async fn ask(&self, query: &str, grammar: ParsedQuery) -> Reading {
         let mut session = Session::new(self.model.as_ref(), self.budgets.clone(), 1);
         let read = match session.ask("parse", vlm::request(query)).await {
@@ -80,9 +80,19 @@ impl VlmParser {
                 // A model that names no form leaves it to the grammar.
                 let form =
                     if parsed.form == Form::Object { grammar.form } else { parsed.form.clone() };
-                let except = grammar.except;
+                let quantity = match grammar.quantity {
+                    Quantity::One => parsed.quantity,
+                    several => several,
+                };
+                let except = if parsed.except.is_empty() { grammar.except } else { parsed.except };
+                let unit = grammar.unit.or(parsed.unit);
+                let mut target = parsed.target;
+                // Ids of instances come from the context of the question: they are exact.
+                if target.among.is_empty() {
+                    target.among = grammar.target.among;
+                }
                 Reading {
-                    parsed: ParsedQuery { quantity: grammar.quantity, form, except, ..parsed },
+                    parsed: ParsedQuery { target, quantity, form, except, unit, ..parsed },
                     by,
                     calls,
                     fell_back: None,

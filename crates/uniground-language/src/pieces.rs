@@ -134,7 +134,9 @@ fn noun_follows(run: &[&str]) -> bool {
 
 /// Returns the length in words of the longest noun at the start.
 pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
-    if run.first().is_some_and(|word| super::instance_in(word).is_some()) {
+    let names_instances =
+        |word: &&str| super::instance_in(word).is_some() || super::instances_in(word).is_some();
+    if run.first().is_some_and(names_instances) {
         return Some(1);
     }
     let lexicon = Lexicon::get();

@@ -1,7 +1,10 @@
 //! Parses a query with a chat model: the request, and the JSON reply as a [`ParsedQuery`].
 
 use super::affordances;
-use super::forms::{Aspect, ComparedBy, Comparison, Dimension, Form, Passage, Reference, Way};
+use super::distances::LengthUnit;
+use super::forms::{
+    Aspect, Bound, Claim, ComparedBy, Comparison, Dimension, Form, Limit, Passage, Reference, Way,
+};
 use super::{
     Look, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative, Trait,
     Viewpoint, With, words,
@@ -9,10 +12,11 @@ use super::{
 use serde::Deserialize;
 use serde_json::{Value, json};
 use uniground_geometry::color::ColorName;
+use uniground_geometry::scene::InstanceId;
 use uniground_models::chat::{ChatRequest, Part};
 
 /// Version of the prompt. Raise it when the prompt or the schema changes.
-pub(super) const PROMPT_VERSION: u32 = 3;
+pub(super) const PROMPT_VERSION: u32 = 4;
 
 /// Maximum nesting; no sentence is deeper.
 const MAX_DEPTH: u32 = 5;
@@ -35,12 +39,17 @@ const SYSTEM: &str = "You turn a question about an object in a room into JSON. A
     face. asks is what the question wants to know of the target: object (the default); list, all that match (\"what is on the desk\": \
     noun empty, on the desk; \"all chairs\"); count; size, height, width, depth, area or elevation (height above the floor) of it; its \
     distance to other, or to the person who asks where other is missing; exists (\"is there a piano\"); holds (\"is the mug on the \
-    table\": target is the mug, other is the mug on the table); compare (is it taller than other) and choose (which of target and \
+    table\": target is the mug, other is the mug on the table; negated for \"is it not on the table\", of_all where it has to hold of all \
+    of them, as in \"are all mugs on the table\"); within, whether a measure of it is above, below or about size_m (\"is the door wider \
+    than 90 cm\": compare says by what measure, and for a distance from what; bound is above); compare (is it taller than other) and choose (which of target and \
     other is taller), with compare saying by what measure, whether more of it, and for a distance from what; fit, whether it fits way \
-    other (size_m is its size in meters where it is not in the room, as a robot 60 cm wide; between has other and second); description (what is it); color; place (where is it). List words you could not use in not_understood.";
+    other (size_m is its size in meters where it is not in the room, as a robot 60 cm wide; between has other and second); description (what is it); color; place (where is it). except are objects that a list must \
+    not have; unit is the unit that the answer has to use, where the question names one; among are ids of instances that the target has to be \
+    one of (\"which of the mugs #3 and #4\": noun mug, among [3, 4]), and a noun may be an id (\"#12\"); not_words are materials and other \
+    words that must not describe a thing (\"not wooden\": wooden). List words you could not use in not_understood.";
 
 /// What a question may ask, in the reply.
-const ASKS: [&str; 18] = [
+const ASKS: [&str; 19] = [
     "object",
     "list",
     "count",
@@ -53,6 +62,7 @@ const ASKS: [&str; 18] = [
     "distance",
     "exists",
     "holds",
+    "within",
     "compare",
     "choose",
     "fit",
@@ -62,6 +72,9 @@ const ASKS: [&str; 18] = [
 ];
 /// Measures of a comparison, in the reply.
 const COMPARED: [&str; 6] = ["height", "width", "depth", "volume", "elevation", "distance"];
+/// Sides of a limit, in the reply.
+const BOUNDS: [(&str, Bound); 3] =
+    [("above", Bound::Above), ("below", Bound::Below), ("about", Bound::About)];
 /// Ways to fit, in the reply.
 const WAYS: [(&str, Way); 5] = [
     ("through", Way::Through),
@@ -95,7 +108,8 @@ fn schema() -> Value {
     let phrase = json!({"type": "object", "additionalProperties": false, "required": ["noun"], "properties": {
         "noun": {"type": "string"}, "could_be": {"type": "array", "items": {"type": "string"}, "maxItems": MAX_NOUNS},
         "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colors()),
-        "not_colours": names(colors()), "traits": names(Trait::ALL.iter().map(|t| t.as_str()).collect()),
+        "not_colours": names(colors()), "not_words": {"type": "array", "items": {"type": "string"}},
+        "among": {"type": "array", "items": {"type": "integer", "minimum": 1}}, "traits": names(Trait::ALL.iter().map(|t| t.as_str()).collect()),
         "count": {"type": ["integer", "null"], "minimum": 0}, "with": phrases(), "without": phrases(),
         "relations": {"type": "array", "items": relation}, "superlative": superlative,
     }});
@@ -105,9 +119,13 @@ fn schema() -> Value {
     let compare = json!({"type": ["object", "null"], "additionalProperties": false, "required": ["measure", "more"], "properties": {
         "measure": {"type": "string", "enum": COMPARED}, "more": {"type": "boolean"}, "word": {"type": "string"}, "from": {"$ref": "#/$defs/phrase"},
     }});
+    let units: Vec<Value> = LengthUnit::ALL.iter().map(|unit| json!(unit.as_str())).collect();
+    let units: Vec<Value> = units.into_iter().chain([Value::Null]).collect();
     json!({"type": "object", "additionalProperties": false, "required": ["target"], "$defs": {"phrase": phrase}, "properties": {
         "target": {"$ref": "#/$defs/phrase"}, "asks": {"type": "string", "enum": ASKS}, "other": {"$ref": "#/$defs/phrase"},
         "second": {"$ref": "#/$defs/phrase"}, "size_m": {"type": ["number", "null"]}, "compare": compare, "way": {"type": "string", "enum": WAYS.map(|(word, _)| word)},
+        "negated": {"type": "boolean"}, "of_all": {"type": "boolean"}, "bound": {"type": "string", "enum": BOUNDS.map(|(word, _)| word)},
+        "except": phrases(), "unit": {"type": ["string", "null"], "enum": units},
         "viewpoint": viewpoint, "not_understood": {"type": "array", "items": {"type": "string"}},
     }})
 }
@@ -122,6 +140,14 @@ struct QueryJson {
     way: Option<String>,
     second: Option<PhraseJson>,
     size_m: Option<f32>,
+    #[serde(default)]
+    negated: bool,
+    #[serde(default)]
+    of_all: bool,
+    bound: Option<String>,
+    #[serde(default)]
+    except: Vec<PhraseJson>,
+    unit: Option<String>,
     viewpoint: Option<ViewpointJson>,
     #[serde(default)]
     not_understood: Vec<String>,
@@ -152,6 +178,8 @@ struct PhraseJson {
     colors: Vec<String>,
     #[serde(rename = "not_colours")]
     not_colors: Vec<String>,
+    not_words: Vec<String>,
+    among: Vec<u32>,
     traits: Vec<String>,
     count: Option<u32>,
     with: Vec<PhraseJson>,
@@ -195,13 +223,56 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
     let second = query.second.map(|second| phrase(second, 0, &mut parts)).transpose()?;
     let from = query.compare.as_ref().and_then(|compare| compare.from.clone());
     let from = from.map(|from| phrase(from, 0, &mut parts)).transpose()?;
+    let mut except = Vec::new();
+    for excepted in query.except {
+        except.push(phrase(excepted, 0, &mut parts)?);
+    }
+    let unit = query
+        .unit
+        .map(|unit| {
+            let known = LengthUnit::ALL.into_iter().find(|known| known.as_str() == unit);
+            known.ok_or_else(|| format!("the model's answer has an unknown unit {unit:?}"))
+        })
+        .transpose()?;
+    let asks = query.asks.as_str();
+    let means_several = query.of_all || matches!(asks, "list" | "count");
+    let quantity = if means_several { Quantity::All } else { Quantity::One };
+    let other_object = other.clone().filter(|other| !other.is_empty());
     let (target, form) =
-        match fit(&query.asks, &target, other.as_ref(), second, query.way.as_deref(), query.size_m)
-        {
+        match fit(asks, &target, other.as_ref(), second, query.way.as_deref(), query.size_m) {
             Some(fit) => fit?,
-            None => {
-                form(&query.asks, target, other.filter(|o| !o.is_empty()), query.compare, from)?
+            None if asks == "holds" => {
+                let claimed =
+                    other_object.ok_or("the model's answer asks for \"holds\" without other")?;
+                let (is_negated, of_all) = (query.negated, query.of_all);
+                let subject = Box::new(target);
+                (claimed, Form::Holds(Claim { subject, is_negated, of_all }))
             }
+            None if asks == "within" => {
+                let compare = query
+                    .compare
+                    .ok_or("the model's answer asks for \"within\" without compare")?;
+                let given_m = query
+                    .size_m
+                    .filter(|size| size.is_finite() && *size > 0.0)
+                    .ok_or("the model's answer asks for \"within\" without size_m")?;
+                let said = BOUNDS.iter().find(|(word, _)| Some(*word) == query.bound.as_deref());
+                let bound = match said {
+                    Some((_, bound)) => *bound,
+                    None if compare.more => Bound::Above,
+                    None => Bound::Below,
+                };
+                let by = compared_by(&compare.measure, from.or(other_object))?;
+                // A length is no volume: the longest side counts.
+                let by = match by {
+                    ComparedBy::Dimension(Dimension::Volume) => {
+                        ComparedBy::Dimension(Dimension::All)
+                    }
+                    by => by,
+                };
+                (target, Form::Limit(Limit { by, bound, given_m, of_all: query.of_all }))
+            }
+            None => form(asks, target, other_object, query.compare, from)?,
         };
     let viewpoint = match query.viewpoint {
         None => None,
@@ -217,13 +288,14 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
         other_reading: None,
         viewpoint,
         standpoint: None,
-        quantity: Quantity::One,
+        quantity,
         foreign: false,
         not_understood: query.not_understood,
         passed_over: Vec::new(),
         later: Vec::new(),
         form,
-        except: Vec::new(),
+        except,
+        unit,
     })
 }
 
@@ -284,28 +356,11 @@ fn form(
             other.map_or(Reference::Observer, |other| Reference::Object(Box::new(other))),
         ),
         "exists" => Form::Exists,
-        "holds" => {
-            let claimed = other.ok_or_else(|| missing("other"))?;
-            return Ok((claimed, Form::Holds(Box::new(target))));
-        }
         "compare" | "choose" => {
             let other = Box::new(other.ok_or_else(|| missing("other"))?);
             let CompareJson { measure, more, word, .. } =
                 compare.ok_or_else(|| missing("compare"))?;
-            let by = match measure.as_str() {
-                "height" => ComparedBy::Dimension(Dimension::Height),
-                "width" => ComparedBy::Dimension(Dimension::Width),
-                "depth" => ComparedBy::Dimension(Dimension::Depth),
-                "volume" => ComparedBy::Dimension(Dimension::Volume),
-                "elevation" => ComparedBy::Dimension(Dimension::Elevation),
-                "distance" => {
-                    let from = from.filter(|from| !from.is_empty());
-                    ComparedBy::Distance(
-                        from.map_or(Reference::Observer, |from| Reference::Object(Box::new(from))),
-                    )
-                }
-                _ => return Err(format!("the model's answer has an unknown measure {measure:?}")),
-            };
+            let by = compared_by(&measure, from)?;
             let word = if word.is_empty() { measure } else { word };
             let comparison = Comparison { by, more, word, other };
             if asks == "compare" { Form::Comparison(comparison) } else { Form::Choice(comparison) }
@@ -316,6 +371,24 @@ fn form(
         _ => return Err(format!("the model's answer asks for an unknown {asks:?}")),
     };
     Ok((target, form))
+}
+
+/// Returns what a comparison measures. `from` is the object that distances are measured from.
+fn compared_by(measure: &str, from: Option<Phrase>) -> Result<ComparedBy, String> {
+    Ok(match measure {
+        "height" => ComparedBy::Dimension(Dimension::Height),
+        "width" => ComparedBy::Dimension(Dimension::Width),
+        "depth" => ComparedBy::Dimension(Dimension::Depth),
+        "volume" => ComparedBy::Dimension(Dimension::Volume),
+        "elevation" => ComparedBy::Dimension(Dimension::Elevation),
+        "distance" => {
+            let from = from.filter(|from| !from.is_empty());
+            ComparedBy::Distance(
+                from.map_or(Reference::Observer, |from| Reference::Object(Box::new(from))),
+            )
+        }
+        _ => return Err(format!("the model's answer has an unknown measure {measure:?}")),
+    })
 }
 
 fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, String> {
@@ -385,6 +458,8 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
         uses,
         could_be,
         other_things: Vec::new(),
+        excluded: json.not_words.iter().map(|word| word.trim().to_lowercase()).collect(),
+        among: json.among.into_iter().map(InstanceId).collect(),
         purpose,
         colors: json.colors.iter().map(color).collect::<Result<_, _>>()?,
         other_than: json.not_colors.iter().map(color).collect::<Result<_, _>>()?,
@@ -443,6 +518,42 @@ mod tests {
         ] {
             assert_eq!(decode(text).unwrap(), parse(query), "{query}");
         }
+        for (text, query) in [
+            (
+                r#"{"target": {"noun": "mug"}, "asks": "holds", "negated": true, "other": {"noun": "mug", "relations": [{"kind": "on", "words": "on", "anchors": [{"noun": "desk"}]}]}}"#,
+                "is the mug not on the desk",
+            ),
+            (
+                r#"{"target": {"noun": "mugs"}, "asks": "holds", "of_all": true, "other": {"noun": "mugs", "colours": ["red"]}}"#,
+                "are all mugs red",
+            ),
+            (
+                r#"{"target": {"noun": "door"}, "asks": "within", "compare": {"measure": "width", "more": true}, "bound": "above", "size_m": 0.9}"#,
+                "is the door wider than 90 cm",
+            ),
+            (
+                r#"{"target": {"noun": "sofa"}, "asks": "within", "compare": {"measure": "distance", "more": false, "from": {"noun": "tv"}}, "size_m": 2}"#,
+                "are the sofa and the tv less than 2 m apart",
+            ),
+            (
+                r#"{"target": {"noun": "door"}, "asks": "width", "unit": "inches"}"#,
+                "how wide is the door in inches",
+            ),
+            (
+                r#"{"target": {"noun": "mugs", "among": [3, 4, 5], "colours": ["red"]}, "asks": "list"}"#,
+                "which of the mugs #3, #4 and #5 are red",
+            ),
+            (
+                r#"{"target": {"noun": "chairs", "not_words": ["wooden"]}, "asks": "list"}"#,
+                "list all chairs that are not wooden",
+            ),
+            (
+                r#"{"target": {"noun": "chairs"}, "asks": "list", "except": [{"noun": "armchair"}]}"#,
+                "list all chairs except the armchair",
+            ),
+        ] {
+            assert_eq!(decode(text).unwrap(), parse(query), "{query}");
+        }
         let text = r#"{"target": {"noun": "lamp"}, "asks": "compare", "other": {"noun": "shelf"}}"#;
         assert!(decode(text).unwrap_err().contains("without compare"));
     }
@@ -454,6 +565,11 @@ mod tests {
             ("{\"goal\": 1}", "missing field `target`"),
             (r#"{"target": {"noun": ""}}"#, "names no target"),
             (r#"{"target": {"noun": "mug", "colours": ["mauve"]}}"#, "unknown colour \"mauve\""),
+            (
+                r#"{"target": {"noun": "mug"}, "asks": "within", "compare": {"measure": "height", "more": true}}"#,
+                "without size_m",
+            ),
+            (r#"{"target": {"noun": "mug"}, "asks": "width", "unit": "cubits"}"#, "unknown unit"),
             (
                 r#"{"target": {"noun": "mug", "relations": [{"kind": "loves", "anchors": []}]}}"#,
                 "unknown relation \"loves\"",

@@ -234,6 +234,51 @@ pub(super) fn is_part_of_furniture(head: &str) -> bool {
     )
 }
 
+/// Returns whether a word names a material, which a scan does not show: "not wooden".
+pub(super) fn is_material(word: &str) -> bool {
+    matches!(
+        word,
+        "wooden"
+            | "wood"
+            | "oak"
+            | "pine"
+            | "walnut"
+            | "bamboo"
+            | "rattan"
+            | "wicker"
+            | "metal"
+            | "metallic"
+            | "steel"
+            | "iron"
+            | "aluminum"
+            | "aluminium"
+            | "brass"
+            | "chrome"
+            | "plastic"
+            | "acrylic"
+            | "rubber"
+            | "foam"
+            | "glass"
+            | "ceramic"
+            | "porcelain"
+            | "stone"
+            | "marble"
+            | "granite"
+            | "concrete"
+            | "brick"
+            | "leather"
+            | "fabric"
+            | "cloth"
+            | "velvet"
+            | "cotton"
+            | "wool"
+            | "woolen"
+            | "upholstered"
+            | "paper"
+            | "cardboard"
+    )
+}
+
 /// Returns whether a word is a part of an object or of a room: "the back of the chair" is the
 /// chair, "the end of the table" the table.
 pub(super) fn is_part(head: &str) -> bool {

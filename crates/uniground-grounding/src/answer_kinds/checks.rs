@@ -1,28 +1,41 @@
 //! Yes-or-no questions about objects, and choices between two.
 
-use super::measures::{length_error, measure, spoken};
-use super::sentences::{be, capitalized};
-use super::{AnswerValue, Grounding, NoMatchReason, Writer, value_of};
+use super::measures::{length_error, measure};
+use super::sentences::{be, capitalized, joined, spoken as spoken_phrase, with_article};
+use super::{
+    AnswerValue, Grounding, MissingAnchor, NoMatchReason, Status, Writer, builtin, to_target,
+    value_of,
+};
 use crate::Unit;
+use crate::answer::superlative_words;
 use crate::fit::colors_fit;
+use crate::reasoner::Verdict;
 use crate::reasoner::builtin::ALSO_MEANT;
-use uniground_language::{ComparedBy, Comparison, Dimension, Meaning, Phrase, Reference};
+use uniground_language::{
+    Claim, ComparedBy, Comparison, Dimension, Meaning, ParsedQuery, Phrase, Quantity, Reference,
+    plural_of,
+};
 
 /// A claim with at least this score holds.
 const HOLDS: f32 = 0.5;
+/// Objects that a sentence names one by one.
+const MOST_LISTED: usize = 6;
 
 impl Writer<'_> {
     /// "Is the mug on the table": whether the claim of the target phrase holds of the subject.
-    pub(super) fn holds(&mut self, subject: &Phrase, grounding: &mut Grounding) {
+    pub(super) fn holds(&mut self, claim: &Claim, grounding: &mut Grounding) {
+        let subject = &*claim.subject;
+        if claim.of_all
+            && let Some(members) = self.members(subject).filter(|members| members.len() > 1)
+        {
+            return self.holds_of_all(claim, &members, grounding);
+        }
         let found = self.resolve_target(subject);
         let Some(best) = found.index else {
             return Self::choose_nothing_without(subject, &found, grounding);
         };
-        let claim = match self.resolve_anchors(&self.parsed.target.clone()) {
-            Ok((claim, confidence)) => {
-                let found = self.claim_scores(subject, &claim);
-                found.map(|scores| (scores, confidence))
-            }
+        let scores = match self.scores_of_claim(subject) {
+            Ok(scores) => scores,
             Err(not_found) => {
                 let (anchor, missing) = *not_found;
                 let reason = missing.reason.unwrap_or(NoMatchReason::Absent);
@@ -31,8 +44,7 @@ impl Writer<'_> {
                 return;
             }
         };
-        let subject_name = |index: usize| capitalized(&self.spoken_name(subject, index));
-        let Some((claim, anchor_confidence)) = claim else {
+        let Some((scores, anchor_confidence)) = scores else {
             self.choose(best, subject, found.confidence, grounding);
             grounding.text = format!(
                 "I found {}, but I cannot check what you ask about it.",
@@ -41,26 +53,29 @@ impl Writer<'_> {
             return;
         };
         let top = found.scores[best];
-        let holds = (0..claim.len())
+        let holds = (0..scores.len())
             .filter(|&i| found.scores[i] >= ALSO_MEANT * top)
             .max_by(|&a, &b| {
-                let joint = |i: usize| claim[i] * found.scores[i];
+                let joint = |i: usize| scores[i] * found.scores[i];
                 joint(a).total_cmp(&joint(b)).then(b.cmp(&a))
             })
-            .filter(|&i| claim[i] >= HOLDS);
+            .filter(|&i| scores[i] >= HOLDS);
         let index = holds.unwrap_or(best);
-        // A claim at the limit says little; one far from it much.
-        let margin = 0.5 + (claim[index] - HOLDS).abs().min(0.5);
-        let confidence = found.confidence.min(anchor_confidence) * margin;
+        let confidence = found.confidence.min(anchor_confidence) * margin(scores[index]);
         self.choose(index, subject, confidence, grounding);
-        grounding.value = Some(AnswerValue {
-            yes: Some(holds.is_some()),
-            ..value_of(&[self.instances()[index].id])
-        });
+        let is_so = holds.is_some();
+        let yes = is_so != claim.is_negated;
+        grounding.value =
+            Some(AnswerValue { yes: Some(yes), ..value_of(&[self.instances()[index].id]) });
         let target = &self.parsed.target;
-        let name = subject_name(index);
-        let be = be(&name);
-        let it = if be == "is" { "it is" } else { "they are" };
+        // "The red lamp is red" says nothing.
+        let name = if target.colors.is_empty() || is_of_id(subject) || !subject.colors.is_empty() {
+            self.spoken_name(subject, index)
+        } else {
+            format!("the {}", self.instances()[index].label())
+        };
+        let name = capitalized(&name);
+        let it = if be(&name) == "is" { "it is" } else { "they are" };
         let fact = if claims_a_place(subject, target) {
             self.names()
                 .place(&self.assessor, index)
@@ -68,11 +83,119 @@ impl Writer<'_> {
         } else {
             format!("{it} {}", self.names().a(index))
         };
-        let claim = self.claim_words(subject);
-        grounding.text = match holds {
-            Some(_) => format!("Yes. {name} {be} {claim}."),
-            None => format!("No. {name} {be} not {claim}; {fact}."),
+        let answer = if yes { "Yes" } else { "No" };
+        let said = self.predicate(subject, &name, is_so);
+        grounding.text = if is_so {
+            format!("{answer}. {name} {said}.")
+        } else {
+            format!("{answer}. {name} {said}; {fact}.")
         };
+    }
+
+    /// "Are all chairs on the floor"
+    fn holds_of_all(&mut self, claim: &Claim, members: &[(usize, f32)], grounding: &mut Grounding) {
+        let subject = &*claim.subject;
+        let noun = plural_of(&spoken_phrase(subject));
+        let scores = match self.scores_of_claim(subject) {
+            Ok(scores) => scores,
+            Err(not_found) => {
+                let (anchor, missing) = *not_found;
+                return Self::choose_nothing_without(&anchor, &missing, grounding);
+            }
+        };
+        let Some((scores, anchor_confidence)) = scores else {
+            self.choose_all(members, subject, grounding);
+            grounding.text = format!(
+                "I found {} {noun}, but I cannot check what you ask about them.",
+                members.len()
+            );
+            return;
+        };
+        let (are, are_not): (Vec<_>, Vec<_>) =
+            members.iter().partition(|(index, _)| scores[*index] >= HOLDS);
+        // What a "no" rests on: the objects that are not as asked.
+        let (yes, exceptions) =
+            if claim.is_negated { (are.is_empty(), &are) } else { (are_not.is_empty(), &are_not) };
+        let sure = |(index, belief): &(usize, f32)| belief * margin(scores[*index]);
+        let confidence = if yes {
+            members.iter().map(sure).product()
+        } else {
+            exceptions.iter().map(sure).fold(0.0, f32::max)
+        };
+        let shown: &[(usize, f32)] = if yes { members } else { exceptions };
+        self.choose_all(shown, subject, grounding);
+        grounding.confidence = anchor_confidence.min(confidence);
+        let ids: Vec<_> = members.iter().map(|(index, _)| self.instances()[*index].id).collect();
+        grounding.value = Some(AnswerValue { yes: Some(yes), ..value_of(&ids) });
+        let answer = if yes { "Yes" } else { "No" };
+        let all = members.len();
+        let so = self.predicate(subject, if are.len() == 1 { "one" } else { &noun }, true);
+        grounding.text = match (are.len(), are_not.len()) {
+            (_, 0) if all == 2 => format!("{answer}. Both {noun} {so}."),
+            (_, 0) => format!("{answer}. All {all} {noun} {so}."),
+            (0, _) => format!("{answer}. None of the {all} {noun} {so}."),
+            (some, others) => {
+                let but = if others <= some {
+                    format!("all but {}", self.listed(&are_not))
+                } else {
+                    format!("only {}", self.listed(&are))
+                };
+                format!("{answer}. {some} of the {all} {noun} {so}: {but}.")
+            }
+        };
+    }
+
+    /// Returns the instances that a phrase means where it means several, with the belief in each.
+    pub(super) fn members(&mut self, subject: &Phrase) -> Option<Vec<(usize, f32)>> {
+        let quantity =
+            subject.count.filter(|count| *count > 1).map_or(Quantity::All, Quantity::Exactly);
+        let parsed = ParsedQuery { target: subject.clone(), quantity, ..ParsedQuery::default() };
+        let Verdict { status, several, beliefs, .. } = builtin::decide(&mut self.assessor, &parsed);
+        (status != Status::NoMatch)
+            .then(|| several.into_iter().map(|index| (index, beliefs[index])).collect())
+    }
+
+    /// Makes several instances the answer, as what a phrase means.
+    pub(super) fn choose_all(
+        &self,
+        members: &[(usize, f32)],
+        phrase: &Phrase,
+        grounding: &mut Grounding,
+    ) {
+        let Some((first, belief)) = members.first() else { return };
+        self.choose(*first, phrase, *belief, grounding);
+        grounding.targets = members
+            .iter()
+            .map(|(index, belief)| to_target(&self.instances()[*index], *belief))
+            .collect();
+        grounding
+            .alternatives
+            .retain(|other| grounding.targets.iter().all(|target| target.id != other.id));
+    }
+
+    /// "the red chair (4) and the blue chair (7)"
+    pub(super) fn listed(&self, members: &[(usize, f32)]) -> String {
+        let mut names: Vec<String> = members
+            .iter()
+            .take(MOST_LISTED)
+            .map(|(index, _)| {
+                format!("{} ({})", self.names().the(*index), self.instances()[*index].id)
+            })
+            .collect();
+        if members.len() > MOST_LISTED {
+            names.push(format!("{} more", members.len() - MOST_LISTED));
+        }
+        joined(&names)
+    }
+
+    /// Returns how well the question's claim holds of every instance, and the confidence in its
+    /// anchors; `None` where nothing in it can be checked.
+    fn scores_of_claim(
+        &mut self,
+        subject: &Phrase,
+    ) -> Result<Option<(Vec<f32>, f32)>, MissingAnchor> {
+        let (claim, confidence) = self.resolve_anchors(&self.parsed.target.clone())?;
+        Ok(self.claim_scores(subject, &claim).map(|scores| (scores, confidence)))
     }
 
     /// Returns how well a claim holds of every instance; `None` where nothing in it can be checked.
@@ -89,6 +212,7 @@ impl Writer<'_> {
         if !named && !said {
             return None;
         }
+        let anchors = anchor_indices(claim);
         let of = |i: usize| {
             let mut score = if named { assessed.nouns[i] } else { 1.0 };
             if !claim.colors.is_empty() || !claim.other_than.is_empty() {
@@ -99,8 +223,9 @@ impl Writer<'_> {
                 score = score.min(assessed.own[i] / assessed.nouns[i]);
             }
             if claims_a_place(subject, claim) {
-                for bonds in &assessed.bonds {
-                    score = score.min(bonds[i].score);
+                for (relation, bonds) in claim.relations.iter().zip(&assessed.bonds) {
+                    let held = self.holds_by_support(relation, i, &anchors, bonds[i].score);
+                    score = score.min(held);
                 }
             }
             if claim.superlative.is_some() {
@@ -111,24 +236,58 @@ impl Writer<'_> {
         Some((0..self.instances().len()).map(of).collect())
     }
 
-    /// Returns the claim in words: "on the coffee table", "red".
-    fn claim_words(&self, subject: &Phrase) -> String {
+    /// Returns what the question claims of objects with a name, or that it does not hold: "is on the
+    /// coffee table", "are not red", "has a lamp".
+    fn predicate(&self, subject: &Phrase, name: &str, is_so: bool) -> String {
         let target = &self.parsed.target;
+        let be = be(name);
+        let said = |words: String| {
+            if is_so { format!("{be} {words}") } else { format!("{be} not {words}") }
+        };
         if matches!(subject.meaning(), Meaning::Instance(_)) && target.relations.is_empty() {
-            return super::sentences::with_article(&super::sentences::spoken(target));
+            return said(with_article(&spoken_phrase(target)));
         }
         if claims_a_place(subject, target)
             && let Some(words) = crate::reasoner::relation_words(target)
         {
-            return words;
+            return said(words);
         }
+        let has: Vec<String> = target
+            .with
+            .iter()
+            .filter(|with| !subject.with.contains(with))
+            .map(|with| {
+                let thing = spoken_phrase(&with.phrase);
+                let thing = match with.phrase.count {
+                    Some(count) => format!("{count} {thing}"),
+                    None => with_article(&thing),
+                };
+                if with.absent { format!("no {}", spoken_phrase(&with.phrase)) } else { thing }
+            })
+            .collect();
         let colors = target.colors.iter().map(|color| color.as_str().to_owned());
         let without = target.other_than.iter().map(|color| format!("not {}", color.as_str()));
         let traits = target.traits.iter().map(|seen| seen.as_str().to_owned());
-        let with = target.with.iter().map(|with| {
-            format!("{} {}", if with.absent { "without" } else { "with" }, with.phrase.text())
-        });
-        colors.chain(without).chain(traits).chain(with).collect::<Vec<_>>().join(" and ")
+        let rank = target.superlative.map(|rank| format!("the {}", superlative_words(&rank)));
+        let is: Vec<String> = colors.chain(without).chain(traits).chain(rank).collect();
+        let claimed = |all: &[String], of_subject: usize| {
+            all.iter()
+                .skip(of_subject.min(all.len().saturating_sub(1)))
+                .cloned()
+                .collect::<Vec<_>>()
+        };
+        match (is.is_empty(), has.is_empty()) {
+            (true, false) => {
+                let (verb, not) = match (be, is_so) {
+                    ("is", true) => ("has", ""),
+                    ("is", false) => ("does", " not have"),
+                    (_, true) => ("have", ""),
+                    (_, false) => ("do", " not have"),
+                };
+                format!("{verb}{not} {}", joined(&has))
+            }
+            _ => said(joined(&claimed(&is, subject.colors.len() + subject.traits.len()))),
+        }
     }
 
     /// "Is the sofa longer than the rug"
@@ -252,8 +411,35 @@ impl Writer<'_> {
         self.choose(a, &target, confidence * (0.5 + 0.5 * sure), grounding);
         grounding.answer.anchor_id = grounding.answer.anchor_id.or(Some(ids[1]));
         let first_wins = if comparison.more { x > y } else { x < y };
-        Some(Compared { ids, names, measured: [spoken(x, unit), spoken(y, unit)], first_wins })
+        Some(Compared {
+            ids,
+            names,
+            measured: [self.spoken(x, unit), self.spoken(y, unit)],
+            first_wins,
+        })
     }
+}
+
+/// Returns whether a phrase names an instance by its id: "#12".
+fn is_of_id(phrase: &Phrase) -> bool {
+    matches!(phrase.meaning(), Meaning::Instance(_))
+}
+
+/// Returns the lower share of the confidence for a score near the limit: it says little, one far
+/// from it much.
+fn margin(score: f32) -> f32 {
+    0.5 + (score - HOLDS).abs().min(0.5)
+}
+
+/// Returns the indices of the anchors that are given by id.
+fn anchor_indices(phrase: &Phrase) -> Vec<usize> {
+    let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
+    anchors
+        .filter_map(|anchor| match anchor.meaning() {
+            Meaning::Instance(id) => Some(id.0 as usize - 1),
+            _ => None,
+        })
+        .collect()
 }
 
 /// Returns whether a claim says where the subject is. The relations of "the armchair by the door",

@@ -8,8 +8,8 @@ use super::{
 use crate::reasoner::NamesFrom;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
-use uniground_geometry::scene::InstanceId;
-use uniground_language::{Meaning, Phrase, RelationKind};
+use uniground_geometry::scene::{InstanceId, Structure, Support};
+use uniground_language::{Meaning, Phrase, Relation, RelationKind};
 use uniground_models::attributes::Lexicon;
 
 /// A relation with at least this score holds.
@@ -145,6 +145,13 @@ impl Writer<'_> {
             (Status::NoMatch, _) => Some(false),
             _ => Some(several.is_none_or(|count| grounding.targets.len() as u32 >= count)),
         };
+        // Several that share the belief are as good as one for "is there a chair".
+        if !is_about_anything(target) && grounding.targets.len() <= 1 && yes == Some(true) {
+            let others = grounding.alternatives.iter().map(|other| other.confidence);
+            let chosen = grounding.targets.iter().map(|target| target.confidence);
+            let all: f32 = others.chain(chosen).sum();
+            grounding.confidence = grounding.confidence.max(all.min(1.0));
+        }
         let is_found = matches!(grounding.status, Status::Grounded | Status::Uncertain);
         if is_found && !is_about_anything(target) && grounding.confidence < CANNOT_TELL {
             let best = self.chosen(grounding).map(|index| {
@@ -254,7 +261,7 @@ impl Writer<'_> {
                 .zip(&assessed.bonds)
                 .filter(|(relation, _)| !relation.kind.is_comparison())
                 .map(|(relation, bonds)| {
-                    self.holds_by_support(relation.kind, i, &anchors, bonds[i].score)
+                    self.holds_by_support(relation, i, &anchors, bonds[i].score)
                 })
                 .fold(1.0, f32::min);
             if related >= least { related } else { 0.0 }
@@ -357,20 +364,32 @@ impl Writer<'_> {
     }
 
     /// Returns the score of a relation. What the parse found to stand on an object is on it.
-    fn holds_by_support(
+    pub(super) fn holds_by_support(
         &self,
-        kind: RelationKind,
+        relation: &Relation,
         index: usize,
         anchors: &[usize],
         score: f32,
     ) -> f32 {
-        use uniground_geometry::scene::Support;
+        if relation.negated {
+            let positive = Relation { negated: false, ..relation.clone() };
+            return 1.0 - self.holds_by_support(&positive, index, anchors, 1.0 - score);
+        }
+        let is_on_floor = relation.kind == RelationKind::On
+            && self.instances()[index].support == Support::Floor
+            && relation
+                .anchors
+                .iter()
+                .any(|anchor| anchor.meaning() == Meaning::Structure(Structure::Floor));
+        if is_on_floor {
+            return score.max(0.9);
+        }
         let held_by = match self.instances()[index].support {
             Support::Instance { id } | Support::Wall { id } => Some(id.0 as usize - 1),
             Support::Floor | Support::Nothing => None,
         };
         let is_held = held_by.is_some_and(|holder| anchors.contains(&holder));
-        match kind {
+        match relation.kind {
             RelationKind::On | RelationKind::Inside if is_held => score.max(0.9),
             // It stands on another object, not on this one.
             RelationKind::On if held_by.is_some() && !anchors.is_empty() => {

@@ -1,11 +1,11 @@
 //! Sizes and distances.
 
-use super::sentences::{be, capitalized, joined, meters, size};
+use super::sentences::{be, capitalized, in_unit, joined};
 use super::{AnswerValue, Grounding, Status, Writer};
 use crate::Unit;
 use crate::solid::Solid;
 use uniground_geometry::scene::{Instance, Structure};
-use uniground_language::{Dimension, Reference};
+use uniground_language::{Dimension, LengthUnit, Reference};
 
 /// Expected error of one end of a measurement, meters: noise of the scan and the box's margin.
 const END_ERROR_M: f32 = 0.02;
@@ -39,21 +39,43 @@ fn end_error(instance: &Instance) -> f32 {
     if instance.views.len() < FEW_VIEWS { FEW_VIEWS_ERROR_M } else { END_ERROR_M }
 }
 
-/// Returns a measured value in words: "1.20 m", "0.80 square meters".
-pub(super) fn spoken(number: f32, unit: Unit) -> String {
-    match unit {
-        Unit::Meters => meters(number.max(0.0)),
-        Unit::SquareMeters => format!("{number:.2} square meters"),
-        Unit::CubicMeters => format!("{number:.2} cubic meters"),
-    }
-}
-
 /// Rounds to millimeters: digits beyond it would claim more than a scan can tell.
-fn rounded(value: f32) -> f32 {
+pub(super) fn rounded(value: f32) -> f32 {
     (value * 1e3).round() / 1e3
 }
 
 impl Writer<'_> {
+    /// Returns a length in words, in the unit that the question asks for: "1.20 m", "47.2 inches".
+    pub(super) fn meters(&self, length: f32) -> String {
+        in_unit(length, self.parsed.unit)
+    }
+
+    /// Returns a measured value in words, in the unit that the question asks for: "1.20 m", "0.80
+    /// square meters".
+    pub(super) fn spoken(&self, number: f32, unit: Unit) -> String {
+        let number = number.max(0.0);
+        let (power, said) = match unit {
+            Unit::Meters => return self.meters(number),
+            Unit::SquareMeters => (2, "square"),
+            Unit::CubicMeters => (3, "cubic"),
+        };
+        match self.parsed.unit.filter(|unit| *unit != LengthUnit::Meters) {
+            None => format!("{number:.2} {said} meters"),
+            Some(unit) => {
+                let number = number / unit.meters().powi(power);
+                let digits = usize::from(number < 100.0);
+                format!("{number:.digits$} {said} {}", unit.as_str())
+            }
+        }
+    }
+
+    /// "0.85 m wide, 0.40 m deep and 1.20 m high"
+    fn sides(&self, solid: &Solid) -> String {
+        let (long, short) = solid.sides();
+        let [long, short, height] = [long, short, solid.size[2]].map(|side| self.meters(side));
+        format!("{long} wide, {short} deep and {height} high")
+    }
+
     /// Returns the height of the floor, meters in the world frame.
     pub(super) fn floor_m(&self) -> f32 {
         let floors = self
@@ -74,7 +96,7 @@ impl Writer<'_> {
                 .map(|(id, solid)| {
                     let (number, unit) = measure(solid, dimension, self.floor_m());
                     let name = self.names().the(id.0 as usize - 1);
-                    format!("{name} ({id}) {}", spoken(number, unit))
+                    format!("{name} ({id}) {}", self.spoken(number, unit))
                 })
                 .collect();
             grounding.text = format!("It depends on which one: {}.", joined(&of_each));
@@ -92,7 +114,7 @@ impl Writer<'_> {
                 .map(|target| {
                     let solid = &self.assessor.solids[target.id.0 as usize - 1];
                     let (number, unit) = measure(solid, dimension, self.floor_m());
-                    format!("{} ({}) {}", target.name, target.id, spoken(number, unit))
+                    format!("{} ({}) {}", target.name, target.id, self.spoken(number, unit))
                 })
                 .collect();
             grounding.text = format!("{}.", capitalized(&joined(&of_each)));
@@ -131,33 +153,38 @@ impl Writer<'_> {
         });
         let name = capitalized(&self.target_name(index));
         let be = be(&name);
-        let plus_minus = meters(error);
+        let plus_minus = self.meters(error);
         grounding.text = match dimension {
-            Dimension::All => format!("{name} {be} {}, each ± {plus_minus}.", size(solid)),
+            Dimension::All => format!("{name} {be} {}, each ± {plus_minus}.", self.sides(solid)),
             Dimension::Height => {
                 let top = solid.top - self.floor_m();
                 format!(
                     "{name} {be} {} high ± {plus_minus}; its top is {} above the floor.",
-                    meters(number),
-                    meters(top)
+                    self.meters(number),
+                    self.meters(top)
                 )
             }
-            Dimension::Width => format!("{name} {be} {} wide ± {plus_minus}.", meters(number)),
-            Dimension::Length => format!("{name} {be} {} long ± {plus_minus}.", meters(number)),
-            Dimension::Depth => format!("{name} {be} {} deep ± {plus_minus}.", meters(number)),
+            Dimension::Width => format!("{name} {be} {} wide ± {plus_minus}.", self.meters(number)),
+            Dimension::Length => {
+                format!("{name} {be} {} long ± {plus_minus}.", self.meters(number))
+            }
+            Dimension::Depth => format!("{name} {be} {} deep ± {plus_minus}.", self.meters(number)),
             Dimension::Area => {
-                format!("{name} covers {number:.2} ± {error:.2} square meters of the floor.")
+                let (number, error) = (self.spoken(number, unit), self.spoken(error, unit));
+                format!("{name} covers {number} ± {error} of the floor.")
             }
             Dimension::Volume => {
                 format!(
-                    "The box of {} has {number:.2} ± {error:.2} cubic meters.",
-                    self.target_name(index)
+                    "The box of {} has {} ± {}.",
+                    self.target_name(index),
+                    self.spoken(number, unit),
+                    self.spoken(error, unit)
                 )
             }
             Dimension::Elevation => format!(
                 "{name} {be} {} above the floor ± {plus_minus}, and its top {}.",
-                meters(number.max(0.0)),
-                meters(solid.top - self.floor_m())
+                self.meters(number.max(0.0)),
+                self.meters(solid.top - self.floor_m())
             ),
         };
     }
@@ -183,7 +210,7 @@ impl Writer<'_> {
             .iter()
             .map(|alternative| {
                 let index = alternative.id.0 as usize - 1;
-                let gap = meters(self.assessor.solids[index].gap(&other));
+                let gap = self.meters(self.assessor.solids[index].gap(&other));
                 format!("{} ({}) {gap}", self.names().the(index), alternative.id)
             })
             .collect();
@@ -255,7 +282,11 @@ impl Writer<'_> {
         grounding.text = if gap < 0.005 {
             format!("{name} touches {other_name}.")
         } else {
-            format!("{name} {be} {} from {other_name} ± {}{between}.", meters(gap), meters(error))
+            format!(
+                "{name} {be} {} from {other_name} ± {}{between}.",
+                self.meters(gap),
+                self.meters(error)
+            )
         };
     }
 }

@@ -7,12 +7,15 @@
 
 mod checks;
 mod fits;
+mod limits;
 mod lists;
 mod measures;
 mod sentences;
 
 use super::answer::{describe_instance, to_target};
 use super::assess::Assessor;
+use super::fit::{can_check_word, colors_fit};
+use super::reasoner::builtin::MIN_COLOR;
 use super::reasoner::{NamesFrom, Verdict, builtin};
 use super::{
     AnswerKind, AnswerValue, Grounding, NoMatchReason, Question, SceneView, Status, assessor_of,
@@ -38,7 +41,8 @@ pub(super) fn complete(
         Form::Count => writer.count(grounding),
         Form::Exists => writer.exists(grounding),
         Form::Number(range) => writer.number(range, grounding),
-        Form::Holds(subject) => writer.holds(subject, grounding),
+        Form::Holds(claim) => writer.holds(claim, grounding),
+        Form::Limit(limit) => writer.limit(limit, grounding),
         Form::Size(dimension) => writer.size(*dimension, grounding),
         Form::Distance(reference) => writer.distance(reference, grounding),
         Form::Comparison(comparison) => writer.comparison(comparison, grounding),
@@ -55,12 +59,33 @@ pub(super) fn complete(
         }
         Form::Place => grounding.text = writer.place(grounding),
     }
-    grounding.text = writer.names().in_place_of_ids(&grounding.text).replace(" the me", " you");
+    if let Some(note) = writer.unchecked_words(grounding) {
+        grounding.text = format!("{} {note}", grounding.text);
+    }
+    if writer.chosen(grounding).is_some_and(|index| writer.is_of_other_color(index)) {
+        grounding.confidence = grounding.confidence.min(MIN_COLOR);
+    }
+    grounding.text = said_to_asker(&writer.names().in_place_of_ids(&grounding.text));
     if decided != (grounding.status, grounding.answer.predicted_id) {
         // The explanation of the first decision is of another object.
         grounding.answer.explanation.clone_from(&grounding.text);
     }
     grounding.confidence = grounding.confidence.min(question.most_confidence);
+}
+
+/// Replaces "the me", which is the person who asks: "closest to the me".
+fn said_to_asker(text: &str) -> String {
+    let is_whole = |rest: &str| !rest.starts_with(char::is_alphanumeric);
+    let mut said = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find(" the me") {
+        let (before, after) = (&rest[..at], &rest[at + " the me".len()..]);
+        said.push_str(before);
+        said.push_str(if is_whole(after) { " you" } else { " the me" });
+        rest = after;
+    }
+    said.push_str(rest);
+    said
 }
 
 /// Returns the kind of answer that a form asks for.
@@ -70,9 +95,12 @@ fn kind_of(form: &Form) -> AnswerKind {
         Form::List => AnswerKind::List,
         Form::Count => AnswerKind::Count,
         Form::Size(_) | Form::Distance(_) => AnswerKind::Measure,
-        Form::Exists | Form::Number(_) | Form::Holds(_) | Form::Comparison(_) | Form::Fit(_) => {
-            AnswerKind::YesNo
-        }
+        Form::Exists
+        | Form::Number(_)
+        | Form::Holds(_)
+        | Form::Limit(_)
+        | Form::Comparison(_)
+        | Form::Fit(_) => AnswerKind::YesNo,
         Form::Description(_) => AnswerKind::Description,
         Form::Place => AnswerKind::Relation,
     }
@@ -83,7 +111,9 @@ fn kind_of(form: &Form) -> AnswerKind {
 #[must_use]
 pub(super) fn may_be_reviewed(parsed: &ParsedQuery) -> bool {
     match &parsed.form {
-        Form::Holds(_) | Form::Comparison(_) | Form::Choice(_) | Form::Fit(_) => false,
+        Form::Holds(_) | Form::Limit(_) | Form::Comparison(_) | Form::Choice(_) | Form::Fit(_) => {
+            false
+        }
         Form::List | Form::Count | Form::Number(_) | Form::Exists => {
             !is_about_anything(&parsed.target)
         }
@@ -115,6 +145,9 @@ struct Resolved {
     /// Fit of each instance.
     scores: Vec<f32>,
 }
+
+/// An anchor of a question that was not found, and why.
+type MissingAnchor = Box<(Phrase, Resolved)>;
 
 impl Resolved {
     /// Returns indices of all instances that fit like the best.
@@ -173,10 +206,7 @@ impl<'a> Writer<'a> {
 
     /// Replaces the anchors of a phrase by the instances that they mean. Returns the phrase, and
     /// the confidence in its anchors; or the anchor that was not found, and why.
-    fn resolve_anchors(
-        &mut self,
-        phrase: &Phrase,
-    ) -> Result<(Phrase, f32), Box<(Phrase, Resolved)>> {
+    fn resolve_anchors(&mut self, phrase: &Phrase) -> Result<(Phrase, f32), MissingAnchor> {
         let mut resolved = phrase.clone();
         let mut confidence = 1.0_f32;
         for relation in &mut resolved.relations {
@@ -336,7 +366,7 @@ impl<'a> Writer<'a> {
             return sentence;
         }
         let Some(index) = self.chosen(grounding) else { return String::new() };
-        if grounding.answer.target_name_matches == Some(false) {
+        if grounding.answer.target_name_matches == Some(false) || self.is_of_other_color(index) {
             let (asked, called) = (&self.parsed.target, self.names().the(index));
             let place = self.names().place(&self.assessor, index);
             let place = place.map(|place| format!(", {place}")).unwrap_or_default();
@@ -357,6 +387,33 @@ impl<'a> Writer<'a> {
         } else {
             format!("{name} {be} {called}.")
         }
+    }
+
+    /// Returns whether an instance contradicts the colors of an object question.
+    fn is_of_other_color(&self, index: usize) -> bool {
+        let target = &self.parsed.target;
+        let by_color = matches!(self.parsed.form, Form::Object | Form::Place)
+            && !target.colors.is_empty()
+            && !target.roughly;
+        let colors = Phrase { colors: target.colors.clone(), ..Phrase::default() };
+        by_color && colors_fit(self.assessor.scene, &colors, index) < MIN_COLOR
+    }
+
+    /// Says which of the words that must not describe the target a scan does not show.
+    fn unchecked_words(&self, grounding: &Grounding) -> Option<String> {
+        if matches!(grounding.status, Status::NoMatch) {
+            return None;
+        }
+        let excluded = &self.parsed.target.excluded;
+        let words: Vec<&str> = excluded
+            .iter()
+            .map(String::as_str)
+            .filter(|word| !can_check_word(self.assessor.scene, word))
+            .collect();
+        let it = if grounding.targets.len() > 1 { "they are" } else { "it is" };
+        (!words.is_empty()).then(|| {
+            format!("A scan does not show whether {it} {}.", sentences::alternatives(&words))
+        })
     }
 
     /// What the chosen object is.

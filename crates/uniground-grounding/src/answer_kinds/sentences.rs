@@ -4,8 +4,8 @@ use crate::answer::describe_instance;
 use crate::assess::Assessor;
 use crate::solid::Solid;
 use uniground_geometry::scene::{Instance, Support};
-use uniground_language::{Aspect, Phrase};
-use uniground_models::attributes::Lexicon;
+use uniground_language::{Aspect, LengthUnit, Phrase};
+use uniground_models::attributes::{Lexicon, Noun};
 
 /// Objects at most this far away tell where another one is, meters.
 const NEXT_TO_M: f32 = 0.6;
@@ -65,7 +65,11 @@ impl Names<'_> {
             return None;
         }
         let at = |id: uniground_geometry::scene::InstanceId| id.0 as usize - 1;
+        // A window does not stand on the plant below it.
+        let is_of_wall =
+            Lexicon::get().find(instance.label()).is_some_and(Noun::can_be_part_of_wall);
         let on = match instance.support {
+            Support::Instance { .. } if is_of_wall => None,
             Support::Floor => Some("on the floor".to_owned()),
             Support::Instance { id } if at(id) < self.instances.len() => {
                 let (holder, held) = (&assessor.solids[at(id)], &assessor.solids[index]);
@@ -125,12 +129,14 @@ impl Names<'_> {
 
 /// Returns a phrase as people say it: "sofa that is not brown".
 pub(super) fn spoken(phrase: &Phrase) -> String {
-    let plain = Phrase { other_than: Vec::new(), ..phrase.clone() }.text();
-    if phrase.other_than.is_empty() {
+    let plain = Phrase { other_than: Vec::new(), excluded: Vec::new(), ..phrase.clone() }.text();
+    let colors = phrase.other_than.iter().map(|color| color.as_str());
+    let without: Vec<&str> = colors.chain(phrase.excluded.iter().map(String::as_str)).collect();
+    if without.is_empty() {
         return plain;
     }
-    let colors: Vec<&str> = phrase.other_than.iter().map(|color| color.as_str()).collect();
-    format!("{plain} that is not {}", alternatives(&colors))
+    let be = be(&plain);
+    format!("{plain} that {be} not {}", alternatives(&without))
 }
 
 /// Describes an instance.
@@ -191,6 +197,19 @@ pub(super) fn size(solid: &Solid) -> String {
     format!("{} wide, {} deep and {} high", meters(long), meters(short), meters(solid.size[2]))
 }
 
+/// Returns a length in a unit, or in meters or centimeters: "18.5 inches".
+pub(super) fn in_unit(length: f32, unit: Option<LengthUnit>) -> String {
+    let Some(unit) = unit else { return meters(length) };
+    let number = length / unit.meters();
+    let digits = match unit {
+        LengthUnit::Millimeters | LengthUnit::Centimeters => 0,
+        LengthUnit::Inches | LengthUnit::Feet => 1,
+        LengthUnit::Meters | LengthUnit::Yards => 2,
+        LengthUnit::Kilometers => 4,
+    };
+    format!("{number:.digits$} {}", unit.as_str())
+}
+
 /// "45 cm", "1.83 m"
 pub(super) fn meters(length: f32) -> String {
     if length < 0.995 { format!("{:.0} cm", 100.0 * length) } else { format!("{length:.2} m") }
@@ -235,7 +254,7 @@ pub(super) fn joined(words: &[impl AsRef<str>]) -> String {
 }
 
 /// "a mug, a cup or a vase"
-fn alternatives(words: &[impl AsRef<str>]) -> String {
+pub(super) fn alternatives(words: &[impl AsRef<str>]) -> String {
     join(words, "or")
 }
 

@@ -176,6 +176,186 @@ fn yes_or_no_follows_from_the_room() {
 }
 
 #[test]
+fn negated_claims_are_answered_as_they_are_asked() {
+    for (query, expected, text) in [
+        ("is the laptop not on the desk?", false, "No. The grey laptop is on the desk."),
+        (
+            "is the laptop not on the sofa?",
+            true,
+            "Yes. The grey laptop is not on the sofa; it is on",
+        ),
+        ("isn't the laptop on the desk?", true, "Yes. The grey laptop is on the desk."),
+        (
+            "isn't the laptop on the sofa?",
+            false,
+            "No. The grey laptop is not on the sofa; it is on",
+        ),
+    ] {
+        let answer = ask(query);
+        assert_eq!(answer.value.and_then(|value| value.yes), Some(expected), "{query}");
+        assert!(answer.text.starts_with(text), "{query}: {}", answer.text);
+    }
+}
+
+#[test]
+fn claims_about_all_objects_name_the_exceptions() {
+    let mut instances = room();
+    instances.push(named(
+        9,
+        "white mug",
+        [2.0, 1.0],
+        [0.1; 3],
+        0.4,
+        Support::Instance { id: InstanceId(6) },
+    ));
+    for (query, expected, text, shown) in [
+        (
+            "are all mugs on the desk?",
+            false,
+            "No. 2 of the 3 mugs are on the desk: all but the white mug (9).",
+            vec![9],
+        ),
+        (
+            "is every mug on the floor?",
+            false,
+            "No. None of the 3 mugs are on the floor.",
+            vec![3, 4, 9],
+        ),
+        (
+            "are none of the mugs on the floor?",
+            true,
+            "Yes. None of the 3 mugs are on the floor.",
+            vec![3, 4, 9],
+        ),
+        (
+            "are all mugs red?",
+            false,
+            "No. 1 of the 3 mugs is red: only the red mug (3).",
+            vec![4, 9],
+        ),
+    ] {
+        let answer = ask_in(&instances, &Question::of(query));
+        assert_eq!(
+            answer.value.as_ref().and_then(|value| value.yes),
+            Some(expected),
+            "{query}: {}",
+            answer.text
+        );
+        assert!(answer.text.starts_with(text), "{query}: {}", answer.text);
+        let mut ids = targets(&answer);
+        ids.sort_unstable();
+        assert_eq!(ids, shown, "{query}");
+    }
+    let answer = ask("do both mugs stand on the desk?");
+    assert_eq!(answer.text, "Yes. Both mugs are on the desk.");
+}
+
+#[test]
+fn measures_are_compared_with_the_length_of_the_question() {
+    assert_eq!(yes("is the sofa wider than 1.5 m?"), Some(true));
+    assert_eq!(yes("is the sofa wider than 2.5 m?"), Some(false));
+    assert_eq!(yes("is the sofa 2 m long?"), Some(true));
+    assert_eq!(yes("is the sofa 3 m long?"), Some(false));
+    assert_eq!(yes("is the lamp at most 2 m tall?"), Some(true));
+    assert_eq!(yes("is the gap between the desk and the sofa wider than 2 m?"), Some(true));
+    assert_eq!(yes("is the gap between the desk and the sofa wider than 3 m?"), Some(false));
+    assert_eq!(yes("is the stool within 50 cm of the sofa?"), Some(true));
+    assert_eq!(yes("are both mugs wider than 50 cm"), Some(false));
+    assert_eq!(yes("are the mugs narrower than 50 cm"), Some(true));
+    let answer = ask("is the sofa wider than 1.5 m?");
+    assert!(answer.text.starts_with("Yes. The grey sofa is 2.00 m ± "), "{}", answer.text);
+    // Within the error of the measurement it is a guess.
+    let close = ask("is the sofa wider than 1.99 m?");
+    assert!(close.text.ends_with("That is within the error of the measurement."), "{}", close.text);
+    assert!(close.confidence < answer.confidence, "{} {}", close.confidence, answer.confidence);
+}
+
+#[test]
+fn answers_use_the_unit_of_the_question() {
+    for (query, text) in [
+        ("how wide is the sofa in inches?", "78.7 inches wide"),
+        ("how wide is the sofa in feet?", "6.6 feet wide"),
+        ("how many centimeters wide is the sofa?", "200 cm wide"),
+        ("how far is the stool from the sofa in mm", "350 mm from"),
+        ("how much space does the sofa take up in square feet?", "19.4 square feet"),
+    ] {
+        let answer = ask(query);
+        assert!(answer.text.contains(text), "{query}: {}", answer.text);
+        // Values are in meters.
+        assert!(answer.value.and_then(|value| value.number).unwrap() < 3.0);
+    }
+}
+
+#[test]
+fn questions_about_earlier_objects_are_about_these_only() {
+    assert_eq!(targets(&ask("which of the mugs #3 and #4 are red")), [3]);
+    assert_eq!(targets(&ask("which of the things #2, #3 and #6 is closest to the sofa")), [6]);
+    assert_eq!(targets(&ask("how many of the things #2, #3 and #6 are on the desk")).len(), 2);
+    assert_eq!(yes("are the things #2, #3 and #4 on the desk"), Some(true));
+}
+
+#[test]
+fn excluded_materials_are_checked_by_names_and_said_where_they_cannot_be() {
+    let chair = |id, name, x| named(id, name, [x, 0.0], [0.5, 0.5, 0.9], 0.0, Support::Floor);
+    let instances = vec![chair(1, "wooden chair", 0.0), chair(2, "metal chair", 2.0)];
+    let answer = ask_in(&instances, &Question::of("the chair that is not wooden"));
+    assert_eq!(targets(&answer), [2], "{}", answer.text);
+    let answer = ask_in(&instances, &Question::of("all chairs that are not metal"));
+    assert_eq!(targets(&answer), [1], "{}", answer.text);
+    let answer = ask_in(&instances, &Question::of("all chairs that are not plastic"));
+    assert_eq!(targets(&answer), [1, 2]);
+    let note = "A scan does not show whether they are plastic.";
+    assert!(answer.text.ends_with(note), "{}", answer.text);
+}
+
+#[test]
+fn a_thing_of_another_color_is_not_called_by_the_requested_one() {
+    let mut instances = room();
+    for instance in &mut instances {
+        instance.given_name = None;
+    }
+    instances.iter_mut().for_each(|i| i.names = uniground_models::attributes::name_guesses(i));
+    let answer = ask_in(&instances, &Question::of("the green sofa"));
+    if answer.status != Status::NoMatch {
+        assert!(
+            answer.text.starts_with("I found nothing that is clearly a green sofa"),
+            "{}",
+            answer.text
+        );
+        assert!(
+            answer.answer.explanation.contains("is grey, not green"),
+            "{}",
+            answer.answer.explanation
+        );
+        assert!(answer.confidence < 0.5, "{}", answer.confidence);
+    }
+}
+
+#[test]
+fn lists_and_counts_keep_to_zones_and_distances() {
+    let mut instances = room();
+    let at = |id, name, x, y| named(id, name, [x, y], [0.5, 0.5, 0.9], 0.0, Support::Floor);
+    instances.extend([
+        at(9, "stove", -2.5, 2.2),
+        at(10, "chair", -1.8, 2.2),
+        at(11, "chair", 2.5, -2.0),
+    ]);
+    let asked = |query: &str| ask_in(&instances, &Question::of(query));
+    assert_eq!(targets(&asked("list all chairs in the kitchen")), [10]);
+    assert_eq!(targets(&asked("how many chairs are in the kitchen?")), [10]);
+    assert_eq!(targets(&asked("all chairs within 1 m of the stove")), [10]);
+    assert_eq!(targets(&asked("how many chairs are within 1 m of the stove?")), [10]);
+    assert_eq!(asked("how many chairs are there?").count, Some(2));
+    let not_on_desk = targets(&asked("what is not on the desk?"));
+    assert!(not_on_desk.contains(&10) && !not_on_desk.contains(&3), "{not_on_desk:?}");
+    assert_eq!(targets(&asked("all mugs that are not on the desk")), [0_u32; 0]);
+    let within = Region { min_z: Some(0.7), ..Region::default() };
+    let question =
+        Question { within: Some(within), ..Question::of("how many mugs are on the desk") };
+    assert_eq!(ask_in(&instances, &question).count, Some(2));
+}
+
+#[test]
 fn numbers_of_a_question_are_compared_with_the_count() {
     assert_eq!(yes("are there exactly two mugs?"), Some(true));
     assert_eq!(yes("are there exactly 3 mugs?"), Some(false));

@@ -8,7 +8,7 @@ use super::confidence::{NamesFrom, share_right};
 use super::explanation::{explain, explain_several, explain_tie, relation_words, why_nothing_fits};
 use super::views::{View, views};
 use crate::assess::{Assessment, Assessor};
-use crate::fit::{colors_fit, most_plausible};
+use crate::fit::{can_check_word, colors_fit, most_plausible};
 use crate::kinds::BROADER_NAME;
 use crate::readings::Readings;
 use crate::{NoMatchReason, SceneView, Status};
@@ -23,7 +23,7 @@ const MIN_FIT: f32 = 0.25;
 /// The same for an instance none of whose names is the requested one.
 const MIN_UNNAMED_FIT: f32 = 0.35;
 /// Below this, no likely instance has the requested color.
-const MIN_COLOR: f32 = 0.42;
+pub(crate) const MIN_COLOR: f32 = 0.42;
 /// Names from measures are wrong too often to deny an object: it is denied only if no instance
 /// scores more than this.
 const MEASURES_DENY: f32 = 0.05;
@@ -140,7 +140,9 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     // Several instances do not share one belief.
     let mut beliefs =
         if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
-    let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
+    let is_checked = parsed.target.excluded.iter().all(|word| can_check_word(assessor.scene, word));
+    let is_understood = parsed.not_understood.is_empty() && is_checked;
+    let understood = if is_understood { 1.0 } else { NOT_ALL_UNDERSTOOD };
     let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
     for (i, belief) in beliefs.iter_mut().enumerate() {
         let called = if assessor.scene.names.get(i).is_some() && assessment.nouns[i] <= BROADER_NAME
@@ -439,9 +441,13 @@ mod tests {
             "{}",
             answer.explanation
         );
-        assert!(answer.explanation.contains(", taken for \"cabinet\")"), "{}", answer.explanation);
+        assert!(
+            answer.explanation.contains(", the likeliest \"cabinet\")"),
+            "{}",
+            answer.explanation
+        );
         let as_called = ask("the blue mug on the table").answer.explanation;
-        assert!(!as_called.contains("taken for \"table\""), "{as_called}");
+        assert!(!as_called.contains("the likeliest"), "{as_called}");
     }
 
     #[test]

@@ -1,15 +1,18 @@
 //! Explains decisions in words that a person can check against the room.
 
-use crate::SceneView;
+use super::builtin::MIN_COLOR;
 use crate::answer::{describe_instance, superlative_words};
 use crate::assess::{Assessment, Assessor};
-use crate::fit::{colors_fit, most_plausible};
+use crate::fit::{
+    CALLED_SO, can_check_word, color_fit, colors_fit, excluded_words_fit, most_plausible,
+};
 use crate::readings::Readings;
 use crate::relations::SeenBy;
+use crate::{GivenName, SceneView};
 use std::fmt::Write;
+use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::Instance;
 use uniground_language::{ME, Meaning, ParsedQuery, Phrase, Relation, RelationKind};
-use uniground_models::attributes;
 
 /// Explains a choice: "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93),
 /// is brown (0.80); closest to instance 2 (brown table), 0.40 m apart, of 4 chairs (1.00)."
@@ -24,26 +27,28 @@ pub(super) fn explain(
     let instances = assessor.scene.instances;
     let instance = &instances[best];
     let size = instance.aabb.size;
-    let mut text = format!(
-        "Instance {} ({}, {:.2} x {:.2} x {:.2} m)",
-        instance.id,
-        describe_instance(instance),
-        size.x,
-        size.y,
-        size.z
-    );
-    let taken = match (&phrase.head, phrase.uses.is_empty()) {
-        (_, false) => format!("is {}", phrase.text()),
-        (head, true) if head.is_empty() => "is a thing".into(),
-        (head, true) => match assessor.scene.names.get(best) {
-            Some(name) => format!("is named as \"{}\"", Readings::of(phrase).best_noun(name)),
-            None => format!("is taken for \"{head}\""),
-        },
+    let (is_named, taken) = name_reason(assessor.scene, phrase, read.nouns[best], best);
+    let described = if is_named {
+        describe_instance(instance)
+    } else {
+        // Its name would contradict the sentence.
+        main_color(instance).map_or("of no clear color", ColorName::as_str).to_owned()
     };
-    let _ = write!(text, " {taken} ({:.2})", read.nouns[best]);
+    let mut text = format!(
+        "Instance {} ({described}, {:.2} x {:.2} x {:.2} m) {taken}",
+        instance.id, size.x, size.y, size.z
+    );
     for &color in &phrase.colors {
-        let _ =
-            write!(text, ", is {} ({:.2})", color.as_str(), attributes::color_fit(color, instance));
+        let fit = color_fit(assessor.scene, color, best);
+        let _ = write!(text, ", {} ({fit:.2})", color_reason(assessor.scene, color, fit, best));
+    }
+    for word in &phrase.excluded {
+        let seen = if can_check_word(assessor.scene, word) { "" } else { " cannot be checked" };
+        let _ = write!(text, ", \"not {word}\"{seen}");
+        if seen.is_empty() {
+            let fit = excluded_words_fit(assessor.scene, phrase, best);
+            let _ = write!(text, " ({fit:.2})");
+        }
     }
     if !phrase.other_than.is_empty() {
         let names: Vec<_> = phrase.other_than.iter().map(|c| c.as_str()).collect();
@@ -68,12 +73,12 @@ pub(super) fn explain(
                 let anchor = &instances[a];
                 let gap = assessor.solids[best].gap(&assessor.solids[a]);
                 let (name, score) = (describe_instance(anchor), bond.score);
-                // "(gray wall, taken for "door")" shows the reader what the answer is based on.
+                // "(brown table, the likeliest "cabinet")" shows what the answer is based on.
                 let mistaken = relation.anchors.first().filter(|said| {
                     assessor.scene.names.get(a).is_none() && !is_called(anchor, said)
                 });
                 let taken = mistaken
-                    .map_or_else(String::new, |said| format!(", taken for \"{}\"", said.head));
+                    .map_or_else(String::new, |said| format!(", the likeliest \"{}\"", said.head));
                 let faced = relation.kind.is_a_side()
                     && assessor.at_side(relation.kind, best, a).1 == SeenBy::WhoFacesIt;
                 let seen = if faced { " as who faces it sees it" } else { "" };
@@ -138,6 +143,55 @@ pub(super) fn explain(
     }
     text.push('.');
     text
+}
+
+/// Returns whether an instance's own name is what a phrase asks for, and what the instance is taken
+/// for, with its fit: `is taken for "mug" (0.93)`, or `may be a "bowl" (0.50), though it measures
+/// more like a laptop`.
+fn name_reason(scene: SceneView, phrase: &Phrase, fit: f32, index: usize) -> (bool, String) {
+    let instance = &scene.instances[index];
+    let head = match (&phrase.head, phrase.uses.is_empty()) {
+        (_, false) => return (true, format!("is {} ({fit:.2})", phrase.text())),
+        (_, true) if !phrase.among.is_empty() => {
+            return (true, "is one of those that the question is about".to_owned());
+        }
+        (head, true) if head.is_empty() => return (true, format!("is a thing ({fit:.2})")),
+        (head, true) => head,
+    };
+    if let (Some(name), Some(given)) = (scene.names.get(index), &instance.given_name) {
+        let noun = Readings::of(phrase);
+        let noun = noun.best_noun(name);
+        let reason = if fit >= CALLED_SO || given.contains(noun) {
+            format!("is named as \"{noun}\" ({fit:.2})")
+        } else if fit > 0.0 {
+            format!("is named \"{given}\", which may be a \"{noun}\" ({fit:.2})")
+        } else {
+            format!("is named \"{given}\", not \"{noun}\" ({fit:.2})")
+        };
+        return (true, reason);
+    }
+    if is_called(instance, phrase) {
+        return (true, format!("is taken for \"{head}\" ({fit:.2})"));
+    }
+    let compared = if scene.appearance.is_some() { "looks" } else { "measures" };
+    let label = instance.label();
+    (false, format!("may be \"{head}\" ({fit:.2}), though it {compared} more like \"{label}\""))
+}
+
+/// Returns what an instance shows of a requested color: "is grey", "is white, not grey".
+fn color_reason(scene: SceneView, color: ColorName, fit: f32, index: usize) -> String {
+    let named = scene.names.get(index).map(GivenName::colors).unwrap_or_default();
+    let main = named.first().copied().or_else(|| main_color(&scene.instances[index]));
+    let asked = color.as_str();
+    match main.filter(|main| *main != color && !named.contains(&color)) {
+        None => format!("is {asked}"),
+        Some(main) if fit < MIN_COLOR => format!("is {}, not {asked}", main.as_str()),
+        Some(main) => format!("is {asked} in part and mostly {}", main.as_str()),
+    }
+}
+
+fn main_color(instance: &Instance) -> Option<ColorName> {
+    instance.colors.dominant().first().map(|(color, _)| *color)
 }
 
 /// Returns a relation in words: "further away" becomes "further away from".

@@ -8,7 +8,7 @@ use super::{ComparedBy, Comparison, Dimension, Form, Reference};
 use crate::tokens::BREAK;
 
 /// Comparatives, the measure that they compare, and whether more of it is meant.
-const COMPARATIVES: [(&str, Dimension, bool); 20] = [
+pub(super) const COMPARATIVES: [(&str, Dimension, bool); 20] = [
     ("bigger", Dimension::Volume, true),
     ("larger", Dimension::Volume, true),
     ("smaller", Dimension::Volume, false),
@@ -30,6 +30,9 @@ const COMPARATIVES: [(&str, Dimension, bool); 20] = [
     ("tallest", Dimension::Height, true),
     ("widest", Dimension::Width, true),
 ];
+
+/// Index of the first superlative in [`COMPARATIVES`].
+pub(super) const FIRST_SUPERLATIVE: usize = 15;
 
 impl PatternReader<'_> {
     /// "which is taller, the lamp or the shelf", "is the sofa longer than the rug"
@@ -139,6 +142,6 @@ impl PatternReader<'_> {
 }
 
 fn is_comparative(words: &[&str]) -> bool {
-    COMPARATIVES.iter().take(15).any(|(word, ..)| after(words, &[word]).is_some())
+    COMPARATIVES[..FIRST_SUPERLATIVE].iter().any(|(word, ..)| after(words, &[word]).is_some())
         || is_one_of(words.first(), &["closer", "nearer", "farther", "further"])
 }

@@ -173,7 +173,9 @@ pub(super) fn list(words: &[&str], is_first: bool) -> Found {
     if rest.is_empty() || matches!(rest, ["there" | "here"]) || is_room(rest) {
         return (of_a_kind || seen.is_some() || is_room(rest)).then(|| target(&[])).flatten();
     }
-    (is_place(rest) && !is_comparing_place(rest)).then(|| target(rest)).flatten()
+    // "what is not on the floor"
+    let place = rest.strip_prefix(&["not"]).unwrap_or(rest);
+    (is_place(place) && !is_comparing_place(place)).then(|| target(rest)).flatten()
 }
 
 /// Reads a number at the beginning of words, and returns the rest.
@@ -231,6 +233,8 @@ pub(super) fn exists(words: &[&str]) -> Found {
             "is there",
             "are there",
             "is there still",
+            "is not there",
+            "are not there",
             "do you see",
             "can you see",
             "do we have",
@@ -258,6 +262,7 @@ pub(super) fn exists(words: &[&str]) -> Found {
                 .unwrap_or(rest),
         )
     })?;
+    let named = after(named, &["of the", "of my", "of our"]).unwrap_or(named);
     if let Some(found) = number(named) {
         return Some(found);
     }

@@ -6,7 +6,7 @@ use super::{Dimension, Form, Passage, Reference, Way};
 use crate::distances;
 
 /// Words for what is measured of an object: "the height of".
-const DIMENSIONS: [(&str, Dimension); 16] = [
+pub(super) const DIMENSIONS: [(&str, Dimension); 16] = [
     ("size", Dimension::All),
     ("dimensions", Dimension::All),
     ("dimension", Dimension::All),
@@ -219,7 +219,15 @@ pub(super) fn how(words: &[&str]) -> Found {
         ["much", rest @ ..] => {
             let rest = after(
                 rest,
-                &["floor space does", "space does", "room does", "area does", "floor does"],
+                &[
+                    "of the floor does",
+                    "of the floor do",
+                    "floor space does",
+                    "space does",
+                    "room does",
+                    "area does",
+                    "floor does",
+                ],
             )?;
             let target = before(
                 rest,

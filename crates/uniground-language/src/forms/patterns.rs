@@ -6,6 +6,7 @@ use super::measures::{how, measure_of};
 use super::words::{LEADS, TAILS, after, before, owned, without_second_question};
 use super::{Form, ReadObject, Reference};
 use crate::Phrase;
+use crate::distances::{self, LengthUnit};
 use crate::tokens::BREAK;
 
 /// The form and the words that describe the target.
@@ -16,6 +17,8 @@ pub(super) struct PatternReader<'a> {
     pub read: ReadObject<'a>,
     /// Words of the objects other than the target that were not understood.
     pub not_understood: Vec<String>,
+    /// The unit that the answer has to use.
+    pub unit: Option<LengthUnit>,
 }
 
 impl PatternReader<'_> {
@@ -30,17 +33,25 @@ impl PatternReader<'_> {
         while let Some(rest) = before(words, &TAILS).filter(|rest| rest.len() > 2) {
             words = rest.strip_suffix(&[BREAK]).unwrap_or(rest);
         }
-        let words = &without_second_question(words)[..];
-        self.distance(words)
+        let mut words = without_second_question(words);
+        let unit = distances::take_unit(&mut words);
+        let words = &words[..];
+        let found = self
+            .distance(words)
             .or_else(|| how(words))
             .or_else(|| self.fit(words))
+            .or_else(|| self.limit(words))
             .or_else(|| self.choice(words))
             .or_else(|| measure_of(words))
             .or_else(|| description(words))
             .or_else(|| place(words))
             .or_else(|| list(words, is_first))
             .or_else(|| exists(words))
-            .or_else(|| self.holds(words))
+            .or_else(|| self.holds(words));
+        if found.is_some() {
+            self.unit = unit;
+        }
+        found
     }
 
     /// Reads the objects of an enumeration: "the laptop and the mug".

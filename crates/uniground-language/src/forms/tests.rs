@@ -52,6 +52,7 @@ fn sizes_have_a_dimension() {
         ("how much space does the wardrobe take up?", "wardrobe", Dimension::Area),
         ("what size is the rug?", "rug", Dimension::All),
         ("how many centimeters wide is the desk", "desk", Dimension::Width),
+        ("how much of the floor does the rug cover", "rug", Dimension::Area),
     ] {
         let parsed = parse(query);
         assert_eq!(
@@ -76,6 +77,7 @@ fn lists_are_about_things_of_any_kind_or_of_one() {
         ("all the chairs around the dining table", "chairs", "dining table"),
         ("which chairs are next to the window?", "chairs", "window"),
         ("what objects are within 1 m of the bed?", "things", "bed"),
+        ("what is not on the shelf?", "things", "shelf"),
     ] {
         let parsed = parse(query);
         assert_eq!(parsed.form, Form::List, "{query}: {parsed:?}");
@@ -98,6 +100,8 @@ fn yes_or_no_questions_have_a_subject_or_ask_for_existence() {
         "is there a piano?",
         "Is there a plant on the desk?",
         "are there any towels",
+        "are any of the plants on the floor",
+        "aren't there two beds?",
         "do you see a clock?",
         "is there anything under the bed?",
     ] {
@@ -111,9 +115,141 @@ fn yes_or_no_questions_have_a_subject_or_ask_for_existence() {
     ] {
         let parsed = parse(query);
         let Form::Holds(said) = &parsed.form else { panic!("{query}: {parsed:?}") };
-        assert_eq!((said.head.as_str(), parsed.target.head.as_str()), (subject, target), "{query}");
+        let heads = (said.subject.head.as_str(), parsed.target.head.as_str());
+        assert_eq!(heads, (subject, target), "{query}");
+        assert!(!said.is_negated && !said.of_all, "{query}: {said:?}");
     }
     assert_eq!(parse("is the sofa red?").target.colors.len(), 1);
+}
+
+#[track_caller]
+fn claim(query: &str) -> (Claim, Phrase) {
+    let parsed = parse(query);
+    let Form::Holds(claim) = parsed.form else { panic!("{query}: {parsed:?}") };
+    assert!(parsed.not_understood.is_empty(), "{query}: {:?}", parsed.not_understood);
+    (claim, parsed.target)
+}
+
+#[test]
+fn claims_can_be_negated() {
+    for (query, is_negated) in [
+        ("is the cup not on the table?", true),
+        ("is the cup on the table?", false),
+        // It expects a yes.
+        ("isn't the lamp on the desk", false),
+        ("isn't the lamp not on the desk", true),
+        ("aren't the shoes next to the door", false),
+        ("is the sofa not red", true),
+        ("is the sofa beside the door not red", true),
+        ("are none of the chairs red", true),
+        ("doesn't the desk have a lamp on it", false),
+        ("does the desk not have a lamp", true),
+    ] {
+        let (claim, target) = claim(query);
+        assert_eq!(claim.is_negated, is_negated, "{query}: {target:?}");
+        assert!(claim.subject.other_than.is_empty() && target.other_than.is_empty(), "{query}");
+        assert!(target.relations.iter().all(|relation| !relation.negated), "{query}: {target:?}");
+    }
+}
+
+#[test]
+fn claims_can_be_about_all_objects_of_a_kind() {
+    for (query, subject) in [
+        ("are all chairs on the floor?", "chairs"),
+        ("are all of the chairs red", "chairs"),
+        ("are the chairs all red?", "chairs"),
+        ("are the chairs red", "chairs"),
+        ("is every mug on the table", "mug"),
+        ("are both lamps on the nightstand", "lamps"),
+        ("are the two lamps on the nightstand", "lamps"),
+        ("does every trash can stand on the floor?", "trash can"),
+        ("do all the nightstands have a lamp on them?", "nightstands"),
+        ("are no chairs red", "chairs"),
+    ] {
+        let (claim, _) = claim(query);
+        assert_eq!((claim.subject.head.as_str(), claim.of_all), (subject, true), "{query}");
+    }
+    let (one, target) = claim("does the desk have a lamp on it?");
+    assert!(!one.of_all && one.subject.with.is_empty(), "{one:?}");
+    assert_eq!((target.head.as_str(), target.with[0].phrase.head.as_str()), ("desk", "lamp"));
+}
+
+#[test]
+fn claims_that_no_scan_shows_are_still_yes_or_no_questions() {
+    for query in ["is the window open?", "is the suitcase heavier than the guitar"] {
+        let parsed = parse(query);
+        assert!(matches!(parsed.form, Form::Holds(_)), "{query}: {parsed:?}");
+        assert!(!parsed.not_understood.is_empty(), "{query}");
+    }
+}
+
+#[test]
+fn measures_are_compared_with_given_lengths() {
+    use Bound::{About, Above, Below};
+    use Dimension::{All, Depth, Elevation, Height, Length, Width};
+    for (query, target, dimension, bound, given_m) in [
+        ("is the door wider than 90 cm?", "door", Width, Above, 0.9),
+        ("is the door at least 80cm wide", "door", Width, Above, 0.8),
+        ("is the shelf lower than two meters", "shelf", Elevation, Below, 2.0),
+        ("is the shelf no more than 2 m tall", "shelf", Height, Below, 2.0),
+        ("is the sofa bigger than 2 m", "sofa", All, Above, 2.0),
+        ("is the desk 1.5 m long?", "desk", Length, About, 1.5),
+        ("isn't the bookcase over 6 feet tall", "bookcase", Height, Above, 1.8288),
+        ("is the picture more than 1.5 m above the floor", "picture", Elevation, Above, 1.5),
+        ("is the depth of the shelf less than 30 cm", "shelf", Depth, Below, 0.3),
+        ("is the ceiling higher than 2.5 meters?", "ceiling", Elevation, Above, 2.5),
+    ] {
+        let parsed = parse(query);
+        let Form::Limit(limit) = &parsed.form else { panic!("{query}: {parsed:?}") };
+        assert_eq!(parsed.target.head, target, "{query}");
+        assert_eq!(limit.by, ComparedBy::Dimension(dimension), "{query}");
+        assert_eq!((limit.bound, limit.of_all), (bound, false), "{query}");
+        assert!((limit.given_m - given_m).abs() < 1e-4, "{query}: {}", limit.given_m);
+    }
+    for (query, target, from) in [
+        ("is the gap between the sofa and the table wider than 60 cm?", "sofa", "table"),
+        ("is the distance from the desk to the bed more than a meter?", "desk", "bed"),
+        ("is the distance between the beds more than a meter?", "beds", "beds"),
+        ("are the sofa and the TV more than 2 m apart", "sofa", "tv"),
+        ("is there at least 60 cm between the desk and the bed", "desk", "bed"),
+        ("is there more than 1 m of space between the desk and the bed", "desk", "bed"),
+        ("is the door more than 3 m away", "door", "me"),
+    ] {
+        let parsed = parse(query);
+        let Form::Limit(limit) = &parsed.form else { panic!("{query}: {parsed:?}") };
+        let ComparedBy::Distance(reference) = &limit.by else { panic!("{query}: {limit:?}") };
+        assert_eq!((parsed.target.head.as_str(), head(reference)), (target, from), "{query}");
+        assert_eq!(limit.bound, Above, "{query}");
+    }
+    let parsed = parse("are all shelves lower than 2 m");
+    assert!(matches!(parsed.form, Form::Limit(Limit { of_all: true, .. })), "{parsed:?}");
+}
+
+#[test]
+fn the_unit_of_the_answer_can_be_given() {
+    for (query, form, unit) in [
+        ("how wide is the door in inches?", Form::Size(Dimension::Width), LengthUnit::Inches),
+        ("how many feet long is the sofa", Form::Size(Dimension::Length), LengthUnit::Feet),
+        (
+            "what is the height of the shelf in cm",
+            Form::Size(Dimension::Height),
+            LengthUnit::Centimeters,
+        ),
+        (
+            "how much space does the bed take up in square feet",
+            Form::Size(Dimension::Area),
+            LengthUnit::Feet,
+        ),
+    ] {
+        let parsed = parse(query);
+        assert_eq!((&parsed.form, parsed.unit), (&form, Some(unit)), "{query}: {parsed:?}");
+        assert!(parsed.not_understood.is_empty(), "{query}: {parsed:?}");
+    }
+    let parsed = parse("how far is the stool from the TV in feet");
+    assert!(matches!(parsed.form, Form::Distance(Reference::Object(_))), "{parsed:?}");
+    assert_eq!(parsed.unit, Some(LengthUnit::Feet));
+    assert_eq!(parse("how wide is the door in the corner").unit, None);
+    assert_eq!(parse("the ruler in inches").unit, None);
 }
 
 #[test]

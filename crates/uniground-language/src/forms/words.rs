@@ -111,6 +111,45 @@ pub(super) const PLACED: [&str; 28] = [
     "there",
 ];
 
+/// Words that say of how many objects something is claimed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Quantifier {
+    /// "all", "every", "both"
+    All,
+    /// "none of"
+    None,
+}
+
+impl Quantifier {
+    /// Splits a quantifier off the beginning of the words for an object: "all of the chairs are"
+    /// leaves "the chairs are".
+    pub fn split<'b>(words: &[&'b str]) -> (Option<Self>, Vec<&'b str>) {
+        const ALL: [&str; 10] = [
+            "all of the",
+            "each of the",
+            "each one of the",
+            "every one of the",
+            "both of the",
+            "all the",
+            "both the",
+            "all of my",
+            "all my",
+            "both my",
+        ];
+        const BARE: [&str; 6] = ["all of these", "all these", "all", "every", "each", "both"];
+        const NONE: [&str; 3] = ["none of the", "none of my", "no"];
+        let with_the = |rest: &[&'b str]| ["the"].into_iter().chain(rest.iter().copied()).collect();
+        let found = |runs: &[&str], quantifier| {
+            let rest = after(words, runs).filter(|rest| !rest.is_empty())?;
+            Some((Some(quantifier), with_the(rest)))
+        };
+        found(&ALL, Self::All)
+            .or_else(|| found(&NONE, Self::None))
+            .or_else(|| found(&BARE, Self::All))
+            .unwrap_or_else(|| (None, words.to_vec()))
+    }
+}
+
 /// Returns what follows the first of some runs of words with which `words` begin.
 pub(super) fn after<'a, 'b>(words: &'a [&'b str], runs: &[&str]) -> Option<&'a [&'b str]> {
     runs.iter().find_map(|run| {
@@ -252,7 +291,9 @@ pub(super) fn is_comparing_place(words: &[&str]) -> bool {
 
 /// Returns whether the last word of a phrase is a plural noun of the lexicon.
 pub(super) fn is_plural(words: &[&str]) -> bool {
-    words.last().is_some_and(|word| Lexicon::get().is_plural(word))
+    words
+        .last()
+        .is_some_and(|word| Lexicon::get().is_plural(word) || crate::instances_in(word).is_some())
 }
 
 /// Removes words before an object that say only how it is there.
@@ -265,7 +306,7 @@ pub(super) fn skip_placed<'a, 'b>(mut words: &'a [&'b str]) -> &'a [&'b str] {
 
 /// Writes out the contractions with which a question begins: "what's" is "what is".
 pub(super) fn expand_contractions(tokens: &mut Vec<String>) {
-    const FORMS: [(&str, &str); 18] = [
+    const FORMS: [(&str, &str); 20] = [
         ("what's", "what is"),
         ("whats", "what is"),
         ("where's", "where is"),
@@ -278,6 +319,8 @@ pub(super) fn expand_contractions(tokens: &mut Vec<String>) {
         ("isn't", "is not"),
         ("isnt", "is not"),
         ("aren't", "are not"),
+        ("doesn't", "does not"),
+        ("doesnt", "does not"),
         ("whatre", "what are"),
         ("what're", "what are"),
         ("where're", "where are"),

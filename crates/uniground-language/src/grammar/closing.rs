@@ -3,6 +3,7 @@
 use super::{Frame, ITSELF, Reader, Role};
 use crate::tokens::correct_spelling;
 use crate::words;
+use crate::zones;
 use crate::{
     Look, ME, Meaning, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Viewpoint, With,
 };
@@ -208,7 +209,10 @@ impl Reader {
             phrase.unchecked.append(&mut unknown);
         }
         self.query.not_understood.append(&mut unknown);
-        if !phrase.head.is_empty() && phrase.meaning() == Meaning::Unknown && phrase.head != ITSELF
+        if !phrase.head.is_empty()
+            && phrase.meaning() == Meaning::Unknown
+            && phrase.head != ITSELF
+            && zones::nouns_of_zone(&phrase.head).is_none()
         {
             phrase.could_be = Lexicon::get()
                 .container_nouns(&phrase.head)
@@ -263,6 +267,7 @@ impl Reader {
             target.colors.append(&mut more.colors);
             target.roughly |= more.roughly;
             target.other_than.append(&mut more.other_than);
+            target.excluded.append(&mut more.excluded);
             target.traits.append(&mut more.traits);
             target.with.append(&mut more.with);
             target.relations.append(&mut more.relations);

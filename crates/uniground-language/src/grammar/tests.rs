@@ -354,3 +354,62 @@ fn actions_in_a_question_are_not_read_as_targets() {
     assert_eq!(parse("the wine").target.could_be, ["bottle", "wine glass"]);
     assert!(parse("the tulips").target.could_be.contains(&"vase".to_owned()));
 }
+
+#[test]
+fn a_relative_clause_belongs_to_the_object_that_its_verb_agrees_with() {
+    for query in [
+        "the chairs around the table that aren't green",
+        "the chairs around the table that are not green",
+        "all chairs at the round table which aren't green",
+    ] {
+        let target = parse(query).target;
+        assert_eq!(target.other_than, [ColorName::Green], "{query}: {target:?}");
+        assert!(target.relations[0].anchors[0].other_than.is_empty(), "{query}: {target:?}");
+    }
+    let target = parse("the chair next to the tables that are green").target;
+    assert_eq!(target.relations[0].anchors[0].colors, [ColorName::Green]);
+    // Both agree: the words allow two readings.
+    let parsed = parse("the cup on the table that is red");
+    assert_eq!(parsed.target.relations[0].anchors[0].colors, [ColorName::Red], "{parsed:?}");
+    assert_eq!(parsed.other_reading.map(|other| other.colors), Some(vec![ColorName::Red]));
+}
+
+#[test]
+fn zones_are_understood_as_places() {
+    for query in ["all chairs in the kitchen", "how many stools are in the living room"] {
+        let parsed = parse(query);
+        assert!(parsed.not_understood.is_empty() && parsed.doubt().is_none(), "{parsed:?}");
+        assert_eq!(parsed.target.relations.len(), 1, "{parsed:?}");
+    }
+}
+
+#[test]
+fn a_negated_relation_is_repeated_for_each_anchor() {
+    let parsed = parse("the lamp that isn't on a nightstand or a desk");
+    let anchors: Vec<(&str, bool)> = parsed
+        .target
+        .relations
+        .iter()
+        .map(|relation| (relation.anchors[0].head.as_str(), relation.negated))
+        .collect();
+    assert_eq!(anchors, [("nightstand", true), ("desk", true)], "{parsed:?}");
+    assert!(parsed.not_understood.is_empty(), "{parsed:?}");
+}
+
+#[test]
+fn materials_can_be_excluded() {
+    for (query, words) in [
+        ("the chair that is not wooden", vec!["wooden"]),
+        ("the chairs that aren't metal or plastic", vec!["metal", "plastic"]),
+        ("the table that is not glass", vec!["glass"]),
+        ("the chairs not made of wood", vec!["wood"]),
+        ("the non-wooden table", vec!["wooden"]),
+    ] {
+        let parsed = parse(query);
+        assert_eq!(parsed.target.excluded, words, "{query}: {parsed:?}");
+        assert!(parsed.not_understood.is_empty(), "{query}: {:?}", parsed.not_understood);
+    }
+    // What is no material is still a word that was not understood.
+    let parsed = parse("the chair that is not wobbly");
+    assert_eq!(parsed.not_understood, ["not wobbly"]);
+}

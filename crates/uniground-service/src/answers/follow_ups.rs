@@ -62,6 +62,7 @@ impl GroundingService {
                     instance: chosen,
                     name: chosen.and_then(instance).map(|instance| instance.label().to_owned()),
                     anchor: answer.answer.anchor_id,
+                    targets: answer.targets.iter().map(|target| target.id).collect(),
                 })
             }
         };
