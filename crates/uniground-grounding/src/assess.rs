@@ -6,7 +6,7 @@
 //! pair) over **all** other instances, computed from the leaves up. So target and anchors are
 //! chosen together, not one after the other.
 
-mod carried;
+pub(crate) mod carried;
 mod distances;
 mod places;
 
@@ -161,10 +161,19 @@ impl<'a> Assessor<'a> {
         Assessment { nouns, own, bonds, place_seen_by, total }
     }
 
-    /// Assesses the phrase of a question's target, which has to be in the question's region.
+    /// Assesses the phrase of a question's target, which has to be in the question's region. A wall,
+    /// floor or ceiling is the target only of words for it, and of a name that it was given.
     #[must_use]
     pub fn assess_target(&self, phrase: &Phrase) -> Assessment {
         let mut assessment = self.assess(phrase);
+        if matches!(phrase.meaning(), Meaning::Nouns(_)) {
+            let Assessment { nouns, own, total, .. } = &mut assessment;
+            for (i, instance) in self.scene.instances.iter().enumerate() {
+                if instance.structure.is_some() && self.scene.names.get(i).is_none() {
+                    (nouns[i], own[i], total[i]) = (0.0, 0.0, 0.0);
+                }
+            }
+        }
         if let Some(within) = &self.within {
             let Assessment { nouns, own, total, .. } = &mut assessment;
             for scores in [nouns, own, total] {

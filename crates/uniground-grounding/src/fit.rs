@@ -9,7 +9,7 @@ use super::readings::{Reading, Readings};
 use super::solid::Solid;
 use std::collections::HashSet;
 use uniground_geometry::color::{ColorName, srgb_to_lab};
-use uniground_geometry::scene::{Instance, Level, Support};
+use uniground_geometry::scene::{Instance, Level, Structure, Support};
 use uniground_language::{Meaning, Phrase, Trait};
 use uniground_models::attributes::{self, Noun, noun_fit};
 
@@ -125,8 +125,13 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         Meaning::Structure(structure) => {
             f32::from(u8::from(instance.structure == Some(*structure)))
         }
-        // A wall is no window, whatever it measures.
-        Meaning::Nouns(_) if instance.structure.is_some() => 0.0,
+        // A wall may contain the window that the question uses as an anchor. Floors and ceilings
+        // contain nothing.
+        Meaning::Nouns(_)
+            if matches!(instance.structure, Some(Structure::Floor | Structure::Ceiling)) =>
+        {
+            0.0
+        }
         Meaning::Nouns(nouns) => {
             let (mut by_measure, mut by_looks) = (0.0_f32, None::<f32>);
             for (noun, breadth) in nouns.iter().zip(&breadths) {
@@ -424,7 +429,7 @@ mod tests {
     use proptest::prelude::*;
     use uniground_geometry::boxes::Aabb;
     use uniground_geometry::color::ColorHistogram;
-    use uniground_geometry::scene::{InstanceId, NameGuess, Structure};
+    use uniground_geometry::scene::{InstanceId, NameGuess};
     use uniground_geometry::{Point3, Vector3};
     use uniground_models::attributes::Lexicon;
     use uniground_testing::thing;
@@ -512,20 +517,14 @@ mod tests {
     }
 
     #[test]
-    fn structure_answers_only_to_words_for_structure() {
-        let size = |id| Instance {
-            height_above_floor_m: 0.9,
-            support: Support::Wall { id: InstanceId(9) },
-            ..sized(id, [1.2, 0.02, 1.3])
-        };
-        let wall = Instance { structure: Some(Structure::Wall), ..size(1) };
-        let window = noun_phrase("window");
-        assert!(reading_fits(&[size(1)], &window)[0] > 0.1, "it measures like a window");
-        for structure in [Structure::Wall, Structure::Floor, Structure::Ceiling] {
-            let room = [Instance { structure: Some(structure), ..size(1) }, named(2, "window")];
-            assert_close(&reading_fits(&room, &window), &[0.0, 1.0]);
+    fn floors_and_ceilings_fit_only_words_for_them() {
+        for structure in [Structure::Floor, Structure::Ceiling] {
+            let room = [
+                Instance { structure: Some(structure), ..sized(1, [2.0, 1.4, 0.02]) },
+                named(2, "rug"),
+            ];
+            assert_close(&reading_fits(&room, &noun_phrase("rug")), &[0.0, 1.0]);
         }
-        assert_close(&reading_fits(&[wall], &noun_phrase("wall")), &[1.0]);
     }
 
     #[test]

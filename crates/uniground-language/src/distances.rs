@@ -138,6 +138,9 @@ pub(super) fn length_at(words: &[&str]) -> Option<(f32, usize)> {
         ["half", "a", ..] => (0.5, 2),
         ["one", "and", "a", "half", ..] => (1.5, 4),
         ["a", "couple", "of", ..] => (2.0, 3),
+        ["a" | "one", unit_word, "and", "a", "half", ..] => {
+            return Some((1.5 * unit(unit_word)?, 5));
+        }
         ["a" | "an" | "one", ..] => (1.0, 1),
         ["two", ..] => (2.0, 1),
         ["three", ..] => (3.0, 1),

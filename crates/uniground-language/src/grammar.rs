@@ -461,6 +461,14 @@ impl Reader {
             matches!(frame.role, Role::Anchor { .. } | Role::With { .. })
                 && !frame.phrase.head.is_empty()
         };
+        // "everything on the table that is not red"
+        let is_list_of_anything =
+            |frame: &Frame| matches!(frame.phrase.head.as_str(), "things" | "objects" | "items");
+        if self.stack.first().is_some_and(is_list_of_anything)
+            && self.stack[1..].iter().all(is_anchor)
+        {
+            return self.unwind(1);
+        }
         let Some(keep) = (0..=last).rev().find(|&i| agrees(&self.stack[i])) else { return };
         if self.stack[keep + 1..].iter().all(is_anchor) {
             self.unwind(keep + 1);

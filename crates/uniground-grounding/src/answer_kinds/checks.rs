@@ -8,9 +8,11 @@ use super::{
 };
 use crate::Unit;
 use crate::answer::superlative_words;
+use crate::assess::carried::is_part;
 use crate::fit::colors_fit;
 use crate::reasoner::Verdict;
 use crate::reasoner::builtin::ALSO_MEANT;
+use uniground_geometry::scene::Support;
 use uniground_language::{
     Claim, ComparedBy, Comparison, Dimension, Meaning, ParsedQuery, Phrase, Quantity, Reference,
     plural_of,
@@ -203,6 +205,11 @@ impl Writer<'_> {
         let assessed = self.assessor.assess(claim);
         let named = matches!(subject.meaning(), Meaning::Instance(_))
             && !matches!(claim.meaning(), Meaning::Instance(_) | Meaning::Anything);
+        // No parse finds the cushion of a chair.
+        let with_parts = claim.with.iter().any(|with| is_part(&with.phrase));
+        if with_parts && !subject.with.iter().any(|with| is_part(&with.phrase)) {
+            return None;
+        }
         let said = !claim.colors.is_empty()
             || !claim.other_than.is_empty()
             || !claim.traits.is_empty()
@@ -363,6 +370,12 @@ impl Writer<'_> {
         let mut confidence = first.confidence.min(second.confidence);
         let (values, error, unit) = match &comparison.by {
             ComparedBy::Dimension(dimension) => {
+                // "The bar table is higher than the dining table": both stand on the floor.
+                let stand = [a, b].iter().all(|&i| self.instances()[i].support == Support::Floor);
+                let dimension = match dimension {
+                    Dimension::Elevation if stand => &Dimension::Height,
+                    dimension => dimension,
+                };
                 let of = |i: usize| {
                     let solid = &self.assessor.solids[i];
                     match dimension {

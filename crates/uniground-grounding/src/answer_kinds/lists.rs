@@ -5,6 +5,7 @@ use super::{
     AnswerValue, Grounding, NoMatchReason, Resolved, Status, Writer, is_about_anything, to_target,
     value_of,
 };
+use crate::assess::carried::is_part;
 use crate::reasoner::NamesFrom;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -125,6 +126,14 @@ impl Writer<'_> {
     /// "Is there a piano", "is there anything on the table"
     pub(super) fn exists(&mut self, grounding: &mut Grounding) {
         let target = &self.parsed.target;
+        // No parse finds the cushion of a chair.
+        if let Some(part) = target.with.iter().find(|with| is_part(&with.phrase)) {
+            let part = with_article(&super::sentences::spoken(&part.phrase));
+            grounding.confidence = grounding.confidence.min(CANNOT_TELL);
+            (grounding.value, grounding.count) = (None, None);
+            grounding.text = format!("I cannot tell. A scan does not show {part}.");
+            return;
+        }
         let several = target.count.filter(|count| *count > 1);
         if is_about_anything(target) || self.parsed.quantity != uniground_language::Quantity::One {
             let listing = self.listing(grounding);

@@ -261,6 +261,9 @@ fn measures_are_compared_with_the_length_of_the_question() {
     assert_eq!(yes("is the gap between the desk and the sofa wider than 3 m?"), Some(false));
     assert_eq!(yes("is the stool within 50 cm of the sofa?"), Some(true));
     assert_eq!(yes("are both mugs wider than 50 cm"), Some(false));
+    assert_eq!(yes("are all mugs within 1 m of the laptop"), Some(true));
+    let far = ask("is the stool more than 1 m from the desk?");
+    assert!(far.text.starts_with("Yes. The grey stool is 3.13 m ± "), "{}", far.text);
     assert_eq!(yes("are the mugs narrower than 50 cm"), Some(true));
     let answer = ask("is the sofa wider than 1.5 m?");
     assert!(answer.text.starts_with("Yes. The grey sofa is 2.00 m ± "), "{}", answer.text);
@@ -329,6 +332,28 @@ fn a_thing_of_another_color_is_not_called_by_the_requested_one() {
         );
         assert!(answer.confidence < 0.5, "{}", answer.confidence);
     }
+}
+
+#[test]
+fn a_wall_is_no_answer_to_another_word() {
+    let mut instances = room();
+    let wall = thing(9, [0.0, 2.5], [1.2, 0.02, 1.3], 0.9, Support::Floor, [230; 3]);
+    instances.push(Instance { structure: Some(Structure::Wall), ..wall });
+    let answer = ask_in(&instances, &Question::of("the window"));
+    assert_eq!((answer.status, targets(&answer)), (Status::NoMatch, vec![]), "{}", answer.text);
+    let answer = ask_in(&instances, &Question::of("the wall"));
+    assert_eq!(targets(&answer), [9]);
+    instances.push(named(10, "window", [0.0, 2.4], [0.5, 0.1, 0.5], 1.0, Support::Nothing));
+    let answer = ask_in(&instances, &Question::of("the window"));
+    assert_eq!(targets(&answer), [10]);
+}
+
+#[test]
+fn parts_of_furniture_cannot_be_checked() {
+    let answer = ask("does the sofa have a cushion?");
+    assert!(answer.value.is_none() && answer.text.contains("cannot check"), "{}", answer.text);
+    let answer = ask("do any of the stools have a cushion?");
+    assert!(answer.value.is_none() && answer.text.contains("cannot tell"), "{}", answer.text);
 }
 
 #[test]

@@ -54,6 +54,13 @@ const ODD_PART: f32 = 0.4;
 /// The same factor where a part has a color that was not measured on the instance: parts are small.
 const PART_OF_OTHER_COLOR: f32 = 0.25;
 
+/// Returns whether a phrase names a part of furniture, which no parse finds by itself.
+pub(crate) fn is_part(phrase: &Phrase) -> bool {
+    PARTS
+        .iter()
+        .any(|(part, _)| phrase.head == *part || phrase.head.strip_suffix('s') == Some(*part))
+}
+
 impl Assessor<'_> {
     /// Multiplies scores by how well each instance has (or lacks) what the phrase says: "with the
     /// book on it", "with four chairs", "without books", "with the orange seat".

@@ -20,6 +20,12 @@ impl PatternReader<'_> {
         let asked = rest.or(done)?;
         // "isn't the lamp on the desk" expects a yes.
         let asked = after(asked, &["not"]).unwrap_or(asked);
+        // "do any of the chairs have a cushion"
+        let any = after(asked, &["any of the", "any of my", "any of these", "any"]);
+        if let Some(any) = any.filter(|_| done.is_some()) {
+            let any = [&["the"], any].concat();
+            return Some((Form::Exists, owned(&claim_with_verb(&any)?)));
+        }
         let (quantifier, asked) = Quantifier::split(asked);
         if asked.len() < 2 || !is_article(asked[0]) {
             return None;

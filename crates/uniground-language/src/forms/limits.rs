@@ -51,6 +51,9 @@ const ADJECTIVES: [(&str, Dimension); 14] = [
     ("from the floor", Dimension::Elevation),
 ];
 
+/// Maximum number of words for the other object of a distance: more of them say something else too.
+const MOST_WORDS: usize = 8;
+
 /// What a question says is measured, with the words for the object.
 enum Measured<'b> {
     /// A measure of one object's box.
@@ -72,6 +75,9 @@ impl PatternReader<'_> {
             return None;
         }
         let rest = &rest[..];
+        if let Some(found) = self.distance_limit(rest, quantifier.is_some()) {
+            return Some(found);
+        }
         let (at, given_m, length) = (1..rest.len()).find_map(|i| {
             let (given_m, length) = distances::length_at(&rest[i..])?;
             Some((i, given_m, length))
@@ -87,6 +93,27 @@ impl PatternReader<'_> {
         }
         let of_all = quantifier.is_some() || self.is_plural_object(&target);
         Some((Form::Limit(Limit { by, bound, given_m, of_all }), owned(&target)))
+    }
+
+    /// "is the bin more than 50 cm from the door"
+    fn distance_limit(&mut self, rest: &[&str], of_all: bool) -> Found {
+        let at = (1..rest.len()).find(|&i| distances::joined_reach(rest[i]).is_some())?;
+        let reach = distances::joined_reach(rest[at])?;
+        let (target, other) = (&rest[..at], &rest[at + 1..]);
+        // "is the bin not within 1 m of the door" is a claim.
+        if other.is_empty() || target.contains(&"not") || other.len() > MOST_WORDS {
+            return None;
+        }
+        let (bound, given_m) = if reach.most.is_infinite() {
+            (Bound::Above, reach.least)
+        } else if reach.least == 0.0 {
+            (Bound::Below, reach.most)
+        } else {
+            (Bound::About, f32::midpoint(reach.least, reach.most))
+        };
+        let of_all = of_all || self.is_plural_object(target);
+        let by = ComparedBy::Distance(self.reference(other));
+        Some((Form::Limit(Limit { by, bound, given_m, of_all }), owned(target)))
     }
 
     /// Reads the words before and behind a given length.
@@ -108,6 +135,15 @@ impl PatternReader<'_> {
             // A length is no volume: the longest side counts.
             let dimension = if dimension == Dimension::Volume { Dimension::All } else { dimension };
             return Some((Measured::Size(dimension, subject.to_vec()), bound));
+        }
+        // "at least as long as"
+        if let Some(said) = before(said, &["as"]).filter(|_| behind.is_empty()) {
+            let (word, dimension) =
+                ADJECTIVES.iter().find(|(word, _)| before(said, &[word]).is_some())?;
+            let said = before(said, &[word]).and_then(|said| before(said, &["as"]))?;
+            let bound = BOUNDS.iter().find_map(|(words, b)| Some((before(said, &[words])?, *b)));
+            let (subject, bound) = bound.unwrap_or((said, Bound::About));
+            return Some((Measured::Size(*dimension, subject.to_vec()), bound));
         }
         let bounded =
             BOUNDS.iter().find_map(|(words, bound)| Some((before(said, &[words])?, *bound)));

@@ -66,6 +66,16 @@ impl PatternReader<'_> {
             let (target, other) = pair_with_nouns(target, other);
             return Some((Form::Distance(self.reference(&other)), owned(&target)));
         }
+        // "how far from the door to the window", "how many meters from … to …"
+        let pair = match words {
+            ["how", "many", unit, rest @ ..] if distances::is_unit(unit) => after(rest, &["from"]),
+            ["how", "far", rest @ ..] => after(rest, &["from", "is it from"]),
+            _ => None,
+        };
+        if let Some((target, other)) = pair.and_then(|pair| split_last(pair, "to")) {
+            let (target, other) = pair_with_nouns(target, other);
+            return Some((Form::Distance(self.reference(&other)), owned(&target)));
+        }
         // "how far is A from B"
         let rest = match words {
             ["how", "many", unit, rest @ ..] if distances::is_unit(unit) => {

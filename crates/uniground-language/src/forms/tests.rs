@@ -24,6 +24,7 @@ fn distances_have_a_target_and_a_reference() {
         ("how much space is there between the sofa and the coffee table", "sofa", "coffee table"),
         ("how many meters is the bed from the wall", "bed", "wall"),
         ("how far is the door", "door", "me"),
+        ("how many meters from the door to the window?", "door", "window"),
         ("how far am I from the door?", "door", "me"),
         ("how far is it from the desk to the window", "desk", "window"),
         ("how close is the lamp to the curtain?", "lamp", "curtain"),
@@ -101,6 +102,7 @@ fn yes_or_no_questions_have_a_subject_or_ask_for_existence() {
         "Is there a plant on the desk?",
         "are there any towels",
         "are any of the plants on the floor",
+        "do any of the chairs have a cushion?",
         "aren't there two beds?",
         "do you see a clock?",
         "is there anything under the bed?",
@@ -198,6 +200,8 @@ fn measures_are_compared_with_given_lengths() {
         ("is the picture more than 1.5 m above the floor", "picture", Elevation, Above, 1.5),
         ("is the depth of the shelf less than 30 cm", "shelf", Depth, Below, 0.3),
         ("is the ceiling higher than 2.5 meters?", "ceiling", Elevation, Above, 2.5),
+        ("is the desk longer than a meter and a half", "desk", Width, Above, 1.5),
+        ("is the desk at least as long as 1.5 m", "desk", Length, Above, 1.5),
     ] {
         let parsed = parse(query);
         let Form::Limit(limit) = &parsed.form else { panic!("{query}: {parsed:?}") };
@@ -214,6 +218,7 @@ fn measures_are_compared_with_given_lengths() {
         ("is there at least 60 cm between the desk and the bed", "desk", "bed"),
         ("is there more than 1 m of space between the desk and the bed", "desk", "bed"),
         ("is the door more than 3 m away", "door", "me"),
+        ("is the bin more than 50 cm from the door", "bin", "door"),
     ] {
         let parsed = parse(query);
         let Form::Limit(limit) = &parsed.form else { panic!("{query}: {parsed:?}") };

@@ -368,6 +368,8 @@ fn a_relative_clause_belongs_to_the_object_that_its_verb_agrees_with() {
     }
     let target = parse("the chair next to the tables that are green").target;
     assert_eq!(target.relations[0].anchors[0].colors, [ColorName::Green]);
+    let target = parse("everything on the dining table that is not red").target;
+    assert_eq!(target.other_than, [ColorName::Red], "{target:?}");
     // Both agree: the words allow two readings.
     let parsed = parse("the cup on the table that is red");
     assert_eq!(parsed.target.relations[0].anchors[0].colors, [ColorName::Red], "{parsed:?}");
