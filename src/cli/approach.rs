@@ -18,7 +18,7 @@ use uniground_types::scene::InstanceId;
 #[command(after_help = "Exit codes: 0 a pose was found; 1 none was found; 2 wrong usage.")]
 pub struct ApproachArgs {
     /// The object to approach, in plain English
-    #[arg(value_name = "QUESTION", required_unless_present = "instance")]
+    #[arg(value_name = "QUESTION", required_unless_present_any = ["instance", "unseen_region"])]
     query: Option<String>,
     /// Scene of the server: its name, its id, or the beginning of one of them
     #[arg(long, value_name = "SCENE")]
@@ -26,8 +26,11 @@ pub struct ApproachArgs {
     /// Approach this instance of an earlier answer instead of asking a question
     #[arg(long, value_name = "ID", conflicts_with = "query")]
     instance: Option<u32>,
+    /// Look at this part of the room that no camera saw, from the `coverage` of an answer
+    #[arg(long, value_name = "NUMBER", conflicts_with_all = ["query", "instance"])]
+    unseen_region: Option<u32>,
     /// Least confidence of the answer to the question; 0 approaches guesses, too [default: 0.7]
-    #[arg(long, value_name = "0..1", conflicts_with = "instance")]
+    #[arg(long, value_name = "0..1", conflicts_with_all = ["instance", "unseen_region"])]
     min_confidence: Option<f32>,
     /// Radius of the robot's footprint, meters
     #[arg(long, value_name = "METERS", default_value_t = 0.25)]
@@ -76,9 +79,10 @@ pub async fn run(args: &ApproachArgs) -> anyhow::Result<()> {
         eye_height_m: args.eye_height.unwrap_or((args.height - 0.1).max(0.05)),
         reach_m: args.reach,
     };
-    let request = match (args.instance, &args.query) {
-        (Some(id), _) => ApproachRequest::for_instance(InstanceId(id), robot),
-        (None, query) => ApproachRequest::for_query(query.clone().unwrap_or_default(), robot),
+    let request = match (args.instance, args.unseen_region, &args.query) {
+        (Some(id), ..) => ApproachRequest::for_instance(InstanceId(id), robot),
+        (None, Some(number), _) => ApproachRequest::for_unseen_region(number, robot),
+        (None, None, query) => ApproachRequest::for_query(query.clone().unwrap_or_default(), robot),
     };
     let request = ApproachRequest {
         min_confidence: args.min_confidence,

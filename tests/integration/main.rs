@@ -16,6 +16,7 @@ mod command_line;
 mod concurrency;
 mod coordinate_conventions;
 mod corrections;
+mod coverage;
 mod data_migration;
 mod databases;
 mod drafts;

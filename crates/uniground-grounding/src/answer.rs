@@ -13,6 +13,7 @@ use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::color::ColorName;
 use uniground_geometry::scene::{Instance, Level};
 use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
+use uniground_types::coverage::Coverage;
 
 /// Returns the duration of each step in milliseconds. The arguments are the times from the start to
 /// the end of each step.
@@ -50,6 +51,10 @@ pub struct Grounding {
     /// reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
+    /// Which part of the room was seen; `None` unless the object was not found, and for scans
+    /// without frames.
+    #[serde(default)]
+    pub coverage: Option<Coverage>,
     /// The paper's six fields (App. B.1).
     pub answer: SixFields,
     /// Axis-aligned box of the answer; `None` unless the status is `grounded` or `uncertain`.
@@ -145,6 +150,7 @@ pub(super) fn assemble(
         status,
         no_match_reason: reason,
         seen: None,
+        coverage: None,
         answer: SixFields {
             predicted_id: chosen.map(|i| i.id),
             explanation,
@@ -223,6 +229,7 @@ pub(super) fn to_target(instance: &Instance, confidence: f32) -> Target {
         support: Some(support),
         parent,
         distance_m: None,
+        last_seen: None,
     }
 }
 

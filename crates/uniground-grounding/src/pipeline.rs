@@ -21,8 +21,8 @@ use super::vlm::{
     PromptVersion, Undecided, naming,
 };
 use super::{
-    Candidate, Grounding, Question, SceneView, Status, answer_kinds, choose_reading, decided,
-    ground_with_context, rank_candidates,
+    Candidate, Grounding, Question, SceneView, Status, answer_kinds, choose_reading, coverage,
+    decided, ground_with_context, rank_candidates,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -200,6 +200,9 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
         .compute(move |source| {
             let scene = scene_view(source, appearance.as_ref());
             answer_kinds::complete(scene, &asked, &parsed, &mut grounding);
+            if let Some(seen) = source.coverage() {
+                coverage::add_coverage(seen, asked.within.as_ref(), &mut grounding);
+            }
             grounding.require_confidence(least);
             Ok(grounding)
         })

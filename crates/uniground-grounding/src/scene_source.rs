@@ -9,7 +9,7 @@ use std::fmt::Display;
 use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{
-    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId,
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, RoomCoverage,
 };
 use uniground_models::chat::AskError;
 use uniground_models::neural::{DualEncoder, ModelError};
@@ -57,6 +57,12 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// # Errors
     /// The frames cannot be read.
     fn frames(&self) -> Result<Vec<FrameRef>, Self::Error>;
+
+    /// Returns which part of the room the frames saw; `None` for a scan without frames, and where it
+    /// was not computed.
+    fn coverage(&self) -> Option<&RoomCoverage> {
+        None
+    }
 
     /// Returns the cloud, ready to be rendered.
     ///

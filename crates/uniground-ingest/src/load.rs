@@ -289,6 +289,7 @@ fn frame_ref(
     }
     Ok(FrameRef {
         index: raw.index,
+        time_s: raw.time_s,
         color: scan.root.join(&raw.color),
         depth: scan.root.join(&raw.depth),
         color_intrinsics: raw.color_intrinsics,

@@ -104,6 +104,7 @@ mod tests {
             Intrinsics { width: 64, height: 64, fx: 64.0, fy: 64.0, cx: 31.5, cy: 31.5 };
         FrameRef {
             index: FrameIndex(index),
+            time_s: None,
             color: depth.clone(),
             depth,
             color_intrinsics: intrinsics,

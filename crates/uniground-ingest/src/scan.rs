@@ -94,6 +94,9 @@ impl SkippedFrames {
 pub struct RawFrame {
     /// Index in the scan's own list.
     pub index: FrameIndex,
+    /// Time of the color picture, seconds since 1970. `None`: not stated, or counted from another
+    /// start.
+    pub time_s: Option<f64>,
     pub color: Utf8PathBuf,
     pub depth: Utf8PathBuf,
     /// The file that the pose was read from, and the entry if it holds several.

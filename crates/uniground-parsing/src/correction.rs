@@ -304,6 +304,7 @@ mod tests {
         let depth = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 31.5, cy: 23.5 };
         let frame = FrameRef {
             index: FrameIndex(3),
+            time_s: None,
             color: "c".into(),
             depth: "d".into(),
             color_intrinsics: depth.scaled_to(128, 96),

@@ -99,6 +99,7 @@ mod tests {
         (0..number)
             .map(|i| FrameRef {
                 index: FrameIndex(i),
+                time_s: None,
                 color: "missing".into(),
                 depth: "missing".into(),
                 color_intrinsics: intrinsics,

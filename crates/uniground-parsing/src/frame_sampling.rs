@@ -58,6 +58,7 @@ mod tests {
         xs.enumerate()
             .map(|(i, x)| FrameRef {
                 index: FrameIndex(i as u32),
+                time_s: None,
                 color: "c".into(),
                 depth: "d".into(),
                 color_intrinsics: intrinsics,

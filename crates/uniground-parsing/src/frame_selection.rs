@@ -96,6 +96,7 @@ mod tests {
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
         FrameRef {
             index: FrameIndex(index),
+            time_s: None,
             color: "c".into(),
             depth: "d".into(),
             color_intrinsics: intrinsics,

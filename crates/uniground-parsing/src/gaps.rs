@@ -210,6 +210,7 @@ mod tests {
             .unwrap();
         FrameRef {
             index: FrameIndex(index),
+            time_s: None,
             color: Utf8PathBuf::new(),
             depth,
             color_intrinsics: CAMERA,

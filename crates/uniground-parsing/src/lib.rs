@@ -29,6 +29,7 @@ pub mod lifting;
 pub mod masks;
 pub mod merging;
 pub mod model_clock;
+pub mod observation;
 pub mod outline;
 pub mod part_merging;
 

@@ -422,6 +422,7 @@ mod tests {
         let intrinsics = frame().depth_camera.intrinsics;
         let of_number = |&number: &u32| FrameRef {
             index: FrameIndex(number),
+            time_s: None,
             color: color.clone(),
             depth: depth.clone(),
             color_intrinsics: intrinsics,

@@ -187,6 +187,7 @@ mod tests {
             Intrinsics { width: 320, height: 320, fx: 160.0, fy: 160.0, cx: 159.5, cy: 159.5 };
         FrameRef {
             index: FrameIndex(index),
+            time_s: None,
             color: "".into(),
             depth: "".into(),
             color_intrinsics: view,

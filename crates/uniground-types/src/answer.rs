@@ -1,5 +1,6 @@
 //! Answers: the paper's six fields, boxes, status, and how the answer was found.
 
+use crate::coverage::Coverage;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::placement::InFrame;
 use crate::scene::{InstanceId, Support};
@@ -194,6 +195,10 @@ pub struct Target {
     /// in lists that are about another object: "what is within a meter of the sofa".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distance_m: Option<f32>,
+    /// Time of the newest frame that shows the object, RFC 3339 UTC. `null` if the scan's frames
+    /// have no times since 1970, and in answers from older versions.
+    #[serde(default)]
+    pub last_seen: Option<String>,
 }
 
 /// The parsed question.
@@ -389,6 +394,11 @@ pub struct Answer {
     /// the reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
+    /// Which part of the room was seen: whether the object is not there, or may be where no camera
+    /// looked. `null` unless the status is `no_match` or `target_name_matches` is `false`, for scans
+    /// without frames, and for parses from older versions.
+    #[serde(default)]
+    pub coverage: Option<Coverage>,
     /// The six output fields of the paper.
     pub answer: SixFields,
     /// Axis-aligned box of the answer; meters, world frame (Z up). `null` unless the status is
@@ -413,6 +423,10 @@ pub struct Answer {
     /// answers from older versions.
     #[serde(default)]
     pub targets: Vec<Target>,
+    /// Time of the newest frame that shows the object of the answer, RFC 3339 UTC: of the first of
+    /// `targets`. `null` without one, and if the scan's frames have no times since 1970.
+    #[serde(default)]
+    pub last_seen: Option<String>,
     /// Number of matching objects. Absent if the question asks for a single object.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count: Option<u32>,

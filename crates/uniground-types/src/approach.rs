@@ -1,6 +1,7 @@
 //! Standing poses from which a robot can see or reach an object: requests and results.
 
 use crate::answer::{CoordinateFrame, Status};
+use crate::coverage::UnseenRegion;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::numbers;
 use crate::placement::{FrameChoice, SceneToFrame, Stamp};
@@ -60,7 +61,8 @@ fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
-/// A request for standing poses. Exactly one of `instance_id` and `query` is required.
+/// A request for standing poses. Exactly one of `instance_id`, `query` and `unseen_region` is
+/// required.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[cfg_attr(feature = "openapi", schema(example = json!({
@@ -76,6 +78,11 @@ pub struct ApproachRequest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000))]
     pub query: Option<String>,
+    /// Number of a part of the room that no camera saw: a region of `coverage` in an answer about the
+    /// scene's current parse. Poses look at it, from at least 0.5 m away if possible.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(minimum = 1))]
+    pub unseen_region: Option<u32>,
     /// Minimum confidence of the answer to `query`, `0..=1`, as in a question. Below it, no poses
     /// are computed. 0 also approaches guesses. Default: 0.7.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -130,6 +137,12 @@ impl ApproachRequest {
         Self { query: Some(query.into()), ..Self::with_defaults(robot) }
     }
 
+    /// Creates a request for an unseen part of the room with default options.
+    #[must_use]
+    pub fn for_unseen_region(number: u32, robot: Robot) -> Self {
+        Self { unseen_region: Some(number), ..Self::with_defaults(robot) }
+    }
+
     fn with_defaults(robot: Robot) -> Self {
         let (min_distance_m, max_distance_m, max_poses) =
             (0.0, default_distance(), default_poses());
@@ -137,6 +150,7 @@ impl ApproachRequest {
         Self {
             instance_id: None,
             query: None,
+            unseen_region: None,
             min_confidence: None,
             robot,
             from: None,
@@ -150,13 +164,16 @@ impl ApproachRequest {
     /// # Errors
     /// Returns a [`FieldError`] that names the field.
     pub fn check(&self) -> Result<(), FieldError> {
-        match (&self.instance_id, &self.query) {
-            (Some(_), None) => {}
-            (None, Some(query)) => check_query(query)?,
+        match (&self.instance_id, &self.query, self.unseen_region) {
+            (Some(_), None, None) | (None, None, Some(1..)) => {}
+            (None, Some(query), None) => check_query(query)?,
+            (None, None, Some(0)) => {
+                return Err(FieldError::new("/unseen_region", "must be 1 or more"));
+            }
             _ => {
                 return Err(FieldError::new(
                     "",
-                    "exactly one of instance_id and query is required",
+                    "exactly one of instance_id, query and unseen_region is required",
                 ));
             }
         }
@@ -329,8 +346,11 @@ pub struct Approach {
     pub answer_id: Option<String>,
     /// Status of the answer to `query`. `null` without a query.
     pub answer_status: Option<Status>,
-    /// The object to approach. `null` if `not_grounded`.
+    /// The object to approach. `null` if `not_grounded`, and for an unseen part of the room.
     pub target: Option<ApproachTarget>,
+    /// The unseen part of the room to look at. Absent unless requested by `unseen_region`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unseen_region: Option<UnseenRegion>,
     /// Poses, best first: near the object, with a short path, good visibility and much clearance.
     pub poses: Vec<StandingPose>,
     /// Start of the paths. `null` without `from`, or if it is not free.
@@ -462,6 +482,8 @@ mod tests {
         for (change, pointer) in [
             ((|r| r.instance_id = None) as fn(&mut ApproachRequest), ""),
             (|r| r.query = Some("the mug".into()), ""),
+            (|r| r.unseen_region = Some(1), ""),
+            (|r| (r.instance_id, r.unseen_region) = (None, Some(0)), "/unseen_region"),
             (|r| (r.instance_id, r.query) = (None, Some(" ".into())), "/query"),
             (|r| r.min_confidence = Some(1.1), "/min_confidence"),
             (|r| r.min_confidence = Some(f32::NAN), "/min_confidence"),

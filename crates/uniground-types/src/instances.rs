@@ -66,6 +66,10 @@ pub struct InstanceView {
     /// instances of the parse.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found_for: Option<String>,
+    /// Time of the newest frame that shows it, RFC 3339 UTC. `null` if the scan's frames have no
+    /// times since 1970, and for parses from older versions.
+    #[serde(default)]
+    pub last_seen: Option<String>,
     /// Best views. Their pictures are at `/instances/{id}/views/{k}.jpg` with k from 0.
     pub views: Vec<View>,
 }

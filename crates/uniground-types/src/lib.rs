@@ -11,6 +11,7 @@ pub mod approach;
 pub mod batch;
 pub mod changes;
 pub mod corrections;
+pub mod coverage;
 pub mod export;
 pub mod findings;
 pub mod geometry;

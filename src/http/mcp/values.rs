@@ -7,6 +7,7 @@ use uniground_types::answer::{
     Alternative, Answer, AnswerKind, AnswerValue, NoMatchReason, Seen, Status, Target,
 };
 use uniground_types::approach::{ApproachRequest, FloorPoint, Robot};
+use uniground_types::coverage::Coverage;
 use uniground_types::geometry::boxes::Aabb;
 use uniground_types::instances::{InstanceView, Levels};
 use uniground_types::many::{ManyAnswers, ManyGroundRequest, SceneAnswer};
@@ -104,6 +105,9 @@ pub(super) struct Grounded {
     pub status: Status,
     /// Why no object was chosen. `null` unless `no_match`.
     pub no_match_reason: Option<NoMatchReason>,
+    /// Which part of the room was seen: whether the object is not there, or may be where no camera
+    /// looked. `null` unless `no_match`, and if it is not known.
+    pub coverage: Option<Coverage>,
     /// Explanation of the decision.
     pub explanation: String,
     /// Confidence in the answer, `0..=1`.
@@ -133,6 +137,7 @@ impl From<Answer> for Grounded {
             value,
             status,
             no_match_reason,
+            coverage,
             seen,
             answer,
             confidence,
@@ -149,6 +154,7 @@ impl From<Answer> for Grounded {
             value,
             status,
             no_match_reason,
+            coverage,
             explanation: answer.explanation,
             confidence,
             targets,
@@ -308,12 +314,17 @@ pub(super) struct Relations {
 pub(super) struct Approach {
     /// Scene id from `list_scenes`.
     pub scene_id: String,
-    /// Instance id from `ground` or `list_objects`. Exactly one of this and `query` is required.
+    /// Instance id from `ground` or `list_objects`. Exactly one of this, `query` and
+    /// `unseen_region` is required.
     #[schema(minimum = 1)]
     pub instance_id: Option<u32>,
     /// Description of the object in English.
     #[schema(min_length = 1, max_length = 1000)]
     pub query: Option<String>,
+    /// Number of an unseen part of the room from `coverage` of an answer of `ground`. Poses look at
+    /// it.
+    #[schema(minimum = 1)]
+    pub unseen_region: Option<u32>,
     pub robot: Robot,
     /// Start position of the robot. If set, each pose has a path.
     pub from: Option<FloorPoint>,
@@ -324,11 +335,18 @@ pub(super) struct Approach {
 
 impl Approach {
     pub fn into_request(self) -> (String, ApproachRequest) {
-        let Self { scene_id, instance_id, query, robot, from, frame } = self;
+        let Self { scene_id, instance_id, query, unseen_region, robot, from, frame } = self;
         let any = ApproachRequest::for_instance(InstanceId(0), robot);
         (
             scene_id,
-            ApproachRequest { instance_id: instance_id.map(InstanceId), query, from, frame, ..any },
+            ApproachRequest {
+                instance_id: instance_id.map(InstanceId),
+                query,
+                unseen_region,
+                from,
+                frame,
+                ..any
+            },
         )
     }
 }

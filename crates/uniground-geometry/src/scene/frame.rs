@@ -12,6 +12,10 @@ use std::io;
 pub struct FrameRef {
     /// Position in the scan's own list, from 0; skipped frames leave gaps.
     pub index: FrameIndex,
+    /// Time of the color picture, seconds since 1970. `None` if the scan does not state it, or
+    /// counts it from another start.
+    #[serde(default)]
+    pub time_s: Option<f64>,
     /// Path of the color picture.
     #[serde(rename = "colour")]
     pub color: Utf8PathBuf,

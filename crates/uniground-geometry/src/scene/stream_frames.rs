@@ -123,6 +123,7 @@ mod tests {
         (0..number)
             .map(|i| FrameRef {
                 index: FrameIndex(i),
+                time_s: None,
                 color: "c".into(),
                 depth: "d".into(),
                 color_intrinsics: intrinsics,

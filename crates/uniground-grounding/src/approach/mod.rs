@@ -24,6 +24,7 @@ pub use occupancy::Occupancy;
 pub use poses::{Places, Wish};
 
 use target::Target;
+use uniground_geometry::Point3;
 use uniground_geometry::scene::{Instance, InstanceId, Support};
 use uniground_types::approach::{CellCounts, FailedCondition, StandingPose};
 
@@ -51,6 +52,21 @@ pub fn approach(
         .iter_mut()
         .flatten()
         .for_each(|pose| pose.why = why(pose, instance.label(), &place));
+    Some(places)
+}
+
+/// Finds poses from which a robot can look at points that no camera saw (meters, world frame).
+/// `name` is what the explanations call them. Returns `None` if all points are below the floor.
+#[must_use]
+pub fn approach_points(
+    occupancy: &Occupancy,
+    points: &[Point3<f32>],
+    name: &str,
+    wish: &Wish,
+) -> Option<Places> {
+    let target = Target::of_points(occupancy, points)?;
+    let mut places = poses::places(occupancy, &target, wish);
+    places.poses.iter_mut().flatten().for_each(|pose| pose.why = why(pose, name, ""));
     Some(places)
 }
 

@@ -1,7 +1,7 @@
 //! The voxels of the instance to approach.
 
 use super::clearance::distances;
-use super::occupancy::{LAYER_M, LAYERS, Occupancy, Voxel};
+use super::occupancy::{LAYER_M, LAYERS, Occupancy, Voxel, layer_of};
 use std::collections::BTreeSet;
 use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
@@ -46,7 +46,25 @@ impl Target {
     /// lies below the floor.
     pub fn of(occupancy: &Occupancy, instances: &[Instance], id: InstanceId) -> Option<Self> {
         let instance = instances.get((id.0 as usize).checked_sub(1)?)?;
-        let voxels = voxels_of(occupancy, instances, instance);
+        Self::of_voxels(occupancy, voxels_of(occupancy, instances, instance))
+    }
+
+    /// Returns the voxels at points, meters, world frame; `None` where all of them are outside of
+    /// the columns.
+    pub fn of_points(occupancy: &Occupancy, points: &[Point3<f32>]) -> Option<Self> {
+        let voxel = |p: &Point3<f32>| {
+            let layer = layer_of(p.z - occupancy.floor_z_m);
+            let cell = occupancy.grid.cell(p.x, p.y)?;
+            (0..LAYERS).contains(&layer).then(|| Voxel::new(cell, layer))
+        };
+        let mut voxels: Vec<Voxel> = points.iter().filter_map(voxel).collect();
+        voxels.sort_unstable();
+        voxels.dedup();
+        Self::of_voxels(occupancy, voxels)
+    }
+
+    /// `voxels` are ascending. Returns `None` where there are none.
+    fn of_voxels(occupancy: &Occupancy, voxels: Vec<Voxel>) -> Option<Self> {
         let grid = &occupancy.grid;
         // Ascending, so that the first voxel of a cell is its lowest.
         let mut lowest = voxels.clone();

@@ -244,6 +244,7 @@ fn photographed(folder: &Utf8Path) -> Arc<MemoryScene> {
         Intrinsics { width: 1600, height: 1200, fx: 800.0, fy: 800.0, cx: 800.0, cy: 600.0 };
     let frame = FrameRef {
         index: FrameIndex(7),
+        time_s: None,
         depth: color.clone(),
         color,
         color_intrinsics: intrinsics,
@@ -314,6 +315,7 @@ fn album_from_above(folder: &Utf8Path) -> Arc<SceneAlbum> {
         Intrinsics { width: 640, height: 480, fx: 400.0, fy: 400.0, cx: 320.0, cy: 240.0 };
     let frame = FrameRef {
         index: FrameIndex(4),
+        time_s: None,
         depth: color.clone(),
         color,
         color_intrinsics: intrinsics,

@@ -300,6 +300,7 @@ mod tests {
             status: Status::Ambiguous,
             no_match_reason: None,
             seen: None,
+            coverage: None,
             answer: SixFields {
                 predicted_id: None,
                 explanation: "by geometry".into(),

@@ -94,6 +94,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         last_camera = camera.as_ref().ok().map(|camera| (camera_at, *camera));
         scan.add(camera.map(|camera| RawFrame {
             index: FrameIndex(0),
+            time_s: None,
             color: picture.clone(),
             depth: depth[depth_at].clone(),
             pose_file: entry_path(&trajectory, picture),

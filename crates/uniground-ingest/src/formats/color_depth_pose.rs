@@ -200,6 +200,7 @@ pub(super) fn add_frames(
                 .map(|at| Confidence { file: confidence[at].clone(), at_least: LEAST_CONFIDENCE });
             Ok(RawFrame {
                 index: FrameIndex(0),
+                time_s: pairing::parse_seconds(picture).and_then(pairing::since_1970),
                 color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file,

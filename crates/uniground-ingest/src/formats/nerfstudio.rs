@@ -191,6 +191,7 @@ fn to_raw_frame(
     let lens = camera.lens();
     Ok(RawFrame {
         index: FrameIndex(0),
+        time_s: None,
         color,
         depth,
         pose_file,

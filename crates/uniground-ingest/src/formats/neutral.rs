@@ -131,6 +131,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         };
         scan.add(read_pose(root, &frame.pose).map(|pose: Matrix4<f64>| RawFrame {
             index: FrameIndex(0),
+            time_s: None,
             pose,
             color: frame.color.clone(),
             depth: frame.depth.clone(),

@@ -45,6 +45,15 @@ pub(super) fn to_seconds(time: f64) -> f64 {
     }
 }
 
+/// The times that count as seconds since 1970: from 2001 to 2100. Smaller ones count from the start
+/// of the recording.
+const SINCE_1970_S: std::ops::Range<f64> = 978_307_200.0..4_102_444_800.0;
+
+/// Returns a time if it is in seconds since 1970; `None` if it counts from another start.
+pub(super) fn since_1970(time_s: f64) -> Option<f64> {
+    SINCE_1970_S.contains(&time_s).then_some(time_s)
+}
+
 /// Returns the name without the parts that state its role.
 fn without_role(file: &Utf8Path) -> String {
     let mut stem = file.file_stem().unwrap_or_default().to_ascii_lowercase();

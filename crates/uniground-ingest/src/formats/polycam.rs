@@ -138,6 +138,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         };
         let frame = read_camera(&folder.root, file).map(|camera| RawFrame {
             index: FrameIndex(0),
+            time_s: None,
             color: picture.clone(),
             depth: depth[depth_at].clone(),
             pose_file: file.clone(),

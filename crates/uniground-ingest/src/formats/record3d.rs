@@ -124,6 +124,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             Some(file) => Err(IngestError::MissingFile { file: file.clone() }),
             None => Ok(RawFrame {
                 index: FrameIndex(0),
+                time_s: None,
                 color,
                 depth,
                 pose_file: entry_path(file, format_args!("pose {i}")),

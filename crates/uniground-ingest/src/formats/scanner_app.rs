@@ -86,6 +86,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
                 intrinsics::intrinsics_from_values(root, file, &taken.intrinsics, picture)?;
             Ok(RawFrame {
                 index: FrameIndex(0),
+                time_s: None,
                 color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file: file.to_owned(),

@@ -91,6 +91,7 @@ fn frame(
     let (depth_width, depth_height) = size(depth)?;
     Ok(RawFrame {
         index: FrameIndex(0),
+        time_s: None,
         color,
         depth: depth.to_owned(),
         pose_file: source,

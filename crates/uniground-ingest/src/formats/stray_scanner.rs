@@ -53,6 +53,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         let frame = match (depth_of[i], pose) {
             (Some(depth_at), Some(pose)) => Ok(RawFrame {
                 index: FrameIndex(0),
+                time_s: None,
                 color: picture.clone(),
                 depth: depth[depth_at].clone(),
                 pose_file: entry_path(Utf8Path::new(ODOMETRY), picture),

@@ -68,6 +68,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         };
         scan.frames.push(RawFrame {
             index: FrameIndex(0),
+            time_s: pairing::since_1970(*time),
             color: picture.clone(),
             depth: depth[partner].1.clone(),
             pose_file: entry_path(&poses_file, format_args!("time {time}")),

@@ -167,6 +167,7 @@ mod tests {
             UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f32::consts::FRAC_PI_2);
         FrameRef {
             index: FrameIndex(index),
+            time_s: None,
             color,
             depth,
             color_intrinsics: intrinsics,

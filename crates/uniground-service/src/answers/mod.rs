@@ -364,13 +364,14 @@ impl GroundingService {
             status,
             no_match_reason,
             seen,
+            coverage,
             answer,
             aabb,
             oriented_box,
             confidence,
             mut candidates,
             mut alternatives,
-            targets,
+            mut targets,
             count,
             parsed_query,
             direction_convention,
@@ -386,6 +387,7 @@ impl GroundingService {
         };
         candidates.iter_mut().for_each(|candidate| candidate.view = view(candidate.id));
         alternatives.iter_mut().for_each(|alternative| alternative.view = view(alternative.id));
+        targets.iter_mut().for_each(|target| target.last_seen = parse.last_seen(target.id));
         let mut evidence = vec![transcripts::picture_path(&id, pictures::GLOBAL)];
         if self.limits.retention.evidence_days > 0 {
             let shown = transcripts::picture_names(&calls)
@@ -406,12 +408,14 @@ impl GroundingService {
             status,
             no_match_reason,
             seen,
+            coverage,
             answer,
             aabb,
             oriented_box,
             confidence,
             candidates: Some(candidates),
             alternatives,
+            last_seen: targets.first().and_then(|target| target.last_seen.clone()),
             targets,
             count,
             parsed_query,

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::lru_cache::LruCache;
 use uniground_geometry::scene::{
-    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, View,
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, RoomCoverage, View,
 };
 use uniground_grounding::approach::Occupancy;
 use uniground_grounding::pipeline::SceneSource;
@@ -109,6 +109,10 @@ impl SceneSource for StoredScene {
     fn frames(&self) -> Result<Vec<FrameRef>, Error> {
         let frames = read_frames(&self.scenes.blobs, &self.folder(), &self.parse.content)?;
         Ok(frames.unwrap_or_default())
+    }
+
+    fn coverage(&self) -> Option<&RoomCoverage> {
+        self.parse.observation.coverage.as_ref()
     }
 
     fn render_scene(&self) -> Result<Arc<RenderScene>, Error> {

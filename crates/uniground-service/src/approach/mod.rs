@@ -6,17 +6,25 @@ use crate::error::Error;
 use crate::{GroundingService, ParsedScenes, SceneLookup};
 use image::codecs::png::PngEncoder;
 use std::sync::Arc;
-use uniground_grounding::approach::{Floor, Occupancy, Places, Wish, approach, explanation};
+use uniground_grounding::approach::{
+    Floor, Occupancy, Places, Wish, approach, approach_points, explanation,
+};
 use uniground_grounding::pipeline::SceneSource;
+use uniground_grounding::unseen_regions;
 use uniground_storage::SceneRow;
 use uniground_types::answer::{Answer, CoordinateFrame, Status};
 use uniground_types::approach::{
-    Approach, ApproachRequest, ApproachStatus, ApproachTarget, FloorMap, FloorPoint,
-    check_map_height,
+    Approach, ApproachRequest, ApproachStatus, ApproachTarget, CellCounts, FailedCondition,
+    FloorMap, FloorPoint, check_map_height,
 };
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// Finds poses from which a robot can reach or see an instance.
+/// Minimum distance from an unseen region, if possible, meters: a camera sees little of what is
+/// right in front of the robot.
+const LOOKING_DISTANCE_M: f32 = 0.5;
+
+/// Finds poses from which a robot can reach or see an instance, or a part of the room that no camera
+/// saw.
 #[derive(Clone)]
 pub struct ApproachService {
     pub(crate) scene_lookup: Arc<SceneLookup>,
@@ -46,6 +54,7 @@ impl ApproachService {
             answer_id: answer.as_ref().map(|answer| answer.id.clone()),
             answer_status: answer.as_ref().map(|answer| answer.status),
             target: None,
+            unseen_region: None,
             poses: Vec::new(),
             start: None,
             failed: None,
@@ -61,6 +70,11 @@ impl ApproachService {
             result.detail = format!(
                 "the question means {several} things, and one is driven to: ask with the instance_id of one of its answer's targets"
             );
+            return Ok(result);
+        }
+        if let Some(number) = request.unseen_region {
+            self.approach_unseen(&scene, number, &request, frame.as_ref(), &mut result).await?;
+            result.in_frame = frame.map(|frame| frame.with_poses(&result.poses));
             return Ok(result);
         }
         let meant = match &answer {
@@ -96,21 +110,60 @@ impl ApproachService {
                 Ok((occupancy.floor_z_m(), approach(&occupancy, scene.instances(), id, &wish)))
             })
             .await?;
-        let Places { poses, start, cells } =
+        let places =
             places.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
-        (result.start, result.cells, result.floor_z_m) = (start, Some(cells), Some(floor_z_m));
-        match poses {
-            Ok(poses) => {
-                result.detail = poses.first().map(|best| best.why.clone()).unwrap_or_default();
-                (result.status, result.poses) = (ApproachStatus::Found, poses);
-            }
-            Err(failed) => {
-                result.detail = explanation(failed, &name, &cells);
-                (result.status, result.failed) = (ApproachStatus::NonePossible, Some(failed));
-            }
-        }
+        result.floor_z_m = Some(floor_z_m);
+        set_places(places, &name, &mut result);
         result.in_frame = frame.map(|frame| frame.with_poses(&result.poses));
         Ok(result)
+    }
+
+    /// Finds poses that look at a part of the room that no camera saw.
+    async fn approach_unseen(
+        &self,
+        scene: &Arc<StoredScene>,
+        number: u32,
+        request: &ApproachRequest,
+        frame: Option<&CoordinateFrameView>,
+        result: &mut Approach,
+    ) -> Result<(), Error> {
+        let wish = to_wish(request, frame);
+        let found = scene.compute(move |scene| {
+            let coverage = scene.coverage().ok_or_else(|| {
+                Error::invalid(
+                    "/unseen_region",
+                    "it is not known what the cameras of this scan saw: it has no frames, or was parsed by an older version; in that case, parse it again",
+                )
+            })?;
+            let volumes = coverage.unseen_volumes();
+            let found = unseen_regions(coverage).into_iter().zip(volumes);
+            let (region, volume) = found
+                .into_iter()
+                .find(|(region, _)| region.number == number)
+                .ok_or_else(|| {
+                    let detail = format!("the scene has {} unseen regions", volumes.len());
+                    Error::invalid("/unseen_region", detail)
+                })?;
+            let (occupancy, name) = (scene.occupancy()?, format!("unseen region {number}"));
+            let from_m = |least_m: f32| {
+                let [asked_m, most_m] = wish.distances_m;
+                let wish = Wish { distances_m: [asked_m.max(least_m).min(most_m), most_m], ..wish };
+                approach_points(&occupancy, &volume.points, &name, &wish)
+            };
+            let places = from_m(LOOKING_DISTANCE_M)
+                .filter(|places| places.poses.is_ok())
+                .or_else(|| from_m(0.0));
+            Ok((occupancy.floor_z_m(), region, places, name))
+        });
+        let (floor_z_m, region, places, name) = found.await?;
+        (result.floor_z_m, result.unseen_region) = (Some(floor_z_m), Some(region));
+        let places = places.unwrap_or(Places {
+            poses: Err(FailedCondition::NotVisible),
+            start: None,
+            cells: CellCounts::default(),
+        });
+        set_places(places, &name, result);
+        Ok(())
     }
 
     /// Returns the map of a scene's floor. Anything higher than `height_m` above the floor is not
@@ -193,6 +246,21 @@ impl ApproachService {
     }
 }
 
+/// Sets the poses of a result, or why there are none.
+fn set_places(Places { poses, start, cells }: Places, name: &str, result: &mut Approach) {
+    (result.start, result.cells) = (start, Some(cells));
+    match poses {
+        Ok(poses) => {
+            result.detail = poses.first().map(|best| best.why.clone()).unwrap_or_default();
+            (result.status, result.poses) = (ApproachStatus::Found, poses);
+        }
+        Err(failed) => {
+            result.detail = explanation(failed, name, &cells);
+            (result.status, result.failed) = (ApproachStatus::NonePossible, Some(failed));
+        }
+    }
+}
+
 /// Returns a question for the built-in reasoner: it costs nothing, and a robot does not wait for a
 /// model.
 fn builtin_question(query: &str, min_confidence: Option<f32>) -> GroundRequest {
@@ -209,6 +277,7 @@ fn to_wish(request: &ApproachRequest, frame: Option<&CoordinateFrameView>) -> Wi
     let ApproachRequest {
         instance_id: _,
         query: _,
+        unseen_region: _,
         min_confidence: _,
         robot,
         from,

@@ -28,6 +28,7 @@ fn to_view(
     instance: Instance,
     model_name: Option<String>,
     given_name: Option<String>,
+    last_seen: Option<String>,
 ) -> InstanceView {
     let label = instance.label().to_owned();
     let Instance {
@@ -79,6 +80,7 @@ fn to_view(
         gone,
         merged_from,
         found_for,
+        last_seen,
         views,
     }
 }
@@ -138,7 +140,7 @@ impl InstanceService {
         let view = |instance: &Instance| {
             let (name, given) =
                 (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
-            to_view(instance.clone(), name, given)
+            to_view(instance.clone(), name, given, parse.last_seen(instance.id))
         };
         Ok(instances.map(view).collect())
     }
@@ -148,7 +150,7 @@ impl InstanceService {
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
         let (parse, instance) = self.find_instance(scene_id, id).await?;
         let name = self.parsed_scenes.names_of(&parse.id).await?.remove(&id.0);
-        Ok(to_view(instance, name, parse.renamed.get(&id.0).cloned()))
+        Ok(to_view(instance, name, parse.renamed.get(&id.0).cloned(), parse.last_seen(id)))
     }
 
     /// Returns an evidence picture.

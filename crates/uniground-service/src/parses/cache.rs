@@ -2,14 +2,16 @@
 
 use bytes::Bytes;
 use camino::Utf8PathBuf;
+use jiff::Timestamp;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::SystemTime;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::lru_cache::LruCache;
-use uniground_geometry::scene::{Embeddings, FrameEmbeddings, Instance, SourceToScene};
+use uniground_geometry::scene::{Embeddings, FrameEmbeddings, Instance, InstanceId, SourceToScene};
 use uniground_grounding::NameIndex;
 use uniground_grounding::approach::Occupancy;
+use uniground_parsing::observation::Observation;
 use uniground_render::RenderScene;
 use uniground_storage::Scratch;
 
@@ -36,6 +38,18 @@ pub struct LoadedParse {
     pub embeddings: Option<Embeddings>,
     /// The encoder's embeddings of whole frames.
     pub frame_embeddings: Option<FrameEmbeddings>,
+    /// What the frames saw. Empty for parses of versions that did not store it.
+    pub observation: Observation,
+}
+
+impl LoadedParse {
+    /// Returns the time of the newest frame that shows an instance, RFC 3339 UTC. `None` if frames
+    /// have no times.
+    pub fn last_seen(&self, id: InstanceId) -> Option<String> {
+        let seconds = self.observation.last_seen_s.get(&id.0)?;
+        let time = Timestamp::from_millisecond((seconds * 1e3).round() as i64).ok()?;
+        Some(time.to_string())
+    }
 }
 
 /// The number of scenes whose instances stay in memory. An instance takes a few kilobytes.

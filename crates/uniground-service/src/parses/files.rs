@@ -12,6 +12,7 @@ use uniground_geometry::scene::{
     write_even_points, write_instances_ply,
 };
 use uniground_parsing::evidence::Picture;
+use uniground_parsing::observation::{Observation, observe};
 use uniground_parsing::scan::{ImportedScan, ParsedScan};
 use uniground_parsing::{ParseError, report_pictures};
 use uniground_render::{RenderScene, encode_jpeg};
@@ -51,6 +52,7 @@ const SHARED: &str = "embedding_shared.npy";
 const FRAME_EMBEDDINGS: [&str; 2] = ["frame_embeddings.npy", "frame_embeddings_of.npy"];
 const VIEWS: &str = "views";
 const FRAMES: &str = "frames.json";
+const OBSERVATION: &str = "observation.json";
 
 /// Returns the path of an evidence picture of an instance. Only parses of earlier versions store
 /// such pictures. Newer ones are drawn on request. `view` counts from 0.
@@ -118,6 +120,19 @@ fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Re
     let kept: Vec<FrameRef> =
         frames.iter().map(|frame| frame.clone().with_paths(relative)).collect();
     Ok(fs::write(parse.join(FRAMES), serde_json::to_vec(&kept)?)?)
+}
+
+/// Reads what the frames of a parse saw. Returns an empty observation for parses of versions that
+/// did not store it, and logs a warning if the file is damaged.
+///
+/// # Errors
+/// An unreadable file.
+pub fn read_observation(blobs: &Blobs, parse: &Utf8Path) -> io::Result<Observation> {
+    let Some(bytes) = read(blobs, parse, OBSERVATION)? else { return Ok(Observation::default()) };
+    Ok(serde_json::from_slice(&bytes).unwrap_or_else(|error| {
+        tracing::warn!(%parse, %error, "observation is damaged; answers say nothing about unseen parts of the room");
+        Observation::default()
+    }))
 }
 
 /// Reads the embeddings, if an encoder was used.
@@ -240,6 +255,8 @@ fn write_rest(
     write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.path_in(parse))?)?;
     write_instances_ply(parsed, File::create(ParseFile::Instances.path_in(parse))?)?;
     write_frames(&scan.frames, content, parse)?;
+    let observation = observe(parsed, &scan.frames, writing).map_err(ParseError::from)?;
+    fs::write(parse.join(OBSERVATION), serde_json::to_vec(&observation)?)?;
     if let Some(embeddings) = &parsed.embeddings {
         embeddings.write_rows(File::create(ParseFile::Embeddings.path_in(parse))?)?;
         embeddings.write_norms(File::create(parse.join(NORMS))?)?;

@@ -228,6 +228,7 @@ impl ParsedScenes {
                 content,
                 embeddings,
                 frame_embeddings: files::read_frame_embeddings(&blobs, &folder)?,
+                observation: files::read_observation(&blobs, &folder)?.of_corrected(&instances),
                 renamed: corrected_names(&corrections),
                 extent: extent
                     .or_else(around)

@@ -3,9 +3,10 @@
 mod room;
 
 use super::floor::Cell;
-use super::{Floor, Occupancy};
+use super::{Floor, Occupancy, approach_points};
 use proptest::prelude::*;
 use room::{ROBOT, Room, wish};
+use uniground_geometry::Point3;
 use uniground_geometry::scene::{InstanceId, Level, Support};
 use uniground_types::approach::{FailedCondition, Robot};
 
@@ -290,4 +291,27 @@ proptest! {
             }
         }
     }
+}
+
+/// A corner behind a wardrobe: the poses are on its side.
+#[test]
+fn unseen_points_are_looked_at_from_where_nothing_hides_them() {
+    let mut room = Room::empty(5.0, 4.0);
+    room.add([1.5, 2.0, 0.0], [2.0, 4.0, 2.0], ON_FLOOR);
+    let occupancy = room.occupancy();
+    let behind: Vec<Point3<f32>> =
+        (0..5).map(|i| Point3::new(0.5, 2.5 + 0.2 * i as f32, 0.4)).collect();
+    let places =
+        approach_points(&occupancy, &behind, "unseen region 1", &wish(ROBOT, None)).unwrap();
+    let poses = places.poses.unwrap();
+    assert!(!poses.is_empty());
+    for pose in &poses {
+        let [x, y, _] = pose.position;
+        let yaw_rad = (pose.look_at[1] - y).atan2(pose.look_at[0] - x);
+        assert!(x < 1.5 || y < 2.0, "{pose:?}");
+        assert!((yaw_rad - pose.yaw_rad).abs() < 1e-4, "{pose:?}");
+        assert!(pose.why.contains("from the unseen region 1"), "{}", pose.why);
+    }
+    let below = [Point3::new(0.5, 2.5, -3.0)];
+    assert!(approach_points(&occupancy, &below, "a", &wish(ROBOT, None)).is_none());
 }
