@@ -64,6 +64,10 @@ pub struct GroundArgs {
     /// Earlier answer that the question refers to ("and the blue one?", "how big is it?")
     #[arg(long, value_name = "ANSWER_ID", requires = "scene")]
     after: Option<String>,
+    /// Conversation that the question belongs to: an id of your choice. The question follows the
+    /// latest answer of the conversation
+    #[arg(long, value_name = "SESSION", requires = "scene", conflicts_with = "after")]
+    session: Option<String>,
     /// Instance that "this" in the question means
     #[arg(long, value_name = "INSTANCE")]
     this: Option<u32>,
@@ -124,10 +128,13 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         observer: args.observer.map(ObserverArg::to_observer),
         frame: args.frame,
         wait: args.wait.filter(|wait| *wait == ParseQuality::Full).map(|_| WaitFor::Full),
-        context: (args.after.is_some() || args.this.is_some()).then(|| QuestionContext {
+        context: Some(QuestionContext {
             answer_id: args.after.clone(),
+            session: args.session.clone(),
             instance: args.this.map(InstanceId),
-        }),
+            item: None,
+        })
+        .filter(|context| *context != QuestionContext::default()),
         ..GroundRequest::new(&args.query)
     };
     let answer = match (&args.scan, &args.scene) {

@@ -48,6 +48,7 @@ mod resumable_uploads;
 mod retention;
 mod scenes;
 mod scripted_model;
+mod sessions;
 mod shared_scenes;
 mod slow_clients;
 mod snapshots;

@@ -23,6 +23,7 @@ async fn follow_up_questions_refer_to_answers_and_instances() {
         context: Some(QuestionContext {
             answer_id: answer_id.map(str::to_owned),
             instance: instance.map(InstanceId),
+            ..QuestionContext::default()
         }),
         min_confidence: Some(0.0),
         ..ask(query)

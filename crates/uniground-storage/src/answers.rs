@@ -49,6 +49,8 @@ pub struct NewAnswer {
     pub scene_id: String,
     pub parse_id: String,
     pub body: String,
+    /// The conversation that it belongs to, with the caller's name for it.
+    pub session: Option<String>,
 }
 
 struct QueuedAnswer {
@@ -95,13 +97,13 @@ impl AnswerQueue {
 
 /// Writes answers in one transaction. Returns for each whether its scene and parse still exist.
 async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, StoreError> {
-    let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at, record_version)
-               SELECT $1, $2, $3, $4, $5, $6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $2) AND EXISTS (SELECT 1 FROM parses WHERE id = $3)
+    let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at, record_version, session)
+               SELECT $1, $2, $3, $4, $5, $6, $7 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $2) AND EXISTS (SELECT 1 FROM parses WHERE id = $3)
                ON CONFLICT (id) DO UPDATE SET id = answers.id";
     let time = now();
     let mut tx = writer.begin().await?;
     let mut reply = Vec::with_capacity(answers.len());
-    for NewAnswer { id, scene_id, parse_id, body } in answers {
+    for NewAnswer { id, scene_id, parse_id, body, session } in answers {
         let inserted = sqlx::query(sql)
             .bind(id)
             .bind(scene_id)
@@ -109,6 +111,7 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
             .bind(body)
             .bind(&time)
             .bind(i64::from(RECORD_VERSION))
+            .bind(session)
             .execute(&mut *tx)
             .await?;
         reply.push(inserted.rows_affected() > 0);
@@ -161,6 +164,24 @@ impl AnswerRepository {
     pub async fn answer(&self, id: &str) -> Result<Option<AnswerRow>, StoreError> {
         Ok(sqlx::query_as("SELECT id, parse_id, body FROM answers WHERE id = $1")
             .bind(id)
+            .fetch_optional(&self.database.reader)
+            .await?)
+    }
+
+    /// Returns the newest answer of a conversation about a scene.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn latest_of_session(
+        &self,
+        session: &str,
+        scene_id: &str,
+    ) -> Result<Option<AnswerRow>, StoreError> {
+        let sql = "SELECT id, parse_id, body FROM answers
+                   WHERE session = $1 AND scene_id = $2 ORDER BY id DESC LIMIT 1";
+        Ok(sqlx::query_as(sql)
+            .bind(session)
+            .bind(scene_id)
             .fetch_optional(&self.database.reader)
             .await?)
     }

@@ -380,6 +380,23 @@ impl BatchRepository {
         Ok((numbers, usd))
     }
 
+    /// Returns the id that the answer to an item has or will have; `None` if there is no such item.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn answer_id_of_item(
+        &self,
+        id: &str,
+        item: u32,
+    ) -> Result<Option<String>, StoreError> {
+        let sql = "SELECT answer_id FROM batch_items WHERE batch_id = $1 AND item = $2";
+        Ok(sqlx::query_scalar(sql)
+            .bind(id)
+            .bind(i64::from(item))
+            .fetch_optional(&self.database.reader)
+            .await?)
+    }
+
     /// Returns unanswered items, in order.
     ///
     /// # Errors

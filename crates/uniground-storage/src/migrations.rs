@@ -6,7 +6,7 @@ use sqlx::migrate::{Migration, MigrationType, Migrator};
 
 /// Migrations that update a SQLite database of any version, in order. A released file is never
 /// changed.
-pub(super) const MIGRATIONS: [(i64, &str, &str); 17] = [
+pub(super) const MIGRATIONS: [(i64, &str, &str); 18] = [
     (
         1,
         "scenes parses jobs answers",
@@ -36,10 +36,11 @@ pub(super) const MIGRATIONS: [(i64, &str, &str); 17] = [
     (15, "members", include_str!("../../../migrations/sqlite/0015_members.sql")),
     (16, "room index", include_str!("../../../migrations/sqlite/0016_room_index.sql")),
     (17, "batch defaults", include_str!("../../../migrations/sqlite/0017_batch_defaults.sql")),
+    (18, "sessions", include_str!("../../../migrations/sqlite/0018_sessions.sql")),
 ];
 
 /// The same for PostgreSQL. Its first migration equals the result of SQLite's first fourteen.
-const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 4] = [
+const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 5] = [
     (
         14,
         "everything so far",
@@ -48,6 +49,7 @@ const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 4] = [
     (15, "members", include_str!("../../../migrations/postgres/0015_members.sql")),
     (16, "room index", include_str!("../../../migrations/postgres/0016_room_index.sql")),
     (17, "batch defaults", include_str!("../../../migrations/postgres/0017_batch_defaults.sql")),
+    (18, "sessions", include_str!("../../../migrations/postgres/0018_sessions.sql")),
 ];
 
 pub(super) fn migrations(engine: Engine) -> Migrator {

@@ -375,6 +375,13 @@ pub struct Answer {
     /// instance 12 is "how big is #12". Absent if the context changes nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub understood_as: Option<String>,
+    /// Id of the earlier answer that the question follows, from its `context`: the given one, the
+    /// latest of the session, or that of the batch item. Absent if it follows none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub follows: Option<String>,
+    /// Session of the question's `context`. Absent without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<String>,
     /// What kind of answer the question asks for. `box` in answers from older versions.
     #[serde(default)]
     pub kind: AnswerKind,

@@ -13,6 +13,8 @@ const MAX_QUERY_CHARS: usize = 1000;
 
 const MAX_TOP_K: u32 = 100;
 
+const MAX_SESSION_CHARS: usize = 100;
+
 const MAX_TIMEOUT_S: f32 = 3600.0;
 
 /// Limits of the corners of a region.
@@ -286,8 +288,8 @@ pub struct GroundRequest {
     /// rejected with `scene_not_ready`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait: Option<WaitFor>,
-    /// Context of a follow-up question: an earlier answer ("and the blue one?", "how big is it?"), or
-    /// an instance that is meant by "this".
+    /// Context of a follow-up question: an earlier answer or a conversation ("and the blue one?",
+    /// "how big is it?"), or an instance that is meant by "this".
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub context: Option<QuestionContext>,
     /// Version of the parse that the question is about. If the scene has another one, the question
@@ -305,15 +307,54 @@ pub struct GroundRequest {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct QuestionContext {
-    /// Id of an earlier answer about the same version of the scene. "It" is the object of that answer, and "one"
-    /// has the noun of its question. The answer's own context counts too, so the id of the last
-    /// answer is enough.
+    /// Id of an earlier answer about the same version of the scene. "It" is the object of that
+    /// answer, and "one" has the noun of its question. The answer's own context counts too, so the
+    /// id of the last answer is enough.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub answer_id: Option<String>,
+    /// Id of a conversation, chosen by the client, 1 to 100 characters. The question follows the
+    /// latest answer with this id about the same version of the scene, and the new answer joins the
+    /// conversation. Without such an answer, the question begins it. Other API keys have their own
+    /// conversations. Instead of `answer_id`; not in batches.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 100))]
+    pub session: Option<String>,
+    /// Index of an earlier item of the same batch and scene, from 0, whose answer the question
+    /// follows. It is asked when that item is answered. Instead of `answer_id`; only in batches.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub item: Option<u32>,
     /// Id of the instance that is meant by "this", "that" and "it", for example the one that is
     /// selected in a viewer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instance: Option<InstanceId>,
+}
+
+impl QuestionContext {
+    fn check(&self) -> Result<(), FieldError> {
+        if *self == Self::default() {
+            return Err(FieldError::new(
+                "/context",
+                "must have an answer_id, a session or an instance",
+            ));
+        }
+        let earlier = [self.answer_id.is_some(), self.session.is_some(), self.item.is_some()];
+        if earlier.into_iter().filter(|is_set| *is_set).count() > 1 {
+            return Err(FieldError::new(
+                "/context",
+                "must have at most one of answer_id, session and item",
+            ));
+        }
+        match &self.session {
+            Some(id) if !(1..=MAX_SESSION_CHARS).contains(&id.chars().count()) => {
+                let detail = format!("must have 1 to {MAX_SESSION_CHARS} characters");
+                Err(FieldError::new("/context/session", detail))
+            }
+            Some(id) if id.chars().any(char::is_control) => {
+                Err(FieldError::new("/context/session", "must not contain control characters"))
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 /// A part of the room: a polygon on the ground plan, a range of heights, or both. The center of an
@@ -494,9 +535,7 @@ impl GroundRequest {
             numbers::check_coordinates("/observer/position", position)?;
             numbers::check_finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
         }
-        if self.context.as_ref().is_some_and(|context| *context == QuestionContext::default()) {
-            return Err(FieldError::new("/context", "must have an answer_id or an instance"));
-        }
+        self.context.as_ref().map_or(Ok(()), QuestionContext::check)?;
         self.within.as_ref().map_or(Ok(()), Region::check)?;
         self.min_confidence
             .map_or(Ok(()), |least| numbers::check_in_range("/min_confidence", least, 0.0..=1.0))?;
@@ -529,5 +568,39 @@ fn check_top_k(top_k: u32) -> Result<(), FieldError> {
     match top_k {
         1..=MAX_TOP_K => Ok(()),
         _ => Err(FieldError::new("/top_k", format!("must be 1 to {MAX_TOP_K}"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_context_names_one_earlier_answer_at_most() {
+        let check = |context: QuestionContext| {
+            let request = GroundRequest { context: Some(context), ..GroundRequest::new("and it?") };
+            request.check().map_err(|error| error.pointer)
+        };
+        let (answer_id, session) = (Some("a".to_owned()), Some("s".to_owned()));
+        let none = QuestionContext::default();
+        assert_eq!(check(none.clone()), Err("/context".into()));
+        for context in [
+            QuestionContext { answer_id: answer_id.clone(), ..none.clone() },
+            QuestionContext { session: session.clone(), ..none.clone() },
+            QuestionContext { item: Some(0), ..none.clone() },
+            QuestionContext {
+                session: session.clone(),
+                instance: Some(InstanceId(1)),
+                ..none.clone()
+            },
+        ] {
+            assert_eq!(check(context), Ok(()));
+        }
+        let both = QuestionContext { answer_id, session, ..none.clone() };
+        assert_eq!(check(both), Err("/context".into()));
+        for session in [String::new(), "x".repeat(101), "a\u{7}".into()] {
+            let context = QuestionContext { session: Some(session), ..none.clone() };
+            assert_eq!(check(context), Err("/context/session".into()));
+        }
     }
 }

@@ -75,8 +75,8 @@ pub(super) struct Ground {
     /// Frame of `observer`, `within` and `in_frame`.
     #[serde(default)]
     pub frame: FrameChoice,
-    /// Context of a follow-up question: the `answer_id` of an earlier answer for "it" and "one", or the
-    /// instance that "this" means.
+    /// Context of a follow-up question: the `answer_id` of an earlier answer or a `session` of your
+    /// choice for "it" and "one", or the instance that "this" means.
     pub context: Option<QuestionContext>,
     /// Region in which the object has to be.
     pub within: Option<Region>,

@@ -11,6 +11,7 @@ mod stored_scene;
 pub(super) mod table;
 mod transcripts;
 
+use follow_ups::ResolvedQuestion;
 pub use lists::AnswerService;
 pub use lists::LineFormat;
 use question_models::QuestionModels;
@@ -55,6 +56,16 @@ pub(super) struct QuestionCaller {
     pub is_batch: bool,
     /// Whether the scene may be named first. Naming is not charged to the question.
     pub may_name: bool,
+}
+
+/// What is stored with an answer.
+struct AnswerRecord<'a> {
+    /// Name of the vision-language model.
+    model: &'a str,
+    parse_id: &'a str,
+    /// The conversation that it belongs to, qualified by the caller.
+    session: Option<String>,
+    calls: Vec<CallRecord>,
 }
 
 /// Answers questions about scenes.
@@ -188,14 +199,15 @@ impl GroundingService {
             None => request,
         };
         let said = request.query.clone();
-        let (understood_as, context_confidence) = match &request.context {
+        let (understood_as, context_confidence, follows) = match &request.context {
             Some(context) => {
-                let (resolved, confidence) =
-                    self.resolve_follow_up(&scene, &said, context, &source).await?;
-                ((resolved != said).then_some(resolved), confidence)
+                let ResolvedQuestion { query, confidence, follows } =
+                    self.resolve_follow_up(&scene, &said, context, &asker.caller, &source).await?;
+                ((query != said).then_some(query), confidence, follows)
             }
-            None => (None, 1.0),
+            None => (None, 1.0, None),
         };
+        let session = request.context.as_ref().and_then(|context| context.session.clone());
         let request = match &understood_as {
             Some(query) => GroundRequest { query: query.clone(), ..request },
             None => request,
@@ -228,12 +240,20 @@ impl GroundingService {
             self.to_answer(&answered, asker.answer_id, scene.id, version, &source.parse);
         answer.query = said;
         answer.understood_as = understood_as;
+        answer.follows = follows;
+        answer.session = session;
         answer.in_frame = frame.map(|frame| frame.with_targets(&answer.targets));
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
         // No client waits for an item of a batch, and its answer may have been paid for. Storing it
         // is retried until the store is available again.
         let patience = if asker.is_batch { STORE_RETRY_TIMEOUT } else { Duration::ZERO };
-        match self.store_with_retries(patience, &answer, model, &parse_id, answered.calls).await {
+        let record = AnswerRecord {
+            model,
+            parse_id: &parse_id,
+            session: answer.session.clone().map(|session| asker.caller.qualify_name(session)),
+            calls: answered.calls,
+        };
+        match self.store_with_retries(patience, &answer, &record).await {
             Ok(true) => {}
             Ok(false) => {
                 self.blobs.discard(self.blobs.answer(&answer.id)).await?;
@@ -276,13 +296,11 @@ impl GroundingService {
         &self,
         patience: Duration,
         answer: &Answer,
-        model: &str,
-        parse_id: &str,
-        calls: Vec<CallRecord>,
+        record: &AnswerRecord<'_>,
     ) -> Result<bool, Error> {
         let start = Instant::now();
         loop {
-            match self.store_answer(answer, model, parse_id, calls.clone()).await {
+            match self.store_answer(answer, record).await {
                 Err(error) if error.is_transient() && start.elapsed() < patience => {
                     tracing::warn!(
                         error = &error as &dyn std::error::Error,
@@ -299,16 +317,15 @@ impl GroundingService {
     async fn store_answer(
         &self,
         answer: &Answer,
-        model: &str,
-        parse_id: &str,
-        calls: Vec<CallRecord>,
+        AnswerRecord { model, parse_id, session, calls }: &AnswerRecord<'_>,
     ) -> Result<bool, Error> {
-        self.transcripts.store_transcript(answer, model, calls).await?;
+        self.transcripts.store_transcript(answer, model, calls.clone()).await?;
         let new = NewAnswer {
             id: answer.id.clone(),
             scene_id: answer.scene_id.clone(),
-            parse_id: parse_id.to_owned(),
+            parse_id: (*parse_id).to_owned(),
             body: serde_json::to_string(answer)?,
+            session: session.clone(),
         };
         Ok(self.answer_repository.insert_answer(new).await?)
     }
@@ -402,6 +419,8 @@ impl GroundingService {
             parse_version,
             query,
             understood_as: None,
+            follows: None,
+            session: None,
             kind,
             text,
             value,

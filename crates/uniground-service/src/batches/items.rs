@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer};
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use uniground_types::question::GroundRequest;
 
 /// The field of the scene. Every item stores it separately from the other fields.
@@ -56,6 +56,67 @@ impl BatchDefaults {
 pub fn take_scene(fields: &mut Map<String, Value>, shared: &str) -> String {
     let own = fields.remove(SCENE_ID);
     own.map_or_else(|| shared.to_owned(), |id| id.as_str().unwrap_or_default().to_owned())
+}
+
+/// Checks references between the items of a batch while they arrive. Keeps four bytes per item.
+#[derive(Default)]
+pub struct ItemReferences {
+    scenes: HashMap<String, u32>,
+    /// The scene of each item, as a number.
+    scene_of_item: Vec<u32>,
+}
+
+impl ItemReferences {
+    /// Adds the next item with its own fields.
+    ///
+    /// # Errors
+    /// A reference to an item that is not an earlier one about the same scene; a session.
+    pub fn add_item(&mut self, scene_id: &str, fields: &Map<String, Value>) -> Result<(), Error> {
+        let item = self.scene_of_item.len();
+        let next = self.scenes.len() as u32;
+        let scene = match self.scenes.get(scene_id) {
+            Some(scene) => *scene,
+            None => *self.scenes.entry(scene_id.to_owned()).or_insert(next),
+        };
+        self.scene_of_item.push(scene);
+        let Some(context) = fields.get("context") else { return Ok(()) };
+        check_no_session(context, &format!("/items/{item}"))?;
+        let Some(reference) = context.get("item").filter(|reference| !reference.is_null()) else {
+            return Ok(());
+        };
+        let earlier = reference
+            .as_u64()
+            .and_then(|index| usize::try_from(index).ok())
+            .filter(|index| *index < item);
+        let why = match earlier {
+            Some(earlier) if self.scene_of_item[earlier] == scene => return Ok(()),
+            Some(earlier) => format!("item {earlier} is about another scene"),
+            None => format!("must be the index of an earlier item, and this is item {item}"),
+        };
+        Err(Error::invalid(format!("/items/{item}/context/item"), why))
+    }
+}
+
+/// Checks the context that all items of a batch share.
+///
+/// # Errors
+/// A reference to an item, or a session.
+pub fn check_shared_context(defaults: &Map<String, Value>) -> Result<(), Error> {
+    let Some(context) = defaults.get("context") else { return Ok(()) };
+    check_no_session(context, "/defaults")?;
+    if context.get("item").is_some_and(|reference| !reference.is_null()) {
+        let why = "only an item can refer to an earlier item";
+        return Err(Error::invalid("/defaults/context/item", why.to_owned()));
+    }
+    Ok(())
+}
+
+fn check_no_session(context: &Value, pointer: &str) -> Result<(), Error> {
+    if context.get("session").is_some_and(|session| !session.is_null()) {
+        let why = "items run in parallel, so a batch has no sessions: refer to an earlier item with context.item";
+        return Err(Error::invalid(format!("{pointer}/context/session"), why.to_owned()));
+    }
+    Ok(())
 }
 
 /// Parses the question of an item.
@@ -147,6 +208,37 @@ mod tests {
             assert_eq!(take_scene(&mut own, "shared"), scene);
             assert!(!own.contains_key(SCENE_ID));
         }
+    }
+
+    #[test]
+    fn references_must_point_to_earlier_items_of_the_same_scene() {
+        let mut references = ItemReferences::default();
+        let mut add = |scene: &str, own: Value| {
+            references.add_item(scene, &fields(own)).map_err(|error| match error {
+                Error::Invalid { pointer, .. } => pointer,
+                other => panic!("{other}"),
+            })
+        };
+        assert_eq!(add("a", json!({"query": "the sofa"})), Ok(()));
+        assert_eq!(add("b", json!({"context": {"instance": 3}})), Ok(()));
+        assert_eq!(add("a", json!({"context": {"item": 0}})), Ok(()));
+        for (own, field) in [
+            (json!({"context": {"item": 1}}), "item"),
+            (json!({"context": {"item": 4}}), "item"),
+            (json!({"context": {"item": -1}}), "item"),
+            (json!({"context": {"item": "0"}}), "item"),
+            (json!({"context": {"session": "s"}}), "session"),
+        ] {
+            let pointer = add("a", own).unwrap_err();
+            assert!(pointer.ends_with(&format!("/context/{field}")), "{pointer}");
+        }
+        // What is no context at all fails as an item.
+        assert_eq!(add("a", json!({"context": 3})), Ok(()));
+        assert_eq!(add("a", json!({"context": {"item": null, "session": null}})), Ok(()));
+        for shared in [json!({"context": {"item": 0}}), json!({"context": {"session": "s"}})] {
+            assert!(check_shared_context(&fields(shared)).is_err());
+        }
+        assert!(check_shared_context(&fields(json!({"context": {"instance": 3}}))).is_ok());
     }
 
     proptest! {

@@ -9,6 +9,7 @@ use crate::{Caller, Capacity, GroundingService, Keyring, Vlm, job_failure, until
 use futures::future::ready;
 use futures::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -159,19 +160,27 @@ impl BatchRun {
     /// Asks items concurrently and writes their results.
     async fn ask(&mut self, items: Vec<OpenItem>, caller: &Caller) -> Result<BudgetState, Error> {
         let asking = AtomicBool::new(true);
-        let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
         let (service, caller, budget) = (self.service.clone(), caller.clone(), self.budget.clone());
         let defaults = self.defaults.clone();
+        let window = Arc::new(ItemWindow::of(&self.batch.id, &items));
+        let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
         // Separate tasks: they continue while this loop writes to the database. A suspended task
         // could hold a resource that the write waits for.
         let task = |item: OpenItem| {
             let (service, caller, budget) = (service.clone(), caller.clone(), budget.clone());
             let (defaults, number) = (defaults.clone(), item.item);
-            let asked =
-                async move { service.ask_item(item, &defaults, &caller, budget.as_ref()).await };
+            let (window, of_task) = (window.clone(), window.clone());
+            let asked = async move {
+                service.ask_item(item, &defaults, &of_task, &caller, budget.as_ref()).await
+            };
             let asked = AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()));
-            // A question that panics fails alone. Its batch continues.
-            async move { asked.await.unwrap_or_else(|panic| Ok(to_failed_item(number, &panic.into()))) }
+            async move {
+                // A question that panics fails alone. Its batch continues.
+                let end =
+                    asked.await.unwrap_or_else(|panic| Ok(to_failed_item(number, &panic.into())));
+                window.set_done(number, matches!(end, Ok(ItemOutcome::Closed(_))));
+                end
+            }
         };
         let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
@@ -270,6 +279,7 @@ impl BatchRunner {
         &self,
         open: OpenItem,
         defaults: &BatchDefaults,
+        window: &ItemWindow,
         caller: &Caller,
         budget: Option<&Budget>,
     ) -> Result<ItemOutcome, Error> {
@@ -297,6 +307,14 @@ impl BatchRunner {
                 Ok(request) => request,
                 Err(error) => return Ok(to_failed_item(item, &error)),
             };
+        let request = match self.resolve_item_reference(request, window).await? {
+            EarlierItem::Answered(request) => *request,
+            EarlierItem::Open => return Ok(ItemOutcome::OverBudget),
+            EarlierItem::Failed(earlier) => {
+                let why = format!("item {earlier} has no answer that this question could follow");
+                return Ok(to_failed_item(item, &Error::invalid("/context/item", why)));
+            }
+        };
         let (mut tries, mut wait) = (0, MIN_BACKOFF);
         loop {
             let asker = QuestionCaller {
@@ -338,6 +356,84 @@ impl BatchRunner {
                 }
                 Err(error) => return Ok(to_failed_item(item, &error)),
             }
+        }
+    }
+}
+
+/// The item that a question follows.
+enum EarlierItem {
+    /// It was answered, or there is none. The question now names the answer.
+    Answered(Box<GroundRequest>),
+    /// It was not asked, because a budget is exhausted.
+    Open,
+    /// It has no answer.
+    Failed(u32),
+}
+
+impl BatchRunner {
+    /// Waits for the item that a question follows, and replaces the reference by its answer.
+    async fn resolve_item_reference(
+        &self,
+        mut request: GroundRequest,
+        window: &ItemWindow,
+    ) -> Result<EarlierItem, Error> {
+        let Some(context) = &mut request.context else {
+            return Ok(EarlierItem::Answered(Box::new(request)));
+        };
+        let Some(earlier) = context.item.take() else {
+            return Ok(EarlierItem::Answered(Box::new(request)));
+        };
+        let answer_id = match window.items.get(&earlier) {
+            Some(end) => {
+                end.done.cancelled().await;
+                if !end.is_closed.load(Relaxed) {
+                    return Ok(EarlierItem::Open);
+                }
+                Some(end.answer_id.clone())
+            }
+            None => self.batch_repository.answer_id_of_item(&window.batch_id, earlier).await?,
+        };
+        let answer = match &answer_id {
+            Some(id) => self.answer_repository.answer(id).await?,
+            None => None,
+        };
+        if answer.is_none() {
+            return Ok(EarlierItem::Failed(earlier));
+        }
+        context.answer_id = answer_id;
+        Ok(EarlierItem::Answered(Box::new(request)))
+    }
+}
+
+/// The items that are asked together. An item starts after all earlier ones, so waiting for an
+/// earlier one never blocks the batch.
+struct ItemWindow {
+    batch_id: String,
+    items: BTreeMap<u32, ItemEnd>,
+}
+
+/// The end of an item, for those that follow it.
+struct ItemEnd {
+    answer_id: String,
+    done: CancellationToken,
+    /// Whether it was answered or failed. Otherwise it stays open.
+    is_closed: AtomicBool,
+}
+
+impl ItemWindow {
+    fn of(batch_id: &str, items: &[OpenItem]) -> Self {
+        let end = |open: &OpenItem| {
+            let (done, is_closed) = (CancellationToken::new(), AtomicBool::new(false));
+            (open.item, ItemEnd { answer_id: open.answer_id.clone(), done, is_closed })
+        };
+        Self { batch_id: batch_id.to_owned(), items: items.iter().map(end).collect() }
+    }
+
+    /// Lets the items go on that follow this one.
+    fn set_done(&self, item: u32, is_closed: bool) {
+        if let Some(end) = self.items.get(&item) {
+            end.is_closed.store(is_closed, Relaxed);
+            end.done.cancel();
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Receives a batch: items as JSON or JSONL, of any length, a few at a time.
 
-use super::items::{SCENE_ID, take_scene};
+use super::items::{ItemReferences, SCENE_ID, check_shared_context, take_scene};
 use super::job::Payload;
 use super::{BatchJob, MAX_CONCURRENCY, MAX_ITEMS, MAX_LABEL_CHARS};
 use crate::error::Error;
@@ -95,6 +95,7 @@ struct BatchReceiver<'a> {
     form: DigestForm,
     /// `None` if the batch was submitted before. The items are then only compared.
     batch_id: Option<String>,
+    references: ItemReferences,
     digest: Sha256,
     waiting: Vec<NewItem>,
     waiting_bytes: usize,
@@ -125,6 +126,7 @@ impl BatchReceiver<'_> {
             self.finalize_defaults()?;
         }
         let scene_id = take_scene(&mut fields, &self.scene_id);
+        self.references.add_item(&scene_id, &fields)?;
         if self.form == DigestForm::Whole {
             let own = std::mem::replace(&mut fields, self.defaults.clone());
             fields.extend(own);
@@ -157,6 +159,7 @@ impl BatchReceiver<'_> {
 
     /// Finalizes the defaults when the first item arrives.
     fn finalize_defaults(&mut self) -> Result<(), Error> {
+        check_shared_context(&self.defaults)?;
         self.scene_id = take_scene(&mut self.defaults, "");
         if self.scene_id.len() > MAX_SCENE_ID_BYTES {
             let detail = format!("no scene's id has more than {MAX_SCENE_ID_BYTES} bytes");
@@ -355,6 +358,7 @@ impl BatchService {
             scene_id: String::new(),
             form,
             batch_id: batch_id.clone(),
+            references: ItemReferences::default(),
             digest,
             waiting: Vec::new(),
             waiting_bytes: 0,
