@@ -63,7 +63,7 @@ pub enum IngestError {
     #[error(transparent)]
     Frame(#[from] FrameError),
     #[error(
-        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other convention fits (best: {hypothesis}, {other_agreement:.0}%). {cause}"
+        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other convention fits (best: {hypothesis}, {other_agreement:.0}%): {cause}"
     )]
     NothingFits { agreement: f32, hypothesis: String, other_agreement: f32, cause: String },
     #[error(

@@ -5,6 +5,7 @@
 //! not depend on how much frames hide of each other.
 
 use super::IngestError;
+use super::reprojection::{CONSTANT_SHARE, most_frequent};
 use super::scan::Scan;
 use rayon::prelude::*;
 use uniground_geometry::Point3;
@@ -22,13 +23,17 @@ const KEPT_PIXELS: u32 = 160;
 /// Relative depth difference that counts as agreement, as in the check of conventions.
 const TOLERANCE: f32 = 0.1;
 /// Minimum number of compared points of a frame, and of compared frames.
-const MIN_POINTS: u32 = 100;
+const MIN_POINTS: u32 = 400;
 const MIN_FRAMES: usize = 4;
 /// A frame whose agreement is this much below the median contradicts the others. Frames of correct
 /// scans agree by 0.91 to 1; a frame that is half a meter off, by 0.4 to 0.7.
 const BELOW_MEDIAN: f32 = 0.08;
 /// If half of the frames agree by less than this, many of them are wrong.
 const MANY_WRONG: f32 = 0.88;
+/// A cloud whose agreement is this much below that of the frames with each other does not fit them.
+const CLOUD_BELOW_FRAMES: f32 = 0.08;
+/// Two frames with this many agreeing points see the same surfaces.
+const CONNECTED: u32 = 10;
 /// Maximum number of frames that are named.
 const MAX_NAMED: usize = 5;
 
@@ -83,12 +88,15 @@ pub(super) fn check(
         .filter_map(|at| Some(DepthSketch::new(at, &frames[at], &frames[at].decode_depth().ok()?)))
         .collect();
     check_measurements(scan, &sketches, findings)?;
+    check_constant(&sketches, findings);
     let comparison = Comparison::new(&sketches, cloud);
+    comparison.check_cloud(findings);
+    comparison.check_parts(scan, &sketches, findings);
     let everyone = vec![true; sketches.len()];
     let Some(middle) = comparison.median_share(&everyone) else { return Ok(()) };
     if middle < MANY_WRONG {
         let text = format!(
-            "frames contradict each other: in half of them, {:.0}% or more of the compared points lie where another frame sees through (correct scans: less than 10%). Poses or depth of some frames are wrong, or the poses drift",
+            "frames contradict each other: in half of them, {:.0}% or more of the compared points lie where another frame sees through (correct scans: less than 10%). Poses or depth of some frames are wrong, the poses drift, or the intrinsics are wrong",
             (1.0 - middle) * 100.0
         );
         findings.push(Finding::unusual(FindingSubject::Poses, text));
@@ -98,7 +106,7 @@ pub(super) fn check(
         comparison.find_wrong(everyone).into_iter().map(|i| sketches[i].at).collect();
     if !wrong.is_empty() {
         let text = format!(
-            "{} of {} compared frames contradict the others: their pose or depth is wrong, or something moved: {}",
+            "at least {} of {} compared frames contradict the others: their pose, depth or intrinsics are wrong, or something moved: {}",
             wrong.len(),
             sketches.len(),
             name_frames(scan, &wrong)
@@ -135,6 +143,26 @@ fn check_measurements(
     Ok(())
 }
 
+/// Reports a value that fills much of many depth pictures.
+fn check_constant(sketches: &[DepthSketch], findings: &mut Vec<Finding>) {
+    let found: Vec<(f32, f32)> = sketches
+        .iter()
+        .filter_map(|sketch| most_frequent(&sketch.depth_m))
+        .filter(|(_, share)| *share >= CONSTANT_SHARE)
+        .collect();
+    let Some((value_m, _)) = found.get(found.len() / 2) else { return };
+    if found.len() * 4 < sketches.len() {
+        return;
+    }
+    let text = format!(
+        "in {} of {} examined depth pictures, one value ({value_m:.3} m) fills up to {:.0}% of the measured pixels: depth seems to be cut off there, or this marks no measurement",
+        found.len(),
+        sketches.len(),
+        found.iter().map(|(_, share)| *share).fold(0.0, f32::max) * 100.0
+    );
+    findings.push(Finding::unusual(FindingSubject::Frames, text).counting(found.len()));
+}
+
 /// Returns the color pictures of the first few frames.
 fn name_frames(scan: &Scan, frames: &[usize]) -> String {
     let named = frames.iter().take(MAX_NAMED).map(|&at| scan.frames[at].color.as_str());
@@ -162,6 +190,66 @@ impl Comparison {
             sketches.iter().map(compare).collect()
         });
         Self(rows.collect())
+    }
+
+    /// Reports a cloud that does not fit the frames although the frames fit each other.
+    fn check_cloud(&self, findings: &mut Vec<Finding>) {
+        let (mut of_cloud, mut of_frames) = (Agreement::default(), Agreement::default());
+        for (i, row) in self.0.iter().enumerate() {
+            for (j, seen) in row.iter().enumerate() {
+                if i == j { &mut of_cloud } else { &mut of_frames }.add(*seen);
+            }
+        }
+        let (Some(cloud), Some(frames)) = (of_cloud.share(), of_frames.share()) else { return };
+        if cloud < frames - CLOUD_BELOW_FRAMES {
+            let text = format!(
+                "the cloud does not fit the frames, which fit each other: {:.0}% of the compared points of the cloud lie where a frame sees through, and {:.0}% of those of other frames. Is it of the same scan, in the same coordinates?",
+                (1.0 - cloud) * 100.0,
+                (1.0 - frames) * 100.0
+            );
+            findings.push(Finding::unusual(FindingSubject::Cloud, text));
+        }
+    }
+
+    /// Reports groups of frames that never see a surface of each other.
+    fn check_parts(&self, scan: &Scan, sketches: &[DepthSketch], findings: &mut Vec<Finding>) {
+        let frames = self.0.len();
+        let sees =
+            |i: usize, j: usize| i != j && self.0[i][j].agree + self.0[j][i].agree >= CONNECTED;
+        let mut part_of: Vec<Option<usize>> = vec![None; frames];
+        let mut sizes: Vec<(usize, usize)> = Vec::new();
+        for first in 0..frames {
+            if part_of[first].is_some() || sketches[first].points.is_empty() {
+                continue;
+            }
+            let part = sizes.len();
+            part_of[first] = Some(part);
+            let (mut open, mut size) = (vec![first], 0);
+            while let Some(i) = open.pop() {
+                size += 1;
+                for j in (0..frames).filter(|&j| sees(i, j)) {
+                    if part_of[j].is_none() {
+                        part_of[j] = Some(part);
+                        open.push(j);
+                    }
+                }
+            }
+            sizes.push((size, sketches[first].at));
+        }
+        sizes.retain(|(size, _)| *size > 1);
+        if sizes.len() > 1 {
+            let named: Vec<String> = sizes
+                .iter()
+                .take(MAX_NAMED)
+                .map(|(size, at)| format!("{size} from {} on", scan.frames[*at].color))
+                .collect();
+            let text = format!(
+                "the frames are in {} parts that never see each other ({}): nothing shows whether their poses are in the same coordinates",
+                sizes.len(),
+                named.join(", ")
+            );
+            findings.push(Finding::unusual(FindingSubject::Poses, text).counting(sizes.len()));
+        }
     }
 
     /// Returns the share of the points that a frame sees of others, and that others see of it, that

@@ -66,8 +66,49 @@ pub(super) fn record(folder: &Utf8Path, scan: &mut Scan) {
         findings
             .push(Finding::left_out(FindingSubject::Files, text).without_warning().counting(count));
     }
+    findings.extend(copies_of_pictures(scan));
     findings.append(&mut scan.findings);
     scan.findings = findings;
+}
+
+/// Maximum number of bytes of pictures that are compared.
+const MAX_COMPARED_BYTES: u64 = 64 << 20;
+
+/// Reports color pictures that are copies of others, or that several frames use. Only files of the
+/// same size are read.
+fn copies_of_pictures(scan: &Scan) -> Option<Finding> {
+    let mut by_size: BTreeMap<u64, Vec<&Utf8PathBuf>> = BTreeMap::new();
+    for frame in &scan.frames {
+        if let Ok(found) = scan.root.join(&frame.color).metadata() {
+            by_size.entry(found.len()).or_default().push(&frame.color);
+        }
+    }
+    let mut left = MAX_COMPARED_BYTES;
+    let (mut copies, mut first) = (0, None);
+    for (bytes, files) in by_size.into_iter().filter(|(_, files)| files.len() > 1) {
+        let Some(rest) = left.checked_sub(bytes * files.len() as u64) else { break };
+        left = rest;
+        let mut known: BTreeMap<Vec<u8>, &Utf8PathBuf> = BTreeMap::new();
+        for file in files {
+            let Ok(content) = std::fs::read(scan.root.join(file)) else { continue };
+            if let Some(original) = known.get(&content) {
+                copies += 1;
+                first.get_or_insert((file, *original));
+            } else {
+                known.insert(content, file);
+            }
+        }
+    }
+    let (file, original) = first?;
+    let example = match file == original {
+        true => format!("{file} belongs to several frames"),
+        false => format!("{file} is a copy of {original}"),
+    };
+    let text = format!(
+        "{copies} of {} frames repeat the color picture of another one: {example}",
+        scan.frames.len()
+    );
+    Some(Finding::unusual(FindingSubject::Frames, text).in_file(file.as_str()).counting(copies))
 }
 
 /// Returns ", described by " and the text files that were read besides poses, or nothing.

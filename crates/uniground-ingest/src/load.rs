@@ -9,7 +9,7 @@ use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene};
-use uniground_geometry::{Isometry3, Point3, pose};
+use uniground_geometry::{Isometry3, Point3, Vector3, pose};
 use uniground_types::findings::{Finding, FindingSubject};
 use uniground_types::settings::ImportSettings;
 
@@ -212,6 +212,11 @@ fn read_own_cloud(
         );
         add(Finding::unusual(FindingSubject::Color, text));
     }
+    findings.extend(cloud_doubts(&loaded).into_iter().map(|finding| {
+        let text = format!("{file}: {}", finding.text);
+        Finding { text, ..finding.in_file(file.as_str()) }
+    }));
+    let mut add = |finding: Finding| findings.push(finding.in_file(file.as_str()));
     if thinned > 1 {
         let text = format!("{file}: downsampled, one of {thinned} points is kept");
         add(Finding::changed(FindingSubject::Cloud, text));
@@ -224,6 +229,38 @@ fn read_own_cloud(
         add(Finding::changed(FindingSubject::Cloud, text));
     }
     Ok(loaded)
+}
+
+/// Share of points at exactly the origin from which they are invalid ones.
+const MANY_AT_ORIGIN: f64 = 0.01;
+/// Colors below this level are nearly black; and the share of points from which that is named.
+const NEARLY_BLACK: u8 = 20;
+const MANY_BLACK: f64 = 0.95;
+
+/// Returns what is odd about the points and colors of a cloud.
+fn cloud_doubts(loaded: &LoadedCloud) -> Vec<Finding> {
+    let LoadedCloud { cloud, has_color, offset, .. } = loaded;
+    let all = cloud.len() as f64;
+    let mut doubts = Vec::new();
+    let at_origin = cloud.positions.iter().filter(|p| p.coords == Vector3::zeros()).count();
+    if *offset == [0.0; 3] && at_origin > 1 && at_origin as f64 > MANY_AT_ORIGIN * all {
+        let text =
+            format!("{at_origin} points are at exactly 0 0 0, which often marks invalid ones");
+        doubts.push(Finding::unusual(FindingSubject::Cloud, text).counting(at_origin));
+    }
+    if *has_color && cloud.len() > 1 {
+        let first = cloud.colors[0];
+        let black = cloud.colors.iter().filter(|c| c.iter().all(|v| *v < NEARLY_BLACK)).count();
+        let doubt = if cloud.colors.iter().all(|color| *color == first) {
+            Some("all points have the same color")
+        } else if black as f64 > MANY_BLACK * all {
+            Some("nearly all points are black: check the range of the colors")
+        } else {
+            None
+        };
+        doubts.extend(doubt.map(|text| Finding::unusual(FindingSubject::Color, text)));
+    }
+    doubts
 }
 
 /// Returns the length of the files' unit: as requested, or guessed for a cloud that would be far

@@ -7,6 +7,7 @@ use super::IngestError;
 use super::scan::{CameraAxes, Scan, Units, camera_to_world};
 use causes::with_scalar_first;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::fmt::Write;
 use uniground_geometry::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseConvention};
 use uniground_geometry::statistics::median;
@@ -107,12 +108,16 @@ pub(super) fn check(
         return as_declared(None);
     }
     // Unreadable pictures are reported by another check.
-    let sampled: Vec<SampledFrame> = (0..frames.len())
+    // Not every n-th frame: mistakes can be periodic.
+    let count = frames.len().min(MAX_FRAMES);
+    let sampled: Vec<SampledFrame> = (0..count)
         .into_par_iter()
-        .step_by(frames.len().div_ceil(MAX_FRAMES))
-        .filter_map(|at| {
+        .filter_map(|i| {
+            let at = i * frames.len() / count;
             let frame = &frames[at];
-            Some(SampledFrame { at, frame, depth: frame.decode_depth().ok()? })
+            let mut depth = frame.decode_depth().ok()?;
+            remove_constant(&mut depth);
+            Some(SampledFrame { at, frame, depth })
         })
         .collect();
     if sampled.is_empty() {
@@ -204,18 +209,19 @@ pub(super) fn check(
         return Ok(CheckedConvention { reading, agreement: Some(other) });
     }
     match agreement {
-        None => findings.push(Finding::unusual(
-            FindingSubject::Poses,
-            "almost no sampled point projects onto measured depth: the frames may not overlap or may be of different scans",
-        )),
+        None => findings.push(Finding::unusual(FindingSubject::Poses, sample.why_unknown())),
         Some(agreement) if agreement < NOTHING_FITS => {
-            let (other_agreement, hypothesis) =
-                best.map_or((0.0, "none".into()), |(other, reading)| (other * 100.0, reading.describe(&declared)));
+            let (other_agreement, hypothesis) = best
+                .map_or((0.0, "none".into()), |(other, reading)| {
+                    (other * 100.0, reading.describe(&declared))
+                });
             return Err(IngestError::NothingFits {
                 agreement: agreement * 100.0,
                 hypothesis,
                 other_agreement,
-                cause: sample.likely_cause(&declared, agreement).unwrap_or(CHECK_CONVENTIONS.into()),
+                cause: sample
+                    .likely_cause(&declared, agreement)
+                    .unwrap_or(CHECK_CONVENTIONS.into()),
             });
         }
         Some(agreement) if agreement < SUSPICIOUS => {
@@ -240,12 +246,38 @@ pub(super) fn check(
 }
 
 /// What to check where no cause is known.
-const CHECK_CONVENTIONS: &str = "Check pose, camera_axes and depth_scale_m";
+const CHECK_CONVENTIONS: &str = "check pose, camera_axes and depth_scale_m";
 const CHECK_ALL: &str = "check the direction of the poses, the camera axes, the depth scale, the intrinsics, and which pictures and poses belong together";
 /// Cameras closer to each other than this have the same view: the depth of one fits that of the
 /// other under any convention.
 const SAME_PLACE_M: f32 = 0.01;
 const SAME_DIRECTION_RAD: f32 = 0.02;
+
+/// Share of the measured pixels from which a single value is no measurement: depth that is cut off
+/// at a maximum, or a marker for no depth. Of real measurements, a few percent are equal.
+pub(super) const CONSTANT_SHARE: f32 = 0.15;
+
+/// Returns the most frequent value of a depth picture and its share of the measured pixels.
+pub(super) fn most_frequent(depth_m: &[f32]) -> Option<(f32, f32)> {
+    let mut counts: HashMap<u32, u32> = HashMap::new();
+    let mut measured = 0_u32;
+    for z in depth_m.iter().filter(|z| **z > 0.0) {
+        measured += 1;
+        *counts.entry(z.to_bits()).or_default() += 1;
+    }
+    let (bits, count) = counts.into_iter().max_by_key(|&(bits, count)| (count, bits))?;
+    Some((f32::from_bits(bits), count as f32 / measured as f32))
+}
+
+/// Removes the most frequent value of a depth picture if it is no measurement. Such pixels would
+/// agree with each other wherever the cameras are.
+fn remove_constant(depth: &mut DepthImage) {
+    if let Some((value, share)) = most_frequent(&depth.depth_m)
+        && share >= CONSTANT_SHARE
+    {
+        depth.depth_m.iter_mut().filter(|z| **z == value).for_each(|z| *z = 0.0);
+    }
+}
 
 /// Returns whether two cameras have different views.
 fn is_distinct(a: &Isometry3<f32>, b: &Isometry3<f32>) -> bool {
@@ -298,7 +330,9 @@ impl SourceConvention {
         let finding = Finding::assumed(FindingSubject::Poses, text)
             .with_confidence(confidence)
             .stated_with("scene.json");
-        if confidence < LEAST_SURE { finding } else { finding.without_warning() }
+        // What is declared needs less support than a guess.
+        let least = if agreement >= CLEARLY_RIGHT { 0.5 } else { LEAST_SURE };
+        if confidence < least { finding } else { finding.without_warning() }
     }
 
     fn describe(&self, declared: &Self) -> String {
@@ -357,8 +391,23 @@ impl ReprojectionSample<'_> {
         self.agreement_with(reading, PoseOf::Itself)
     }
 
+    /// Returns the agreement of the frames with each other, where there is a cloud.
+    fn agreement_without_cloud(&self, reading: &SourceConvention) -> Option<f32> {
+        self.cloud.as_ref()?;
+        self.agreement_of(reading, PoseOf::Itself, None)
+    }
+
     /// Returns the agreement if frames take other poses than their own.
     fn agreement_with(&self, reading: &SourceConvention, pose: PoseOf) -> Option<f32> {
+        self.agreement_of(reading, pose, self.cloud.as_deref())
+    }
+
+    fn agreement_of(
+        &self,
+        reading: &SourceConvention,
+        pose: PoseOf,
+        cloud: Option<&[Point3<f32>]>,
+    ) -> Option<f32> {
         let cameras: Vec<(Camera, Isometry3<f32>)> = self
             .frames
             .iter()
@@ -366,18 +415,12 @@ impl ReprojectionSample<'_> {
             .collect::<Option<_>>()?;
         let rescale = reading.depth_scale_m / self.declared.depth_scale_m;
         let relength = (reading.metres_per_unit / self.declared.metres_per_unit) as f32;
-        let measured = self
-            .frames
-            .iter()
-            .flat_map(|sampled| sampled.depth.depth_m.iter().step_by(97))
-            .filter(|z| **z > 0.0);
-        let typical_m = median(&mut measured.map(|z| z * rescale).collect::<Vec<_>>())?;
-        if !PLAUSIBLE_DEPTH_M.contains(&typical_m) {
+        if !PLAUSIBLE_DEPTH_M.contains(&(self.typical_depth_m()? * rescale)) {
             return None;
         }
         let per_frame = MAX_POINTS / self.frames.len();
         // Each point with the frame it comes from. That frame must not be used to check the point.
-        let points: Vec<(Option<usize>, Point3<f32>)> = match &self.cloud {
+        let points: Vec<(Option<usize>, Point3<f32>)> = match cloud {
             Some(points) => points.iter().map(|p| (None, p * relength)).collect(),
             None => self
                 .frames
@@ -426,6 +469,23 @@ impl ReprojectionSample<'_> {
         // A wrong interpretation can leave a few points in view by chance. Agreement counts only if
         // at least 2 % of the points are in view.
         (seen * 50 >= points.len()).then(|| agree as f32 / seen.max(1) as f32)
+    }
+
+    /// Returns the median depth as declared, meters.
+    fn typical_depth_m(&self) -> Option<f32> {
+        let all = self.frames.iter().flat_map(|sampled| sampled.depth.depth_m.iter().step_by(97));
+        median(&mut all.copied().filter(|z| *z > 0.0).collect::<Vec<_>>())
+    }
+
+    /// Explains why no point could be compared.
+    fn why_unknown(&self) -> String {
+        match self.typical_depth_m() {
+            Some(typical_m) if !PLAUSIBLE_DEPTH_M.contains(&typical_m) => format!(
+                "half of the depth is {} than {typical_m:.3} m, which is not plausible for a room: check depth_scale_m and the format of the depth pictures",
+                if typical_m < *PLAUSIBLE_DEPTH_M.start() { "less" } else { "more" }
+            ),
+            _ => "almost no sampled point projects onto measured depth: the frames may not overlap or may be of different scans".to_owned(),
+        }
     }
 
     /// Returns the interpretations whose unit of depth follows from the archive's own cloud: the

@@ -126,9 +126,12 @@ impl ChannelTally {
     }
 
     /// Returns the range that all but a few points keep to, and the number of those beyond it.
-    /// `declared` is the narrowest range that the file's types allow.
+    /// `declared` is the narrowest range that the file's types suggest.
     pub fn range(&self, declared: ColorRange) -> (ColorRange, usize) {
         let all = self.needed.iter().sum::<usize>() as f64;
+        // No picture is that dark: 0 to 1 was written as bytes.
+        let in_unit = self.needed[ColorRange::Unit as usize] as f64;
+        let declared = if all > 0.0 && in_unit == all { ColorRange::Unit } else { declared };
         let (mut range, mut beyond) = (ColorRange::Words, 0);
         for candidate in UNSIGNED.into_iter().filter(|range| *range >= declared) {
             let wider = || UNSIGNED.into_iter().filter(move |other| *other > candidate);
@@ -215,7 +218,7 @@ mod tests {
         use ColorRange::{Bytes, FourteenBits, SignedUnit, TenBits, TwelveBits, Unit, Words};
         for (low, high, declared, expected) in [
             (0.0, 1.0, Unit, Unit),
-            (0.0, 1.0, Bytes, Bytes),
+            (0.0, 1.0, Bytes, Unit),
             (0.0, 255.0, Unit, Bytes),
             (0.0, 1023.0, Bytes, TenBits),
             (0.0, 4095.0, Bytes, TwelveBits),

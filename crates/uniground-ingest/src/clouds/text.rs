@@ -28,6 +28,8 @@ struct Columns {
     color: Option<([usize; 3], ColorRange)>,
     /// What was assumed.
     assumption: Option<Finding>,
+    /// Number of points that the first line announces.
+    announced: Option<usize>,
 }
 
 /// Returns whether a file begins with lines of at least three numbers, after at most a heading or a
@@ -92,7 +94,7 @@ pub(super) fn read(
     let columns = detect_columns(root, file)?;
     gathered.set_has_color(columns.color.is_some());
     columns.color.iter().for_each(|(_, range)| gathered.set_color_range(*range));
-    columns.assumption.into_iter().for_each(|assumption| gathered.add_finding(assumption));
+    columns.assumption.iter().cloned().for_each(|assumption| gathered.add_finding(assumption));
     let mut source = open(root, file)?;
     let mut line = Vec::new();
     let (mut number, mut skipped, mut broken) = (0_usize, 0_usize, Vec::new());
@@ -135,6 +137,11 @@ pub(super) fn read(
         }
     }
     gathered.thin_if_full(file)?;
+    let points = gathered.points_read();
+    if let Some(announced) = columns.announced.filter(|announced| *announced != points) {
+        let text = format!("its first line announces {announced} points, but it has {points}");
+        gathered.add_finding(Finding::unusual(FindingSubject::Cloud, text));
+    }
     if !broken.is_empty() {
         let text = format!("lines without three numbers are skipped: {broken:?}");
         let finding = Finding::left_out(FindingSubject::Cloud, text).counting(broken.len());
@@ -151,9 +158,13 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<BufReader<File>, IngestError
 
 fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestError> {
     let mut source = open(root, file)?.take_lines();
-    let mut heading = None;
+    let (mut heading, mut announced, mut lines) = (None, None, 0);
     let mut rows: Vec<Vec<f64>> = Vec::new();
     while let Some(line) = source.next_line(file)? {
+        lines += 1;
+        if lines == 1 {
+            announced = line.trim().parse().ok();
+        }
         match parse_numbers(&line) {
             Some(values) if values.len() >= 3 => rows.push(values),
             _ if rows.is_empty() && heading.is_none() => heading = columns_from_heading(&line),
@@ -173,7 +184,12 @@ fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestErr
         if shares { ColorRange::Unit } else { ColorRange::Bytes }
     };
     if let Some((position, color)) = heading {
-        return Ok(Columns { position, color: color.map(|at| (at, range(at))), assumption: None });
+        return Ok(Columns {
+            position,
+            color: color.map(|at| (at, range(at))),
+            assumption: None,
+            announced,
+        });
     }
     let count = rows.iter().map(Vec::len).min().unwrap_or(3);
     let is_color = |first: &usize| {
@@ -216,6 +232,7 @@ fn detect_columns(root: &Utf8Path, file: &Utf8Path) -> Result<Columns, IngestErr
         position: [0, 1, 2],
         color: best.map(|f| [f, f + 1, f + 2]).map(|at| (at, range(at))),
         assumption,
+        announced,
     })
 }
 
@@ -362,6 +379,19 @@ mod tests {
         assert_eq!(colors("label.txt", &one_after), expected);
         assert_eq!(colors("intensity.txt", &before), expected);
         assert_eq!(colors("intensity.pts", &before), expected);
+    }
+
+    #[test]
+    fn damaged_lines_and_wrong_counts_are_named() {
+        let findings = |text: &str| -> Vec<String> {
+            let found = read_text("a.pts", text.as_bytes()).unwrap().findings;
+            found.into_iter().filter(|f| f.warning).map(|f| f.text).collect()
+        };
+        assert_eq!(findings("2\n1 2 3\n4 5 6\n"), [""; 0]);
+        let wrong = findings("9\n1 2 3\n4 5\n7 8 9\n");
+        assert_eq!(wrong.len(), 2, "{wrong:?}");
+        assert!(wrong[0].contains("announces 9 points, but it has 2"), "{wrong:?}");
+        assert!(wrong[1].contains("skipped: [3]"), "{wrong:?}");
     }
 
     #[test]

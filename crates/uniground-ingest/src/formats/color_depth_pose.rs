@@ -71,7 +71,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     if pictures.depth.is_empty() && !pictures.color.is_empty() {
         return Err(super::incomplete(LOOKS_LIKE, NO_DEPTH));
     }
-    let Some(first) = pictures.color.first() else {
+    // A single odd picture must not decide for all.
+    let Some(first) = folder.typical_picture(&pictures.color) else {
         return match pictures.depth.first() {
             Some(depth) => Err(pictures.count_mismatch_error(&poses, depth.clone())),
             None => Ok(scan),

@@ -4,6 +4,7 @@ use super::check_frames;
 use crate::IngestError;
 use crate::clouds::CloudKind;
 use crate::limited_reader::read_text;
+use crate::scan::picture_size;
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Deserializer};
 use std::collections::{BTreeMap, BTreeSet};
@@ -57,6 +58,8 @@ const DOCUMENTS: [&str; 7] = ["txt", "md", "pdf", "html", "rtf", "docx", "log"];
 pub(super) const PICTURES: &[&str] = &["jpg", "jpeg", "png"];
 /// Supported extensions of depth pictures.
 pub(super) const DEPTHS: &[&str] = &["png", "pgm", "exr", "tif", "tiff"];
+/// Extensions of archives.
+const ARCHIVES: &[&str] = &["zip", "tar", "gz", "tgz", "bz2", "xz", "7z", "rar"];
 /// Extensions of clouds and meshes.
 const CLOUDS: &[&str] = &[
     "ply", "pcd", "las", "laz", "e57", "glb", "gltf", "obj", "xyz", "xyzrgb", "xyzn", "pts", "txt",
@@ -134,6 +137,27 @@ impl FolderListing {
         Ok(files)
     }
 
+    /// Returns the first of a few pictures whose size is the most frequent one. Unreadable pictures
+    /// are reported later.
+    pub fn typical_picture<'a>(&self, pictures: &'a [Utf8PathBuf]) -> Option<&'a Utf8PathBuf> {
+        const EXAMINED: usize = 9;
+        let step = pictures.len().div_ceil(EXAMINED).max(1);
+        let sizes: Vec<(&Utf8PathBuf, (u32, u32))> = pictures
+            .iter()
+            .step_by(step)
+            .filter_map(|file| Some((file, picture_size(&self.root, file).ok()??)))
+            .collect();
+        let count = |size: (u32, u32)| sizes.iter().filter(|(_, other)| *other == size).count();
+        let (mut best, mut most) = (pictures.first(), 0);
+        for (file, size) in &sizes {
+            let here = count(*size);
+            if here > most {
+                (best, most) = (Some(*file), here);
+            }
+        }
+        best
+    }
+
     /// Returns the most frequent ending of the files in a folder, if any has one.
     pub fn most_frequent_ending(&self, folder: &str) -> Result<Option<String>, IngestError> {
         let mut counts: BTreeMap<String, usize> = BTreeMap::new();
@@ -183,6 +207,12 @@ impl FolderListing {
                 "only pictures ({shown}). Depth pictures and camera poses are needed too: export \
                  the scan, not only its photos"
             );
+        }
+        let is_archive = |name: &String| {
+            extension_of(name).is_some_and(|ending| ARCHIVES.contains(&ending.as_str()))
+        };
+        if !self.names.is_empty() && self.names.iter().all(is_archive) {
+            return format!("only archives ({shown}): unpack them and upload each scan alone");
         }
         match self.names.len() {
             0 => "nothing".into(),

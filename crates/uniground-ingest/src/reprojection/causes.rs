@@ -1,6 +1,8 @@
 //! Finds why poses and depth do not agree: mistakes that scans often contain, tried one by one.
 
-use super::{CLEARLY_BETTER, PoseOf, ReprojectionSample, SourceConvention, TIMES_BETTER};
+use super::{
+    CLEARLY_BETTER, CLEARLY_RIGHT, PoseOf, ReprojectionSample, SourceConvention, TIMES_BETTER,
+};
 use nalgebra::{Matrix3, Matrix4, Quaternion, Rotation3, UnitQuaternion};
 use uniground_types::findings::{Finding, FindingSubject};
 
@@ -39,8 +41,15 @@ impl ReprojectionSample<'_> {
             })
             .max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (agreement, cause) = best;
-        (agreement >= CLEARLY_BETTER.max(fits * TIMES_BETTER))
-            .then(|| format!("{:.0}% would agree {cause}", agreement * 100.0))
+        if agreement >= CLEARLY_BETTER.max(fits * TIMES_BETTER) {
+            return Some(format!("{:.0}% would agree {cause}", agreement * 100.0));
+        }
+        let alone =
+            self.agreement_without_cloud(declared).filter(|alone| *alone >= CLEARLY_RIGHT)?;
+        Some(format!(
+            "the frames fit each other ({:.0}%), so the cloud has another unit, origin or axes, or is of another scan",
+            alone * 100.0
+        ))
     }
 
     /// Returns a finding if the poses of the next or previous frames fit better than the frames'

@@ -48,7 +48,7 @@ fn pcd(points: &Points) -> Vec<u8> {
     bytes
 }
 
-fn ply(points: &Points) -> Vec<u8> {
+pub fn ply(points: &Points) -> Vec<u8> {
     let mut bytes = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
         points.len()
@@ -361,6 +361,20 @@ fn a_stated_up_axis_that_the_cloud_contradicts_is_a_warning() {
         let warnings = &found.report.warnings;
         assert_eq!(warnings.iter().any(|w| w.contains("set up=z")), warned, "{warnings:?}");
     }
+}
+
+#[test]
+fn odd_points_and_colors_are_named() {
+    let warnings = |points: &Points| read("room.ply", &ply(points)).report.warnings.join("; ");
+    let plain = cloud();
+    assert!(!warnings(&plain).contains("room.ply"), "{}", warnings(&plain));
+    let mut zeros = plain.clone();
+    zeros.extend(std::iter::repeat_n((Point3::origin(), [9, 9, 9]), plain.len() / 4));
+    assert!(warnings(&zeros).contains("at exactly 0 0 0"), "{}", warnings(&zeros));
+    let gray: Points = plain.iter().map(|(p, _)| (*p, [77; 3])).collect();
+    assert!(warnings(&gray).contains("the same color"), "{}", warnings(&gray));
+    let dark: Points = plain.iter().map(|(p, c)| (*p, c.map(|v| v / 20))).collect();
+    assert!(warnings(&dark).contains("nearly all points are black"), "{}", warnings(&dark));
 }
 
 /// A cloud without walls is assumed to be Z up if its objects stand that way. Rotated onto its

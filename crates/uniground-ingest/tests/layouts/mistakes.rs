@@ -32,7 +32,10 @@ fn frames_that_contradict_the_others_are_named() {
     let one = warnings(|out| {
         replace_poses(out, |i| moved(i, if i == 5 { [0.6, 0.5, 0.0] } else { [0.0; 3] }));
     });
-    assert!(one.iter().any(|w| w.starts_with("1 of 12") && w.ends_with("color/5.jpg")), "{one:?}");
+    assert!(
+        one.iter().any(|w| w.starts_with("at least 1 of 12") && w.ends_with("color/5.jpg")),
+        "{one:?}"
+    );
     let depth = warnings(|out| {
         writers::plain(out);
         out.pictures(5, ("color/5.jpg", "depth/5.png"), &CAMERA, &CAMERA, 0.001 / 1.4);
@@ -171,4 +174,85 @@ fn pipes_in_a_folder_are_skipped() {
         },
         |found| assert_eq!(found.unwrap().frames.len(), FRAMES),
     );
+}
+
+/// Depth that is cut off agrees with itself wherever the cameras are.
+#[test]
+fn depth_that_is_cut_off_is_named_and_not_compared() {
+    let cut = |out: &Out| {
+        writers::plain(out);
+        for i in 0..FRAMES {
+            let millimeters = room::depth_m(&CAMERA, &pose(i))
+                .into_iter()
+                .map(|z| (z.min(1.6) * 1000.0).round() as u16)
+                .collect();
+            let picture = image::ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_raw(
+                CAMERA.width,
+                CAMERA.height,
+                millimeters,
+            );
+            let picture = room::encoded(&picture.unwrap().into(), image::ImageFormat::Png);
+            out.put(&format!("depth/{i}.png"), picture);
+        }
+    };
+    let found = warnings(cut);
+    assert!(found.iter().any(|w| w.contains("one value (1.600 m)")), "{found:?}");
+    assert!(!found.iter().any(|w| w.contains("which is used")), "{found:?}");
+}
+
+#[test]
+fn frames_in_other_coordinates_are_named() {
+    let parts = warnings(|out| {
+        replace_poses(out, |i| moved(i, if i < 6 { [0.0; 3] } else { [50.0, 0.0, 0.0] }));
+    });
+    assert!(parts.iter().any(|w| w.contains("in 2 parts that never see")), "{parts:?}");
+}
+
+#[test]
+fn copies_of_pictures_are_named() {
+    let found = warnings(|out| {
+        writers::plain(out);
+        std::fs::copy(out.0.join("color/2.jpg"), out.0.join("color/7.jpg")).unwrap();
+    });
+    let expected = "1 of 12 frames repeat the color picture of another one";
+    assert!(found.iter().any(|w| w.starts_with(expected)), "{found:?}");
+}
+
+/// A single odd picture must not decide about the intrinsics of all.
+#[test]
+fn intrinsics_belong_to_the_most_frequent_picture_size() {
+    let write = |out: &Out| {
+        writers::plain(out);
+        let small = CAMERA.scaled_to(80, 60);
+        out.pictures(0, ("color/0.jpg", "depth/unused.png"), &small, &small, 0.001);
+        std::fs::remove_file(out.0.join("depth/unused.png")).unwrap();
+    };
+    with_import(write, |found| {
+        let report = found.unwrap().report;
+        assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
+    });
+}
+
+#[test]
+fn a_cloud_of_another_unit_or_place_is_named() {
+    let shifted = |out: &Out, by: f32, scale: f32| {
+        writers::plain_with_cloud(out, 0.001);
+        let points: crate::room::Points = room::cloud()
+            .into_iter()
+            .map(|(p, c)| (nalgebra::Point3::new(p.x * scale + by, p.y * scale, p.z * scale), c))
+            .collect();
+        out.put("cloud.ply", crate::clouds::ply(&points));
+    };
+    let about_cloud = |by: f32, scale: f32| {
+        with_import(
+            |out: &Out| shifted(out, by, scale),
+            |found| match found {
+                Ok(found) => found.report.warnings.join("; "),
+                Err(error) => error.to_string(),
+            },
+        )
+    };
+    assert!(!about_cloud(0.0, 1.0).contains("cloud"), "{}", about_cloud(0.0, 1.0));
+    assert!(about_cloud(0.8, 1.0).contains("fit each other"), "{}", about_cloud(0.8, 1.0));
+    assert!(about_cloud(0.0, 1000.0).contains("another unit"), "{}", about_cloud(0.0, 1000.0));
 }
