@@ -57,6 +57,8 @@ async fn a_folder_without_record_versions_is_served_completely() {
             (Value::Null, false.into(), Value::Array(Vec::new()));
         // That version had no added frames.
         instance["gone"] = false.into();
+        // That version did not read the times of frames.
+        instance["last_seen"] = Value::Null;
     }
     let answers_told = String::from_utf8(left.told("answers.jsonl")).unwrap();
     let OldFolder { data, told: _told } = left;
