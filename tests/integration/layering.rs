@@ -39,7 +39,7 @@ const PACKAGES: [(&str, Floors); 2] = [
                 "uploads",
             ],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
-            &["labels", "placement"],
+            &["coverage", "labels", "placement"],
             &["numbers"],
             &["scene", "problem"],
             &["findings"],

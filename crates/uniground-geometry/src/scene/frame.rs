@@ -314,10 +314,13 @@ mod tests {
         let intrinsics = r#"{"width":4,"height":3,"fx":2.0,"fy":2.0,"cx":1.5,"cy":1.0}"#;
         let pose = r#"{"rotation":[0.0,0.0,0.0,1.0],"translation":[1.0,2.0,3.0]}"#;
         let stored = format!(
-            r#"{{"index":7,"colour":"color/7.jpg","depth":"depth/7.png","colour_intrinsics":{intrinsics},"depth_intrinsics":{intrinsics},"depth_scale_m":0.001,"camera_to_world":{pose},"optics":{{"colour_lens":null,"depth_lens":null,"depth_sensor":null,"confidence":null}}}}"#
+            r#"{{"index":7,"time_s":1305031102.25,"colour":"color/7.jpg","depth":"depth/7.png","colour_intrinsics":{intrinsics},"depth_intrinsics":{intrinsics},"depth_scale_m":0.001,"camera_to_world":{pose},"optics":{{"colour_lens":null,"depth_lens":null,"depth_sensor":null,"confidence":null}}}}"#
         );
         let frame: FrameRef = serde_json::from_str(&stored).unwrap();
         assert_eq!((frame.index, frame.color.as_str()), (FrameIndex(7), "color/7.jpg"));
         assert_eq!(serde_json::to_string(&frame).unwrap(), stored);
+        // Frames of earlier versions have no times.
+        let earlier = stored.replace("\"time_s\":1305031102.25,", "");
+        assert_eq!(serde_json::from_str::<FrameRef>(&earlier).unwrap().time_s, None);
     }
 }
