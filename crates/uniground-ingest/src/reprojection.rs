@@ -34,10 +34,12 @@ const SUSPICIOUS: f32 = 0.4;
 const NOTHING_FITS: f32 = 0.03;
 /// Plausible median depth of an indoor scan, meters. A scale that leads outside is rejected.
 const PLAUSIBLE_DEPTH_M: std::ops::RangeInclusive<f32> = 0.15..=30.0;
-/// Common depth units: millimeters, meters, centimeters, `RealSense` L515's 1/4000, TUM's 1/5000,
-/// Replica's 1/6553.5, `RealSense` D405's 1/10000.
-const DEPTH_SCALES_M: [f32; 7] =
-    [0.001, 1.0, 0.01, 1.0 / 4000.0, 1.0 / 5000.0, 1.0 / 6553.5, 1.0 / 10_000.0];
+/// Common depth units: millimeters, meters, `RealSense` L515's 1/4000, TUM's 1/5000, Replica's
+/// 1/6553.5, `RealSense` D405's 1/10000.
+const DEPTH_SCALES_M: [f32; 6] =
+    [0.001, 1.0, 1.0 / 4000.0, 1.0 / 5000.0, 1.0 / 6553.5, 1.0 / 10_000.0];
+/// A rare depth unit, which is tried in the declared convention only.
+const CENTIMETERS_M: f32 = 0.01;
 /// Width of the window, in logarithms of distances, that a fitted unit of depth agrees within.
 const FIT_WINDOW: f32 = 0.05;
 /// Minimum share of the compared points in that window. Of unrelated distances 2 to 5 % are.
@@ -107,19 +109,7 @@ pub(super) fn check(
         );
         return as_declared(None);
     }
-    // Unreadable pictures are reported by another check.
-    // Not every n-th frame: mistakes can be periodic.
-    let count = frames.len().min(MAX_FRAMES);
-    let sampled: Vec<SampledFrame> = (0..count)
-        .into_par_iter()
-        .filter_map(|i| {
-            let at = i * frames.len() / count;
-            let frame = &frames[at];
-            let mut depth = frame.decode_depth().ok()?;
-            remove_constant(&mut depth);
-            Some(SampledFrame { at, frame, depth })
-        })
-        .collect();
+    let sampled = sample_frames(frames);
     if sampled.is_empty() {
         return as_declared(None);
     }
@@ -153,9 +143,9 @@ pub(super) fn check(
     }
     let others: Vec<_> = common.iter().copied().filter(|(_, r)| *r != declared).collect();
     let mut best = best_of(&others);
-    // None of the common units fits well: the cloud tells which one does.
+    // None of the common units fits well: the cloud may tell which one does.
     if best.is_none_or(|(other, _)| other.max(fits) < CLEARLY_RIGHT) {
-        let fitted = best_of(&measure(sample.fitted_units()));
+        let fitted = best_of(&measure(sample.uncommon_units()));
         if fitted.is_some_and(|(other, _)| {
             other >= CLEARLY_RIGHT && best.is_none_or(|(common, _)| other > common)
         }) {
@@ -243,6 +233,20 @@ pub(super) fn check(
         }
     }
     as_declared(agreement)
+}
+
+/// Decodes the depth of some frames. Unreadable pictures are reported by another check.
+fn sample_frames(frames: &[FrameRef]) -> Vec<SampledFrame<'_>> {
+    // Not every n-th frame: mistakes can be periodic.
+    let count = frames.len().min(MAX_FRAMES);
+    let decode = |i: usize| {
+        let at = i * frames.len() / count;
+        let frame = &frames[at];
+        let mut depth = frame.decode_depth().ok()?;
+        remove_constant(&mut depth);
+        Some(SampledFrame { at, frame, depth })
+    };
+    (0..count).into_par_iter().filter_map(decode).collect()
 }
 
 /// What to check where no cause is known.
@@ -488,10 +492,12 @@ impl ReprojectionSample<'_> {
         }
     }
 
-    /// Returns the interpretations whose unit of depth follows from the archive's own cloud: the
-    /// most frequent ratio of a point's distance to the depth there.
-    fn fitted_units(&self) -> Vec<SourceConvention> {
-        let Some(points) = &self.cloud else { return Vec::new() };
+    /// Returns interpretations with less common units of depth: centimeters, and those that follow
+    /// from the archive's own cloud: the most frequent ratio of a point's distance to the depth
+    /// there.
+    fn uncommon_units(&self) -> Vec<SourceConvention> {
+        let centimeters = SourceConvention { depth_scale_m: CENTIMETERS_M, ..self.declared };
+        let Some(points) = &self.cloud else { return vec![centimeters] };
         let with_unit = |reading: SourceConvention| {
             let mut ratios = Vec::new();
             for sampled in &self.frames {
@@ -512,6 +518,7 @@ impl ReprojectionSample<'_> {
                 ..reading
             })
             .filter_map(with_unit)
+            .chain([centimeters])
             .collect()
     }
 

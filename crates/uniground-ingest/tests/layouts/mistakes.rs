@@ -235,7 +235,7 @@ fn intrinsics_belong_to_the_most_frequent_picture_size() {
 
 #[test]
 fn a_cloud_of_another_unit_or_place_is_named() {
-    let shifted = |out: &Out, by: f32, scale: f32| {
+    let shifted = |out: &Out, by: f64, scale: f64| {
         writers::plain_with_cloud(out, 0.001);
         let points: crate::room::Points = room::cloud()
             .into_iter()
@@ -243,7 +243,7 @@ fn a_cloud_of_another_unit_or_place_is_named() {
             .collect();
         out.put("cloud.ply", crate::clouds::ply(&points));
     };
-    let about_cloud = |by: f32, scale: f32| {
+    let about_cloud = |by: f64, scale: f64| {
         with_import(
             |out: &Out| shifted(out, by, scale),
             |found| match found {
