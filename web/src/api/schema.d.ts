@@ -1175,6 +1175,7 @@ export interface components {
              * @description Number of matching objects. Absent if the question asks for a single object.
              */
             count?: number | null;
+            coverage?: components["schemas"]["Coverage"] | null;
             /**
              * @description Whether a built-in component replaced a model that failed or returned no valid candidate.
              *     `trace.corrections` gives the reason.
@@ -1187,6 +1188,11 @@ export interface components {
             direction_convention: string;
             /** @description Paths of the pictures used as evidence. */
             evidence?: string[] | null;
+            /**
+             * @description Id of the earlier answer that the question follows, from its `context`: the given one, the
+             *     latest of the session, or that of the batch item. Absent if it follows none.
+             */
+            follows?: string | null;
             /** @description The coordinate frame of all boxes except those in `in_frame`. */
             frame: components["schemas"]["CoordinateFrame"];
             /** @description UUIDv7, so ids sort by time. */
@@ -1194,6 +1200,11 @@ export interface components {
             in_frame?: components["schemas"]["InFrame"] | null;
             /** @description What kind of answer the question asks for. `box` in answers from older versions. */
             kind?: components["schemas"]["AnswerKind"];
+            /**
+             * @description Time of the newest frame that shows the object of the answer, RFC 3339 UTC: of the first of
+             *     `targets`. `null` without one, and if the scan's frames have no times since 1970.
+             */
+            last_seen?: string | null;
             /** @description Components that produced the answer. */
             models: components["schemas"]["Models"];
             no_match_reason?: components["schemas"]["NoMatchReason"] | null;
@@ -1210,6 +1221,8 @@ export interface components {
             /** @description UUIDv7 of the scene. */
             scene_id: string;
             seen?: components["schemas"]["Seen"] | null;
+            /** @description Session of the question's `context`. Absent without one. */
+            session?: string | null;
             /** @description Whether an object was found: `grounded`, `uncertain`, `ambiguous` or `no_match`. */
             status: components["schemas"]["Status"];
             /**
@@ -1358,9 +1371,11 @@ export interface components {
             /** @description Whether a standing pose was found. */
             status: components["schemas"]["ApproachStatus"];
             target?: components["schemas"]["ApproachTarget"] | null;
+            unseen_region?: components["schemas"]["UnseenRegion"] | null;
         };
         /**
-         * @description A request for standing poses. Exactly one of `instance_id` and `query` is required.
+         * @description A request for standing poses. Exactly one of `instance_id`, `query` and `unseen_region` is
+         *     required.
          * @example {
          *       "from": {
          *         "x": 0.5,
@@ -1417,6 +1432,12 @@ export interface components {
             query?: string | null;
             /** @description The robot. */
             robot: components["schemas"]["Robot"];
+            /**
+             * Format: int32
+             * @description Number of a part of the room that no camera saw: a region of `coverage` in an answer about the
+             *     scene's current parse. Poses look at it, from at least 0.5 m away if possible.
+             */
+            unseen_region?: number | null;
         };
         /**
          * @description Whether a standing pose was found.
@@ -1789,6 +1810,40 @@ export interface components {
              * @default 2
              */
             rounds?: number;
+        };
+        /**
+         * @description Which part of the room the cameras of the scan saw, from the floor to 2 m above it. Voxels of 15
+         *     cm. The room is the upright box around the scan's points, without what lies behind walls and
+         *     inside of furniture. What is beyond a wall that no camera saw is unknown.
+         */
+        Coverage: {
+            /**
+             * @description `true`: the object may be where no camera looked, because `seen_share` is below 0.95.
+             *     `false`: it is not there, as far as a scan can tell.
+             */
+            may_be_unseen: boolean;
+            /**
+             * @description Unseen parts of the room, the largest first, at most 8, without parts below 0.05 cubic
+             *     meters. With `within` in the question, those that reach into it. Ask
+             *     `/v1/scenes/{id}/approach` with `unseen_region` for poses that look at one of them.
+             */
+            regions: components["schemas"]["UnseenRegion"][];
+            /**
+             * Format: float
+             * @description Share of the room's volume that a camera saw, `0..=1`. With `within` in the question, the
+             *     share of that part of the room.
+             */
+            seen_share: number;
+            /**
+             * Format: float
+             * @description Floor area that no camera saw, square meters. Floor under closed furniture does not count.
+             */
+            unseen_floor_m2: number;
+            /**
+             * Format: float
+             * @description Volume that no camera saw, cubic meters.
+             */
+            unseen_m3: number;
         };
         /** @description A new scene and its parse job. */
         Created: {
@@ -2487,6 +2542,11 @@ export interface components {
             id: components["schemas"]["InstanceId"];
             /** @description Name of the object, independent of any question. */
             label: string;
+            /**
+             * @description Time of the newest frame that shows it, RFC 3339 UTC. `null` if the scan's frames have no
+             *     times since 1970, and for parses from older versions.
+             */
+            last_seen?: string | null;
             /** @description Level: an object, a part of one, or a whole of several. */
             level?: components["schemas"]["Level"];
             /** @description Mean color, 8-bit sRGB. */
@@ -3598,12 +3658,25 @@ export interface components {
         /** @description Context of a follow-up question. */
         QuestionContext: {
             /**
-             * @description Id of an earlier answer about the same version of the scene. "It" is the object of that answer, and "one"
-             *     has the noun of its question. The answer's own context counts too, so the id of the last
-             *     answer is enough.
+             * @description Id of an earlier answer about the same version of the scene. "It" is the object of that
+             *     answer, and "one" has the noun of its question. The answer's own context counts too, so the
+             *     id of the last answer is enough.
              */
             answer_id?: string | null;
             instance?: components["schemas"]["InstanceId"] | null;
+            /**
+             * Format: int32
+             * @description Index of an earlier item of the same batch and scene, from 0, whose answer the question
+             *     follows. It is asked when that item is answered. Instead of `answer_id`; only in batches.
+             */
+            item?: number | null;
+            /**
+             * @description Id of a conversation, chosen by the client, 1 to 100 characters. The question follows the
+             *     latest answer with this id about the same version of the scene, and the new answer joins the
+             *     conversation. Without such an answer, the question begins it. Other API keys have their own
+             *     conversations. Instead of `answer_id`; not in batches.
+             */
+            session?: string | null;
         };
         /** @description Readiness of the service. Each component is `ok` or describes its problem. */
         Readiness: {
@@ -4526,6 +4599,11 @@ export interface components {
             distance_m?: number | null;
             /** @description Id within the parse of the answer, from 1. */
             id: components["schemas"]["InstanceId"];
+            /**
+             * @description Time of the newest frame that shows the object, RFC 3339 UTC. `null` if the scan's frames
+             *     have no times since 1970, and in answers from older versions.
+             */
+            last_seen?: string | null;
             /** @description Name of the object, independent of the question. */
             name: string;
             /** @description Box rotated about the vertical axis; meters, world frame (Z up). */
@@ -4601,6 +4679,26 @@ export interface components {
          * @enum {string}
          */
         Unit: "m" | "m2" | "m3";
+        /** @description A part of the room that no camera saw. */
+        UnseenRegion: {
+            /** @description Axis-aligned box around it; meters, world frame (Z up). The region need not fill it. */
+            box: components["schemas"]["Aabb"];
+            /**
+             * Format: float
+             * @description Floor area in it, square meters.
+             */
+            floor_m2: number;
+            /**
+             * Format: int32
+             * @description Number of the region in this version of the scene, from 1.
+             */
+            number: number;
+            /**
+             * Format: float
+             * @description Its volume, cubic meters.
+             */
+            volume_m3: number;
+        };
         /**
          * @description The axis that points up in a file. After import it is always `z`.
          * @enum {string}

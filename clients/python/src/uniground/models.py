@@ -165,16 +165,27 @@ class Answer(AnswerMethods):
     """
     count: Optional[int] = None
     """Number of matching objects. Absent if the question asks for a single object."""
+    coverage: Optional[Coverage] = None
     degraded: Optional[bool] = None
     """Whether a built-in component replaced a model that failed or returned no valid candidate. `trace.corrections` gives the reason."""
     evidence: Optional[list[str]] = None
     """Paths of the pictures used as evidence."""
+    follows: Optional[str] = None
+    """Id of the earlier answer that the question follows, from its `context`: the given one, the latest of the session, or that of the
+    batch item. Absent if it follows none.
+    """
     in_frame: Optional[InFrame] = None
     kind: Optional[AnswerKind] = None
     """What kind of answer the question asks for. `box` in answers from older versions."""
+    last_seen: Optional[str] = None
+    """Time of the newest frame that shows the object of the answer, RFC 3339 UTC: of the first of `targets`. `null` without one, and if the
+    scan's frames have no times since 1970.
+    """
     no_match_reason: Optional[NoMatchReason] = None
     oriented_box: Optional[OrientedBox] = None
     seen: Optional[Seen] = None
+    session: Optional[str] = None
+    """Session of the question's `context`. Absent without one."""
     stored: Optional[bool] = None
     """Whether the server stored this answer. If `false` (for example on a full disk), the answer cannot be fetched again."""
     targets: list[Target] = field(default_factory=list)
@@ -275,6 +286,7 @@ class Approach(ShortRepr):
     in_frame: Optional[PosesInFrame] = None
     start: Optional[Start] = None
     target: Optional[ApproachTarget] = None
+    unseen_region: Optional[UnseenRegion] = None
 
 
 _ApproachOptions = TypedDict("_ApproachOptions", {"from": "Optional[FloorPoint]"}, total=False)
@@ -296,8 +308,12 @@ class ApproachOptions(_ApproachOptions, total=False):
     """Minimum horizontal distance from the robot's center to the object's nearest point, meters. Default: 0."""
     query: Optional[str]
     """Description of the object in English. The built-in reasoner answers it, and the answer is stored."""
+    unseen_region: Optional[int]
+    """Number of a part of the room that no camera saw: a region of `coverage` in an answer about the scene's current parse. Poses look at
+    it, from at least 0.5 m away if possible.
+    """
 class ApproachRequest(ApproachOptions):
-    """A request for standing poses. Exactly one of `instance_id` and `query` is required."""
+    """A request for standing poses. Exactly one of `instance_id`, `query` and `unseen_region` is required."""
     robot: Robot
     """The robot."""
 
@@ -385,7 +401,8 @@ class BatchItemOptions(TypedDict, total=False):
     candidates: CandidateSource
     """Source of the candidates for a vision-language model. Default: `fused`."""
     context: Optional[QuestionContext]
-    """Context of a follow-up question: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this".
+    """Context of a follow-up question: an earlier answer or a conversation ("and the blue one?", "how big is it?"), or an instance that is
+    meant by "this".
     """
     direction_convention: DirectionConvention
     """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
@@ -620,6 +637,27 @@ class CorrectionSettings(TypedDict, total=False):
     """Number of random visible pixels per prompt, 1 to 100. Default and paper: 5."""
     rounds: int
     """Maximum number of prompts per view, at most 100. 0 disables the correction. Default: 2. Paper: 10."""
+
+
+@dataclass
+class Coverage:
+    """Which part of the room the cameras of the scan saw, from the floor to 2 m above it. Voxels of 15 cm. The room is the upright box
+    around the scan's points, without what lies behind walls and inside of furniture. What is beyond a wall that no camera saw is unknown.
+    """
+    seen_share: float
+    """Share of the room's volume that a camera saw, `0..=1`. With `within` in the question, the share of that part of the room."""
+    unseen_m3: float
+    """Volume that no camera saw, cubic meters."""
+    unseen_floor_m2: float
+    """Floor area that no camera saw, square meters. Floor under closed furniture does not count."""
+    may_be_unseen: bool
+    """`true`: the object may be where no camera looked, because `seen_share` is below 0.95. `false`: it is not there, as far as a scan can
+    tell.
+    """
+    regions: list[UnseenRegion]
+    """Unseen parts of the room, the largest first, at most 8, without parts below 0.05 cubic meters. With `within` in the question, those
+    that reach into it. Ask `/v1/scenes/{id}/approach` with `unseen_region` for poses that look at one of them.
+    """
 
 
 @dataclass
@@ -861,7 +899,8 @@ class GroundOptions(TypedDict, total=False):
     candidates: CandidateSource
     """Source of the candidates for a vision-language model. Default: `fused`."""
     context: Optional[QuestionContext]
-    """Context of a follow-up question: an earlier answer ("and the blue one?", "how big is it?"), or an instance that is meant by "this".
+    """Context of a follow-up question: an earlier answer or a conversation ("and the blue one?", "how big is it?"), or an instance that is
+    meant by "this".
     """
     direction_convention: DirectionConvention
     """Convention for left, right, front and back. An `observer` takes precedence. Default: `paper`."""
@@ -1078,6 +1117,10 @@ class InstanceView(ThingMethods):
     """Name set by a user. `null` if not set."""
     gone: Optional[bool] = None
     """Whether the object was in an earlier version and is gone after frames were added. Its id is not reused, and it is also dismissed."""
+    last_seen: Optional[str] = None
+    """Time of the newest frame that shows it, RFC 3339 UTC. `null` if the scan's frames have no times since 1970, and for parses from older
+    versions.
+    """
     level: Optional[Level] = None
     """Level: an object, a part of one, or a whole of several."""
     merged_from: list[InstanceId] = field(default_factory=list)
@@ -1652,6 +1695,15 @@ class QuestionContext(TypedDict, total=False):
     """
     instance: Optional[InstanceId]
     """Id of the instance that is meant by "this", "that" and "it", for example the one that is selected in a viewer."""
+    item: Optional[int]
+    """Index of an earlier item of the same batch and scene, from 0, whose answer the question follows. It is asked when that item is
+    answered. Instead of `answer_id`; only in batches.
+    """
+    session: Optional[str]
+    """Id of a conversation, chosen by the client, 1 to 100 characters. The question follows the latest answer with this id about the same
+    version of the scene, and the new answer joins the conversation. Without such an answer, the question begins it. Other API keys have
+    their own conversations. Instead of `answer_id`; not in batches.
+    """
 
 
 @dataclass(repr=False)
@@ -2213,6 +2265,10 @@ class Target(ShortRepr):
     """Distance between its box and the object or the person that the question names, meters. Only in lists that are about another object:
     "what is within a meter of the sofa".
     """
+    last_seen: Optional[str] = None
+    """Time of the newest frame that shows the object, RFC 3339 UTC. `null` if the scan's frames have no times since 1970, and in answers
+    from older versions.
+    """
     parent: Optional[InstanceId] = None
     support: Optional[Support] = None
 
@@ -2265,6 +2321,19 @@ class TurnedBox:
     size: Vector
     yaw_deg: float
     """Counter-clockwise from above, degrees."""
+
+
+@dataclass
+class UnseenRegion:
+    """A part of the room that no camera saw."""
+    number: int
+    """Number of the region in this version of the scene, from 1."""
+    box: Aabb
+    """Axis-aligned box around it; meters, world frame (Z up). The region need not fill it."""
+    volume_m3: float
+    """Its volume, cubic meters."""
+    floor_m2: float
+    """Floor area in it, square meters."""
 
 
 @dataclass(repr=False)
