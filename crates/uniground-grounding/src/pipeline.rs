@@ -193,7 +193,9 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     // A review may add instances that the model saw.
     let mut source = source.clone();
     if let Some((review, context)) = review.zip(context).filter(may_decide) {
-        source = apply_review(&source, &mut answered, review, context, &mut calls, start).await?;
+        // On the heap: most questions have no review, and its future is by far the largest.
+        let review = apply_review(&source, &mut answered, review, context, &mut calls, start);
+        source = Box::pin(review).await?;
     }
     let (parsed, mut grounding) = (answered.parsed.clone(), answered.grounding);
     answered.grounding = source
