@@ -142,6 +142,7 @@ def test_every_field_of_an_approach_is_taken(scene: Scene) -> None:
         "min_confidence": 0.0,
         "min_distance_m": 0.5,
         "query": MUG,
+        "unseen_region": None,
     }
     assert set(every) == set(models.ApproachOptions.__annotations__), "the API has other fields by now: ask with them"
     assert set(ROBOT) == set(models.Robot.__annotations__), "the API has other fields by now: ask with them"
@@ -170,7 +171,7 @@ def test_a_robot_is_told_where_to_stand(client: Client, scene: Scene) -> None:
     short = scene.approach({**ROBOT, "reach_m": 0.01}, instance_id=MUG_ID)
     assert (short.status, short.failed, short.poses) == ("none_possible", "out_of_reach", [])
     assert scene.approach(ROBOT, query="the spaceship").status == "not_grounded"
-    with pytest.raises(UnigroundError, match="one of instance_id and query is required"):
+    with pytest.raises(UnigroundError, match="one of instance_id, query and unseen_region is required"):
         scene.approach(ROBOT)
 
 

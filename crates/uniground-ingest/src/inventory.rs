@@ -66,7 +66,6 @@ pub(super) fn record(folder: &Utf8Path, scan: &mut Scan) {
         findings
             .push(Finding::left_out(FindingSubject::Files, text).without_warning().counting(count));
     }
-    findings.extend(copies_of_pictures(scan));
     findings.append(&mut scan.findings);
     scan.findings = findings;
 }
@@ -74,9 +73,9 @@ pub(super) fn record(folder: &Utf8Path, scan: &mut Scan) {
 /// Maximum number of bytes of pictures that are compared.
 const MAX_COMPARED_BYTES: u64 = 64 << 20;
 
-/// Reports color pictures that are copies of others, or that several frames use. Only files of the
-/// same size are read.
-fn copies_of_pictures(scan: &Scan) -> Option<Finding> {
+/// Returns a finding if color pictures of usable frames are copies of others, or belong to several
+/// frames. Only files of the same size are read.
+pub(super) fn find_copies(scan: &Scan) -> Option<Finding> {
     let mut by_size: BTreeMap<u64, Vec<&Utf8PathBuf>> = BTreeMap::new();
     for frame in &scan.frames {
         if let Ok(found) = scan.root.join(&frame.color).metadata() {

@@ -56,5 +56,6 @@ pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let mut scan = formats::read(folder)?;
     inventory::record(folder, &mut scan);
     validate::check(&mut scan)?;
+    scan.findings.extend(inventory::find_copies(&scan));
     Ok(scan)
 }

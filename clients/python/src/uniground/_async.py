@@ -423,7 +423,8 @@ class AsyncScene:
         self, robot: models.Robot, *, start: Optional[Iterable[float]] = None, **options: Unpack[models.ApproachOptions]
     ) -> models.Approach:
         """Where a robot can stand for a thing, the best place first, or why nowhere. `options` are the other fields of the API's request,
-        `query` or `instance_id` one of them; `start` is its `from`, where the robot is: x and y, and z where `frame` wants it."""
+        one of them `query`, `instance_id` or `unseen_region`. `start` is its `from`, where the robot is: x and y, and z where `frame`
+        wants it."""
         begin = {} if start is None else {"from": dict(zip("xyz", start))}
         return decode(models.Approach, await self._post("approach", {"robot": robot, **begin, **options}))
 
