@@ -9,6 +9,7 @@
 #![warn(missing_docs)]
 
 pub mod archive;
+mod cloud_doubts;
 mod clouds;
 mod error;
 mod formats;

@@ -1,15 +1,15 @@
 //! Turns a checked [`Scan`] into a canonical [`SceneBundle`].
 
+use super::cloud_doubts::{self, Core};
 use super::levelling::{self, UpDirection, UpHint};
 use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::{RawFrame, Scan, Units};
 use super::{IngestError, UPLOADED, clouds, frame_agreement, fusion, guess_units};
 use camino::Utf8Path;
 use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
-use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene};
-use uniground_geometry::{Isometry3, Point3, Vector3, pose};
+use uniground_geometry::{Isometry3, Point3, pose};
 use uniground_types::findings::{Finding, FindingSubject};
 use uniground_types::settings::ImportSettings;
 
@@ -118,8 +118,7 @@ pub fn inspect(
         rescale(&mut own.cloud, reading.metres_per_unit / declared.metres_per_unit);
     }
 
-    let own_points = own_cloud.as_ref().map(|own| &own.cloud.positions[..]);
-    frame_agreement::check(scan, &frames, own_points, &mut findings)?;
+    frame_agreement::check(scan, &frames, own_cloud.as_ref(), &mut findings)?;
 
     let of_format =
         own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up_axis());
@@ -193,74 +192,35 @@ fn read_own_cloud(
     };
     let loaded = clouds::read(&scan.root, file, &UPLOADED, origin)?;
     let LoadedCloud { dropped, without_color, has_color, thinned, .. } = loaded;
-    let mut add = |finding: Finding| findings.push(finding.in_file(file.as_str()));
-    for finding in &loaded.findings {
-        add(Finding { text: format!("{file}: {}", finding.text), ..finding.clone() });
-    }
+    let mut add = |finding: Finding| {
+        let text = format!("{file}: {}", finding.text);
+        findings.push(Finding { text, ..finding.in_file(file.as_str()) });
+    };
+    loaded.findings.iter().cloned().for_each(&mut add);
     if without_color > 0 {
-        let text =
-            format!("{file}: the colors of {without_color} points are not numbers: shown as gray");
+        let text = format!("the colors of {without_color} points are not numbers: shown as gray");
         add(Finding::unusual(FindingSubject::Color, text).counting(without_color));
     }
     if dropped > 0 {
-        let text = format!("{file}: {dropped} points dropped, their coordinates are not finite");
+        let text = format!("{dropped} points dropped, their coordinates are not finite");
         add(Finding::left_out(FindingSubject::Cloud, text).counting(dropped));
     }
     if !has_color {
-        let text = format!(
-            "{file}: no color; points are shown gray and questions about colors cannot be answered"
-        );
+        let text = "no color; points are shown gray and questions about colors cannot be answered";
         add(Finding::unusual(FindingSubject::Color, text));
     }
-    findings.extend(cloud_doubts(&loaded).into_iter().map(|finding| {
-        let text = format!("{file}: {}", finding.text);
-        Finding { text, ..finding.in_file(file.as_str()) }
-    }));
-    let mut add = |finding: Finding| findings.push(finding.in_file(file.as_str()));
+    cloud_doubts::find(&loaded).into_iter().for_each(&mut add);
     if thinned > 1 {
-        let text = format!("{file}: downsampled, one of {thinned} points is kept");
+        let text = format!("downsampled, one of {thinned} points is kept");
         add(Finding::changed(FindingSubject::Cloud, text));
     }
     if loaded.offset != [0.0; 3] && scan.frames.is_empty() {
         let [x, y, z] = loaded.offset;
-        let text = format!(
-            "{file}: in map coordinates; {x} {y} {z} was subtracted, see import.source_to_scene"
-        );
+        let text =
+            format!("in map coordinates; {x} {y} {z} was subtracted, see import.source_to_scene");
         add(Finding::changed(FindingSubject::Cloud, text));
     }
     Ok(loaded)
-}
-
-/// Share of points at exactly the origin from which they are invalid ones.
-const MANY_AT_ORIGIN: f64 = 0.01;
-/// Colors below this level are nearly black; and the share of points from which that is named.
-const NEARLY_BLACK: u8 = 20;
-const MANY_BLACK: f64 = 0.95;
-
-/// Returns what is odd about the points and colors of a cloud.
-fn cloud_doubts(loaded: &LoadedCloud) -> Vec<Finding> {
-    let LoadedCloud { cloud, has_color, offset, .. } = loaded;
-    let all = cloud.len() as f64;
-    let mut doubts = Vec::new();
-    let at_origin = cloud.positions.iter().filter(|p| p.coords == Vector3::zeros()).count();
-    if *offset == [0.0; 3] && at_origin > 1 && at_origin as f64 > MANY_AT_ORIGIN * all {
-        let text =
-            format!("{at_origin} points are at exactly 0 0 0, which often marks invalid ones");
-        doubts.push(Finding::unusual(FindingSubject::Cloud, text).counting(at_origin));
-    }
-    if *has_color && cloud.len() > 1 {
-        let first = cloud.colors[0];
-        let black = cloud.colors.iter().filter(|c| c.iter().all(|v| *v < NEARLY_BLACK)).count();
-        let doubt = if cloud.colors.iter().all(|color| *color == first) {
-            Some("all points have the same color")
-        } else if black as f64 > MANY_BLACK * all {
-            Some("nearly all points are black: check the range of the colors")
-        } else {
-            None
-        };
-        doubts.extend(doubt.map(|text| Finding::unusual(FindingSubject::Color, text)));
-    }
-    doubts
 }
 
 /// Returns the length of the files' unit: as requested, or guessed for a cloud that would be far
@@ -372,8 +332,7 @@ impl ToScene {
 }
 
 fn warn_of_odd_size(positions: &[Point3<f32>], findings: &mut Vec<Finding>) {
-    let Some(extent) = Aabb::around(positions) else { return };
-    let across = extent.size.max();
+    let across = Core::of(positions).longest();
     let size = match across {
         a if a < 1.0 => format!("only {a:.3}"),
         a if a > 200.0 => format!("{a:.0}"),

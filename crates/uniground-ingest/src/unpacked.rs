@@ -79,9 +79,12 @@ impl ArchiveFormat {
     }
 
     fn detect(file: &Utf8Path) -> Option<Self> {
-        ArchiveKind::from_file_name(file.as_str())
-            .map(Self::Archive)
-            .or_else(|| Self::from_head(&read_head(file), file.as_str()))
+        let head = read_head(file);
+        Self::from_head(&head, file.as_str())
+            .or_else(|| {
+                let named = ArchiveKind::from_file_name(file.as_str());
+                named.filter(|_| !is_unsupported_archive(&head)).map(Self::Archive)
+            })
             .or((file.extension() == Some("ply")).then_some(Self::Cloud("ply")))
     }
 
@@ -115,6 +118,12 @@ pub fn read_head(file: &Utf8Path) -> Vec<u8> {
     let _ = fs::File::open(file)
         .and_then(|f| f.take(ArchiveFormat::HEAD_BYTES as u64).read_to_end(&mut head));
     head
+}
+
+/// Returns whether these are the first bytes of bzip2, xz, 7-Zip or RAR.
+fn is_unsupported_archive(head: &[u8]) -> bool {
+    let starts: [&[u8]; 4] = [b"BZh", b"\xfd7zXZ", b"7z\xbc\xaf", b"Rar!"];
+    starts.iter().any(|start| head.starts_with(start))
 }
 
 /// Creates a symbolic link to a file, or copies it where linking is not possible.
@@ -163,14 +172,28 @@ pub fn describe_content(head: &[u8]) -> &'static str {
         [b'S', b'Q', b'L', b'i', b't', b'e', ..] => {
             "this is a database: if it is RTAB-Map's, run `rtabmap-export --images --poses_camera`"
         }
-        [b'B', b'Z', b'h', ..]
-        | [0xfd, b'7', b'z', b'X', b'Z', ..]
-        | [b'7', b'z', 0xbc, 0xaf, ..]
-        | [b'R', b'a', b'r', b'!', ..] => {
+        head if is_unsupported_archive(head) => {
             "this archive is compressed with bzip2, xz, 7-Zip or RAR: pack the scan as .zip, .tar or .tar.gz"
         }
         _ => {
             "no scan was recognized: expected an archive (.zip, .tar, .tar.gz, .tar.zst, .r3d), a .sens file, a cloud or a mesh"
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn content_counts_more_than_the_name_of_an_archive() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = Utf8Path::from_path(folder.path()).unwrap().join("scan.zip");
+        fs::write(&file, b"Rar!\x1a\x07\x01\x00 and more").unwrap();
+        let refused = ScanFolder::open(&file).unwrap_err().to_string();
+        assert!(refused.contains("7-Zip or RAR: pack the scan"), "{refused}");
+        fs::write(&file, [0x1f, 0x8b, 8, 0]).unwrap();
+        let detected = ArchiveFormat::detect(&file);
+        assert_eq!(detected, Some(ArchiveFormat::Archive(ArchiveKind::TarGz)));
     }
 }

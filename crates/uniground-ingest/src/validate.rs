@@ -220,6 +220,13 @@ fn fit(
     if (found_width, found_height) == (width, height) {
         return Ok(intrinsics);
     }
+    let is_turned =
+        u64::from(height) * u64::from(found_height) == u64::from(width) * u64::from(found_width);
+    if is_turned && width != height {
+        return Err(bad(format!(
+            "the picture is {found_width}x{found_height}, the intrinsics are for {width}x{height}: color pictures, depth pictures or intrinsics are rotated by 90 degrees; rotate them alike (the orientation that a photograph states is not used)"
+        )));
+    }
     let stretch = (found_width as f32 / width as f32) / (found_height as f32 / height as f32);
     if (stretch - 1.0).abs() > SHAPE_TOLERANCE {
         return Err(bad(format!(

@@ -257,7 +257,7 @@ impl CloudBuilder {
             return Err(IngestError::malformed(
                 file,
                 format!(
-                    "the point ({}, {}, {}) is more than 10 km from the origin: subtract an offset from the whole scan first",
+                    "the point ({}, {}, {}) is more than 10 km from the origin: remove it if it is an error, or subtract an offset from the whole scan",
                     p.x, p.y, p.z
                 ),
             ));

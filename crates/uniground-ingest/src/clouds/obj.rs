@@ -7,14 +7,19 @@ use super::texture::Texture;
 use crate::IngestError;
 use crate::limited_reader::{read_line, read_text};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{BufReader, Read};
+use uniground_types::findings::{Finding, FindingSubject};
 
 const MAX_LINE_BYTES: u64 = 64 << 10;
 const MAX_MATERIAL_BYTES: u64 = 4 << 20;
 const MAX_TEXTURES: usize = 64;
 const MAX_TEXTURE_BYTES: u64 = 128 << 20;
+/// Maximum number of missing files that are counted and named, and of characters of a name.
+const MAX_MISSING: usize = 1000;
+const MAX_NAMED: usize = 5;
+const MAX_NAME_LENGTH: usize = 80;
 
 #[derive(Default)]
 struct ObjReader {
@@ -25,6 +30,8 @@ struct ObjReader {
     /// Texture of each material, by name.
     materials: BTreeMap<String, u32>,
     current: Option<u32>,
+    /// Material files and textures that are named but missing.
+    missing: BTreeSet<String>,
 }
 
 pub(super) fn read(
@@ -67,7 +74,17 @@ pub(super) fn read(
             ));
         }
     }
-    let ObjReader { positions, tints, mut mesh, .. } = reading;
+    let ObjReader { positions, tints, mut mesh, missing, .. } = reading;
+    if !missing.is_empty() {
+        let named: Vec<&str> = missing.iter().take(MAX_NAMED).map(String::as_str).collect();
+        let text = format!(
+            "{} of the files that it names are missing, so faces have no color: {}",
+            missing.len(),
+            named.join(", ")
+        );
+        let finding = Finding::unusual(FindingSubject::Color, text).counting(missing.len());
+        gathered.add_finding(finding);
+    }
     mesh.has_color |= !tints.is_empty();
     if mesh.triangles.is_empty() {
         let color = |i: usize| tints.get(i).map(|t| t.map(|c| (c * 255.0).round() as u8));
@@ -148,17 +165,26 @@ impl ObjReader {
         Ok(())
     }
 
+    fn note_missing(&mut self, path: &str) {
+        if self.missing.len() < MAX_MISSING {
+            // Paths are often those of another computer.
+            let name = path.rsplit(['/', '\\']).next().unwrap_or(path);
+            self.missing.insert(name.chars().take(MAX_NAME_LENGTH).collect());
+        }
+    }
+
     fn read_materials(
         &mut self,
         root: &Utf8Path,
         file: &Utf8Path,
         name: &str,
     ) -> Result<(), IngestError> {
-        let Some(library) = sibling_path(file, name) else { return Ok(()) };
         // Without its material file, a mesh is read without color.
-        if !root.join(&library).is_file() {
+        let Some(library) = sibling_path(file, name).filter(|path| root.join(path).is_file())
+        else {
+            self.note_missing(name);
             return Ok(());
-        }
+        };
         let text = read_text(root, &library, MAX_MATERIAL_BYTES)?;
         let mut material = String::new();
         for line in text.lines().map(str::trim) {
@@ -180,6 +206,7 @@ impl ObjReader {
                 let Some(picture) =
                     sibling_path(&library, picture).filter(|p| root.join(p).is_file())
                 else {
+                    self.note_missing(picture);
                     continue;
                 };
                 let mut bytes = Vec::new();
@@ -241,6 +268,16 @@ mod tests {
     }
 
     #[test]
+    fn missing_materials_and_textures_are_named() {
+        let obj =
+            format!("mtllib a.mtl\nmtllib gone.mtl\nusemtl wood\n{SQUARE}f 1/1 2/2 3/3 4/4\n");
+        let material = b"newmtl wood\nmap_Kd C:\\Users\\me\\oak.jpg\n";
+        let loaded = read_files(&[("a.obj", obj.as_bytes()), ("a.mtl", material)]).unwrap();
+        let text = &loaded.findings[0].text;
+        assert!(text.starts_with("2 of") && text.ends_with("gone.mtl, oak.jpg"), "{text}");
+    }
+
+    #[test]
     fn textures_color_the_sampled_points() {
         let mut png = std::io::Cursor::new(Vec::new());
         let picture = image::RgbImage::from_fn(2, 2, |x, y| {
@@ -254,6 +291,7 @@ mod tests {
             ("t.png", png.get_ref()),
         ])
         .unwrap();
+        assert_eq!(loaded.findings, []);
         for (p, c) in loaded.cloud.positions.iter().zip(&loaded.cloud.colors) {
             // The picture's first row is at the top: high y.
             assert_eq!(*c, if p.x < 0.5 && p.y > 0.5 { [255, 0, 0] } else { [0, 0, 255] }, "{p}");

@@ -59,7 +59,9 @@ pub fn read(
             continue;
         }
         let of_channel = |channel: usize| {
-            let is_channel = |property: &&PropertyDef| matches!(Field::from_name(&property.name), Some(Field::Channel(c)) if c == channel);
+            let is_channel = |property: &&PropertyDef| {
+                Field::from_name(&property.name).and_then(Field::channel) == Some(channel)
+            };
             element.properties.values().find(is_channel)
         };
         gathered.set_has_color((0..3).all(|channel| of_channel(channel).is_some()));
@@ -74,6 +76,10 @@ pub fn read(
         let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
         if !["x", "y", "z"].iter().any(in_doubles) {
             gathered.set_single_precision();
+        }
+        if HARMONICS.iter().all(|name| element.properties.contains_key(*name)) {
+            let text = "it holds Gaussian splats: their centers are read as points, with their colors. Splats that float in the air become points as well";
+            gathered.add_finding(Finding::assumed(FindingSubject::Cloud, text));
         }
         gathered.expect(file, element.count)?;
         rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
@@ -212,14 +218,32 @@ struct Vertex {
 enum Field {
     Coordinate(usize),
     Channel(usize),
+    /// The constant part of the color of a Gaussian, in spherical harmonics.
+    Harmonic(usize),
 }
 
 impl Field {
     fn from_name(name: &str) -> Option<Self> {
         let coordinate = ["x", "y", "z"].iter().position(|known| *known == name);
-        coordinate.map(Self::Coordinate).or_else(|| channel_of_name(name).map(Self::Channel))
+        let harmonic = || HARMONICS.iter().position(|known| *known == name).map(Self::Harmonic);
+        coordinate
+            .map(Self::Coordinate)
+            .or_else(|| channel_of_name(name).map(Self::Channel))
+            .or_else(harmonic)
+    }
+
+    fn channel(self) -> Option<usize> {
+        match self {
+            Self::Coordinate(_) => None,
+            Self::Channel(channel) | Self::Harmonic(channel) => Some(channel),
+        }
     }
 }
+
+/// Properties of Gaussian splats that hold their color, and the value of the constant spherical
+/// harmonic.
+const HARMONICS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
+const CONSTANT_HARMONIC: f64 = 0.282_094_791_773_878_14;
 
 impl Vertex {
     fn new() -> Self {
@@ -231,6 +255,9 @@ impl Vertex {
         match field {
             Field::Coordinate(axis) => self.position[axis] = value,
             Field::Channel(channel) => self.channels[channel] = value,
+            Field::Harmonic(channel) => {
+                self.channels[channel] = (0.5 + CONSTANT_HARMONIC * value).clamp(0.0, 1.0);
+            }
         }
     }
 }
@@ -313,6 +340,18 @@ mod tests {
             let loaded = read_bytes(&bytes).unwrap();
             assert!(loaded.has_color && loaded.cloud.colors == [[10, 20, 30]], "{red}");
         }
+    }
+
+    #[test]
+    fn gaussian_splats_are_read_as_colored_points() {
+        let names = XYZ_RGB
+            .replace("uchar red", "float f_dc_0")
+            .replace("uchar green", "float f_dc_1")
+            .replace("uchar blue", "float f_dc_2");
+        let bytes = [&header("ascii", 1, &names)[..], b"1 2 3 0 1.7724539 -9\n"].concat();
+        let loaded = read_bytes(&bytes).unwrap();
+        assert!(loaded.has_color && loaded.cloud.colors == [[128, 255, 0]], "{loaded:?}");
+        assert!(loaded.findings[0].text.contains("Gaussian splats"), "{:?}", loaded.findings);
     }
 
     #[test]

@@ -83,10 +83,10 @@ pub(super) fn find_color_file(folder: &FolderListing) -> Option<Utf8PathBuf> {
 /// Reads the color camera. Matrices without a size apply to the size of the first color picture.
 pub(super) fn read_color_intrinsics(
     folder: &FolderListing,
-    first_color: &Utf8Path,
+    picture: &Utf8Path,
 ) -> Result<Intrinsics, IngestError> {
     match find_color_file(folder) {
-        Some(file) => read_intrinsics(&folder.root, &file, first_color),
+        Some(file) => read_intrinsics(&folder.root, &file, picture),
         None => Err(IngestError::MissingIntrinsics { file: NAMES[0].into() }),
     }
 }
@@ -141,8 +141,15 @@ pub(super) fn intrinsics_from_values(
     values: &[f64],
     picture: &Utf8Path,
 ) -> Result<Intrinsics, IngestError> {
+    // A camera matrix has zeros below its diagonal. If they are beside it, it is written column by
+    // column.
+    let by_columns = |beside: [usize; 2], below: [usize; 2]| {
+        beside.iter().all(|&i| values[i] == 0.0) && below.iter().all(|&i| values[i] != 0.0)
+    };
     let at = match values.len() {
+        9 if by_columns([2, 5], [6, 7]) => [0, 4, 6, 7],
         9 => [0, 4, 2, 5],
+        16 if by_columns([2, 6], [8, 9]) => [0, 5, 8, 9],
         16 => [0, 5, 2, 6],
         4 => [0, 1, 2, 3],
         n => {

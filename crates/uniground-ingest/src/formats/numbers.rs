@@ -17,9 +17,29 @@ pub(super) fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f64>,
 /// Parses numbers separated by white space, commas, semicolons or brackets, as programs print
 /// matrices. Returns the first invalid word as an error.
 pub(super) fn parse(text: &str) -> Result<Vec<f64>, &str> {
-    let separates = |c: char| c.is_whitespace() || ",;[](){}".contains(c);
+    let decimal_commas = has_decimal_commas(text);
+    let separates =
+        |c: char| c.is_whitespace() || ";[](){}".contains(c) || (c == ',' && !decimal_commas);
     let words = text.split(separates).filter(|word| !word.is_empty());
-    words.map(|word| word.parse().map_err(|_| word)).collect()
+    let value = |word: &str| match decimal_commas {
+        true => word.replace(',', ".").parse(),
+        false => word.parse(),
+    };
+    words.map(|word| value(word).map_err(|_| word)).collect()
+}
+
+/// Returns whether commas separate decimals: there are no points, at most one comma in a word, and
+/// more digits behind a comma than sizes of pictures have.
+fn has_decimal_commas(text: &str) -> bool {
+    const MIN_DIGITS: usize = 5;
+    let words = || text.split_whitespace().map(|word| word.trim_matches(['[', ']', ';']));
+    let decimals = |word: &str| {
+        let (_, decimals) = word.split_once(',')?;
+        Some(decimals.bytes().take_while(u8::is_ascii_digit).count())
+    };
+    !text.contains('.')
+        && words().all(|word| word.matches(',').count() <= 1 && !word.ends_with(','))
+        && words().filter_map(decimals).any(|digits| digits >= MIN_DIGITS)
 }
 
 /// Reads a pose: a row-major 4x4 matrix, a 3x4 matrix without the last row, or a position and a
@@ -69,4 +89,17 @@ pub(super) fn find_values<'a>(text: &'a str, key: &str) -> Option<&'a str> {
         let (name, value) = line.split_once('=')?;
         (name.trim() == key).then(|| value.trim())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commas_separate_numbers_or_decimals() {
+        assert_eq!(parse("585,320, 240").unwrap(), [585.0, 320.0, 240.0]);
+        assert_eq!(parse("0.25,1 [2; 3]").unwrap(), [0.25, 1.0, 2.0, 3.0]);
+        assert_eq!(parse("-0,123456 1,5\n2 3,25e1").unwrap(), [-0.123_456, 1.5, 2.0, 32.5]);
+        assert_eq!(parse("1 two"), Err("two"));
+    }
 }

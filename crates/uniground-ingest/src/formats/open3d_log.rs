@@ -42,12 +42,12 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     let color = folder.files(folder.first_folder(COLOR).unwrap_or("color"), PICTURES)?;
     let pictures =
         ScanImages { color, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
-    let Some(first) = pictures.color.first() else {
+    let Some(typical) = folder.typical_picture(&pictures.color) else {
         return Err(incomplete(LOOKS_LIKE, "its color pictures are missing"));
     };
     let mut scan = Scan::new(&folder.root, "open3d-log");
     let color = if intrinsics::find_color_file(folder).is_some() {
-        intrinsics::read_color_intrinsics(folder, first)?
+        intrinsics::read_color_intrinsics(folder, typical)?
     } else {
         scan.findings.push(
             Finding::assumed(

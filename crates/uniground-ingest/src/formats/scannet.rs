@@ -54,7 +54,8 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         confidence: Vec::new(),
     };
     let poses = list("pose", &["txt"])?;
-    let (Some(color), Some(depth)) = (pictures.color.first(), pictures.depth.first()) else {
+    let typical = |pictures| folder.typical_picture(pictures);
+    let (Some(color), Some(depth)) = (typical(&pictures.color), typical(&pictures.depth)) else {
         return Err(incomplete(LOOKS_LIKE, "its pictures are missing"));
     };
     let cameras = if flat || !folder.has_file(COLOR_CAMERA) {

@@ -56,7 +56,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
         confidence: Vec::new(),
     };
     let poses = named(".pose.", &["txt"])?;
-    let Some(first) = pictures.color.first() else {
+    let Some(typical) = folder.typical_picture(&pictures.color) else {
         return Err(incomplete(LOOKS_LIKE, "its .color pictures are missing"));
     };
     if pictures.depth.is_empty() {
@@ -83,7 +83,7 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
             FrameCameras { color, depth: parse_camera(&info, &text, "Depth").ok() }
         }
         None if intrinsics::find_color_file(folder).is_some() => {
-            FrameCameras { color: intrinsics::read_color_intrinsics(folder, first)?, depth: None }
+            FrameCameras { color: intrinsics::read_color_intrinsics(folder, typical)?, depth: None }
         }
         None => {
             scan.findings.push(

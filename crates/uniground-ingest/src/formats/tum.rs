@@ -48,10 +48,11 @@ pub(super) fn read(folder: &FolderListing) -> Result<Scan, IngestError> {
     poses.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     let mut scan = Scan::new(root, "tum-rgbd");
     scan.depth_scale_m = 1.0 / 5000.0;
-    let Some(first) = color.first() else {
+    let pictures: Vec<Utf8PathBuf> = color.iter().map(|(_, picture)| picture.clone()).collect();
+    let Some(typical) = folder.typical_picture(&pictures) else {
         return Err(incomplete(LOOKS_LIKE, "rgb.txt lists no pictures"));
     };
-    let (camera, lens) = read_camera(folder, &heading, &first.1, &mut scan)?;
+    let (camera, lens) = read_camera(folder, &heading, typical, &mut scan)?;
     let times =
         |list: &[(f64, Utf8PathBuf)]| list.iter().map(|(t, _)| Some(*t)).collect::<Vec<_>>();
     let partner =
@@ -130,11 +131,11 @@ fn read_picture_list(
 fn read_camera(
     folder: &FolderListing,
     heading: &str,
-    first: &Utf8Path,
+    picture: &Utf8Path,
     scan: &mut Scan,
 ) -> Result<(Intrinsics, Option<Lens>), IngestError> {
     if intrinsics::find_color_file(folder).is_some() {
-        return Ok((intrinsics::read_color_intrinsics(folder, first)?, None));
+        return Ok((intrinsics::read_color_intrinsics(folder, picture)?, None));
     }
     let (width, height) = SIZE;
     let of = |fx, fy, cx, cy| Intrinsics { width, height, fx, fy, cx, cy };

@@ -39,9 +39,10 @@ impl ReprojectionSample<'_> {
                 let agreement = self.agreement_with(&reading, pose).filter(|_| !is_declared)?;
                 Some((agreement, cause))
             })
-            .max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let (agreement, cause) = best;
-        if agreement >= CLEARLY_BETTER.max(fits * TIMES_BETTER) {
+            .max_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((agreement, cause)) = best
+            && agreement >= CLEARLY_BETTER.max(fits * TIMES_BETTER)
+        {
             return Some(format!("{:.0}% would agree {cause}", agreement * 100.0));
         }
         let alone =

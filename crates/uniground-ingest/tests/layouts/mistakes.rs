@@ -4,6 +4,7 @@ use crate::room::{self, CAMERA, FRAMES, pose};
 use crate::with_import;
 use crate::writers::{self, Out};
 use nalgebra::Vector3;
+use uniground_geometry::scene::Intrinsics;
 use uniground_types::findings::{Finding, FindingSubject};
 
 /// Replaces the poses of the plain layout.
@@ -255,4 +256,172 @@ fn a_cloud_of_another_unit_or_place_is_named() {
     assert!(!about_cloud(0.0, 1.0).contains("cloud"), "{}", about_cloud(0.0, 1.0));
     assert!(about_cloud(0.8, 1.0).contains("fit each other"), "{}", about_cloud(0.8, 1.0));
     assert!(about_cloud(0.0, 1000.0).contains("another unit"), "{}", about_cloud(0.0, 1000.0));
+}
+
+/// Draws all color pictures again, changed.
+fn redraw(out: &Out, change: impl Fn(usize, image::RgbImage) -> image::RgbImage) {
+    for i in 0..FRAMES {
+        let picture = change(i, room::color(&CAMERA, &pose(i)).into_rgb8());
+        out.put(
+            &format!("color/{i}.jpg"),
+            room::encoded(&picture.into(), image::ImageFormat::Jpeg),
+        );
+    }
+}
+
+#[test]
+fn color_pictures_of_something_else_are_named() {
+    use image::imageops::{flip_horizontal, rotate180};
+    let drawn = |change: fn(usize, image::RgbImage) -> image::RgbImage| {
+        warnings(|out| {
+            writers::plain(out);
+            redraw(out, change);
+        })
+    };
+    assert_eq!(drawn(|_, picture| picture), [""; 0]);
+    let mirrored = drawn(|_, picture| flip_horizontal(&picture));
+    assert!(mirrored.iter().any(|w| w.contains("were mirrored left to right")), "{mirrored:?}");
+    let upside_down = drawn(|_, picture| rotate180(&picture));
+    assert!(upside_down.iter().any(|w| w.contains("rotated by 180 degrees")), "{upside_down:?}");
+    let mixed_up = drawn(|i, _| room::color(&CAMERA, &pose((i * 5 + 3) % FRAMES)).into_rgb8());
+    assert!(mixed_up.iter().any(|w| w.contains("do not fit the depth")), "{mixed_up:?}");
+    let one = drawn(|i, picture| if i == 4 { rotate180(&picture) } else { picture });
+    let of_another = "the color pictures of 1 of 12 compared frames";
+    assert!(one.iter().any(|w| w.starts_with(of_another) && w.ends_with("color/4.jpg")), "{one:?}");
+    let swapped = drawn(|i, mut picture| {
+        picture.pixels_mut().filter(|_| i == 4).for_each(|p| p.0.reverse());
+        picture
+    });
+    assert!(
+        swapped.iter().any(|w| w.starts_with("red and blue") && w.ends_with("color/4.jpg")),
+        "{swapped:?}"
+    );
+}
+
+#[test]
+fn color_pictures_without_color_are_named() {
+    let drawn = |change: fn(usize, [u8; 3]) -> [u8; 3]| {
+        warnings(|out| {
+            writers::plain(out);
+            redraw(out, |i, mut picture| {
+                picture.pixels_mut().for_each(|p| p.0 = change(i, p.0));
+                picture
+            });
+        })
+    };
+    let gray = drawn(|_, [r, g, b]| [(u16::from(r) + u16::from(g) + u16::from(b)) as u8 / 3; 3]);
+    assert!(gray.iter().any(|w| w.starts_with("the color pictures are gray")), "{gray:?}");
+    let dark = drawn(|_, color| color.map(|c| c / 16));
+    assert!(
+        dark.iter().any(|w| w.contains("12 of 12 examined color pictures are nearly")),
+        "{dark:?}"
+    );
+    let single = drawn(|i, color| if i == 7 { [0; 3] } else { color });
+    assert_eq!(single, ["1 of 12 examined color pictures show a single color: color/7.jpg"]);
+    let depth = warnings(|out| {
+        writers::plain(out);
+        for i in 0..FRAMES {
+            let levels = room::depth_m(&CAMERA, &pose(i)).into_iter().map(|z| (z * 60.0) as u8);
+            let (width, height) = (CAMERA.width, CAMERA.height);
+            let picture = image::GrayImage::from_raw(width, height, levels.collect()).unwrap();
+            out.put(
+                &format!("color/{i}.jpg"),
+                room::encoded(&picture.into(), image::ImageFormat::Jpeg),
+            );
+        }
+    });
+    assert!(depth.iter().any(|w| w.starts_with("the color pictures show depth")), "{depth:?}");
+}
+
+/// Errors that all frames share leave them in rough agreement.
+#[test]
+fn errors_that_all_frames_share_are_named() {
+    let roughly = |write: &dyn Fn(&Out)| {
+        with_import(write, |found| {
+            found.unwrap().report.warnings.into_iter().find(|w| w.contains("compared points"))
+        })
+        .unwrap_or_default()
+    };
+    let depth_with = |out: &Out, change: &dyn Fn(f32, u32, u32) -> f32| {
+        writers::plain(out);
+        for i in 0..FRAMES {
+            let picture =
+                image::ImageBuffer::<image::Luma<u16>, _>::from_fn(CAMERA.width, CAMERA.height, {
+                    let depth_m = room::depth_m(&CAMERA, &pose(i));
+                    move |u, v| {
+                        let z = depth_m[(v * CAMERA.width + u) as usize];
+                        image::Luma([(change(z, u, v) * 1000.0).round() as u16])
+                    }
+                });
+            out.put(
+                &format!("depth/{i}.png"),
+                room::encoded(&picture.into(), image::ImageFormat::Png),
+            );
+        }
+    };
+    assert_eq!(roughly(&|out| depth_with(out, &|z, _, _| z)), "");
+    let along_ray = roughly(&|out| {
+        depth_with(out, &|z, u, v| {
+            let (x, y) = ((u as f32 - CAMERA.cx) / CAMERA.fx, (v as f32 - CAMERA.cy) / CAMERA.fy);
+            z * (1.0 + x * x + y * y).sqrt()
+        });
+    });
+    assert!(along_ray.contains("distances along the ray"), "{along_ray}");
+    let scaled = roughly(&|out| depth_with(out, &|z, _, _| z / 1.25));
+    assert!(scaled.contains("depth is multiplied by about 1.25"), "{scaled}");
+    let focal = roughly(&|out| {
+        writers::plain(out);
+        let longer = Intrinsics { fx: CAMERA.fx * 1.25, fy: CAMERA.fy * 1.25, ..CAMERA };
+        out.put("intrinsic.txt", writers::camera_matrix(&longer));
+    });
+    assert!(focal.contains("the focal length is multiplied by about 0.8"), "{focal}");
+}
+
+#[test]
+fn depth_that_marks_no_measurement_is_named() {
+    let marked = warnings(|out| {
+        writers::plain(out);
+        for i in 0..FRAMES {
+            let mut depth = room::depth(&CAMERA, &pose(i), 0.001).into_luma16();
+            let corner = |x: u32, y: u32| x < CAMERA.width / 8 && y < CAMERA.height / 4;
+            depth
+                .enumerate_pixels_mut()
+                .filter(|(x, y, _)| corner(*x, *y))
+                .for_each(|(_, _, p)| p.0 = [20_000]);
+            out.put(
+                &format!("depth/{i}.png"),
+                room::encoded(&depth.into(), image::ImageFormat::Png),
+            );
+        }
+    });
+    assert!(marked.iter().any(|w| w.contains("one value (20.000 m)")), "{marked:?}");
+}
+
+#[test]
+fn clouds_of_other_colors_or_extent_are_named() {
+    let about_cloud = |change: &dyn Fn(crate::room::Points) -> crate::room::Points| {
+        with_import(
+            |out: &Out| {
+                writers::plain_with_cloud(out, 0.001);
+                out.put("cloud.ply", crate::clouds::ply(&change(room::cloud())));
+            },
+            |found| found.unwrap().report.warnings.join("; "),
+        )
+    };
+    let recolored = |change: fn([u8; 3], usize) -> [u8; 3]| {
+        about_cloud(&|points| {
+            points.into_iter().enumerate().map(|(i, (p, c))| (p, change(c, i))).collect()
+        })
+    };
+    assert_eq!(recolored(|color, _| color), recolored(|color, _| color.map(|c| c / 2 + 40)));
+    let swapped = recolored(|[r, g, b], _| [b, g, r]);
+    assert!(swapped.contains("red and blue are swapped"), "{swapped}");
+    let labels = recolored(|_, i| [[200, 30, 30], [30, 200, 30], [240, 240, 200]][i / 500 % 3]);
+    assert!(labels.contains("not those of the color pictures"), "{labels}");
+    let half = about_cloud(&|points| points.into_iter().filter(|(p, _)| p.x < -1.2).collect());
+    assert!(half.contains("of the surfaces that the frames show"), "{half}");
+    let beside = about_cloud(&|points| {
+        points.into_iter().map(|(p, c)| (p + Vector3::new(0.12, 0.1, 0.06), c)).collect()
+    });
+    assert!(beside.contains("the cloud lies beside the surfaces"), "{beside}");
 }
