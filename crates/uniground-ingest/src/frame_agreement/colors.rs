@@ -24,7 +24,7 @@ const BELOW_MEDIAN: f32 = 0.25;
 /// Below this correlation of red minus blue, red and blue are swapped. Correct scans: 0.5 to 0.99.
 const SWAPPED: f32 = -0.1;
 /// The brightness of a picture with swapped channels is at most this much below the median.
-const SWAPPED_BELOW_MEDIAN: f32 = 0.15;
+const SWAPPED_BELOW_MEDIAN: f32 = 0.2;
 /// Pictures whose brightness deviates by less than this (levels) show a single color.
 const SINGLE_COLOR: f32 = 1.5;
 /// Mean difference of red and blue, in levels, below which pictures are gray; and mean brightness

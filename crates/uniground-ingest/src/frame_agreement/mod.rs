@@ -93,9 +93,12 @@ pub(super) fn check(
         );
         findings.push(Finding::unusual(FindingSubject::Poses, text).counting(wrong.len()));
     }
-    findings.extend(rough.map(|rough| rough.as_finding()));
     let pictures = in_color(&used);
-    colors::check(scan, &pictures, pictures.len() == frames.len(), findings);
+    match rough {
+        // Which surface a picture shows is then uncertain.
+        Some(rough) => findings.push(rough.as_finding()),
+        None => colors::check(scan, &pictures, pictures.len() == frames.len(), findings),
+    }
     if let (Some(own), Some(cloud)) = (own_cloud, &cloud)
         && cloud_fits
     {
