@@ -6,7 +6,7 @@
 use super::pieces::longest_noun;
 use super::tokens::BREAK;
 use super::words::{self, Meaning as Word};
-use super::{Meaning, ParsedQuery, With, affordances, zones};
+use super::{Meaning, ParsedQuery, Phrase, With, affordances, zones};
 use uniground_models::attributes::WordNet;
 
 /// Maximum number of beginnings that are read, because each costs a reading.
@@ -46,7 +46,16 @@ pub(super) fn readings(
     {
         later.push(ParsedQuery { target: phrase.clone(), ..ParsedQuery::default() });
     }
-    later.retain(|reading| reading.target != first.target);
+    // "the mug from the table": where it is taken from is no target.
+    let taken_from: Vec<&Phrase> = first
+        .target
+        .relations
+        .iter()
+        .filter(|relation| relation.text == "from")
+        .flat_map(|relation| &relation.anchors)
+        .collect();
+    later
+        .retain(|reading| reading.target != first.target && !taken_from.contains(&&reading.target));
     let begins_later = if objects.is_empty() { !is_distinguishing(&first) } else { !at_once };
     if !begins_later || later.is_empty() {
         return (first, later);
@@ -302,6 +311,7 @@ mod tests {
         // The anchor of the target is not a target.
         for query in [
             "fetch the red mug off the desk",
+            "bring me the blue mug from the table",
             "the theremin next to the sofa",
             "pass me the remote, it's on the table",
         ] {

@@ -112,8 +112,12 @@ fn distance_at(tokens: &[String]) -> Option<(String, usize)> {
     let words: Vec<&str> = tokens.iter().take(12).map(String::as_str).collect();
     let limit = LIMITS.iter().find(|(limit, _)| words.starts_with(limit));
     let (limit, start) = limit.map_or((Limit::About, 0), |(words, limit)| (*limit, words.len()));
+    // "within about a meter of"
+    let is_vague = matches!(words.get(start), Some(&("about" | "around" | "roughly")));
+    let start = if is_vague { start + 1 } else { start };
     let (meters, length) = length_at(&words[start..])?;
     let end = start + length;
+    let end = if words[end..].starts_with(&["or", "so"]) { end + 2 } else { end };
     let from = FROM.iter().find(|from| words[end..].starts_with(from))?;
     let word = match limit {
         Limit::Most => "within",

@@ -14,6 +14,7 @@ pub(super) mod words;
 
 use super::distances::LengthUnit;
 use super::tokens::BREAK;
+use super::words::Meaning;
 use super::{ParsedQuery, Phrase};
 use std::ops::RangeInclusive;
 
@@ -243,7 +244,11 @@ type ReadObject<'a> = &'a dyn Fn(&[String]) -> ParsedQuery;
 /// form asks for an object.
 pub(super) fn recognize(mut tokens: Vec<String>, read: ReadObject) -> Request {
     words::expand_contractions(&mut tokens);
+    remove_wish_for_a_box(&mut tokens);
+    remove_choice_of_colors(&mut tokens);
+    remove_what_to_ignore(&mut tokens);
     refer_to_the_sentence_before(&mut tokens);
+    use_given_size(&mut tokens);
     let (tokens, except) = words::split_exceptions(&tokens);
     let mut reader = patterns::PatternReader { read, not_understood: Vec::new(), unit: None };
     let clauses = std::iter::once(0)
@@ -309,6 +314,108 @@ fn refer_to_the_sentence_before(tokens: &mut Vec<String>) {
     let mut question = second.to_vec();
     question.splice(it..=it, object);
     *tokens = question;
+}
+
+/// Removes a last sentence that says only how to answer: "give the box".
+fn remove_wish_for_a_box(tokens: &mut Vec<String>) {
+    const BOXES: [&str; 5] = ["box", "bbox", "boxes", "coordinates", "id"];
+    let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
+    let words = words.strip_suffix(&[BREAK]).unwrap_or(&words);
+    let Some(start) = words.iter().rposition(|word| *word == BREAK) else { return };
+    let wish = words::after(
+        &words[start + 1..],
+        &["give", "give me", "return", "output", "show", "show me", "i need", "send me", "with"],
+    );
+    let wish = wish.map(|wish| words::after(wish, &["the", "its", "a", "me the"]).unwrap_or(wish));
+    let is_wish = wish.is_some_and(|wish| match wish {
+        [last] | ["bounding" | "3d", last] => BOXES.contains(last),
+        _ => false,
+    });
+    if is_wish && start > 0 {
+        tokens.truncate(start);
+    }
+}
+
+/// Removes a last sentence about objects that are not meant: "ignore the one on the freezer".
+fn remove_what_to_ignore(tokens: &mut Vec<String>) {
+    let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
+    let words = words.strip_suffix(&[BREAK]).unwrap_or(&words);
+    let Some(start) = words.iter().rposition(|word| *word == BREAK).filter(|start| *start > 0)
+    else {
+        return;
+    };
+    let ignored = ["ignore", "disregard", "skip", "i do not mean", "i don't mean", "do not take"];
+    if words::after(&words[start + 1..], &ignored).is_some() {
+        tokens.truncate(start);
+    }
+}
+
+/// Removes colors to choose from: "the toaster by the stove: green or yellow?" asks for the toaster.
+fn remove_choice_of_colors(tokens: &mut Vec<String>) {
+    let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
+    let words = words.strip_suffix(&[BREAK]).unwrap_or(&words);
+    let Some(start) = words.iter().rposition(|word| *word == BREAK).filter(|start| *start > 0)
+    else {
+        return;
+    };
+    let is_color = |words: &[&str]| {
+        let words = words::after(words, &["the", "a"]).unwrap_or(words);
+        let words = words::before(words, &["one"]).unwrap_or(words);
+        matches!(super::words::longest_match(words), Some((Meaning::Color(_), length)) if length == words.len())
+    };
+    // "which is closer, the red one or the blue one" compares the two.
+    let compares = |word: &&str| word.ends_with("er") || *word == "more";
+    if words[..start].iter().any(compares) || matches!(words.first(), Some(&("is" | "are"))) {
+        return;
+    }
+    let pair = words::split_pair(&words[start + 1..], "or");
+    if pair.is_some_and(|(first, second)| is_color(first) && is_color(second)) {
+        tokens.truncate(start);
+    }
+}
+
+/// Puts a size that the sentence before gives into a question whether something fits: "I'm 25 cm
+/// tall. Do I fit under the sofa?"
+fn use_given_size(tokens: &mut Vec<String>) {
+    const GUESTS: [&[&str]; 10] = [
+        &["i"],
+        &["it"],
+        &["we"],
+        &["he"],
+        &["she"],
+        &["the", "robot"],
+        &["my", "robot"],
+        &["the", "base"],
+        &["this", "robot"],
+        &["that"],
+    ];
+    let Some(end) = tokens.iter().position(|token| token == BREAK) else { return };
+    let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
+    let (first, second) = (&words[..end], &words[end + 1..]);
+    const ADJECTIVES: [&str; 7] = ["tall", "high", "wide", "long", "deep", "thick", "across"];
+    // "I'm 25 cm tall", "a crate 40 cm tall"
+    let Some((at, length)) = (1..first.len()).find_map(|at| {
+        let (_, length) = super::distances::length_at(&first[at..])?;
+        let is_size = first.get(at + length).is_some_and(|word| ADJECTIVES.contains(word));
+        is_size.then_some((at, length))
+    }) else {
+        return;
+    };
+    let Some(asked) = words::after(second, &["do", "does", "can", "could", "would", "will"]) else {
+        return;
+    };
+    let Some(guest) = GUESTS.iter().find(|guest| asked.starts_with(guest)) else { return };
+    let size = &first[at..at + length];
+    let question: Vec<String> = ["does", "something"]
+        .iter()
+        .chain(size)
+        .chain(["tall"].iter())
+        .chain(&asked[guest.len()..])
+        .map(|word| (*word).to_owned())
+        .collect();
+    if measures::asks_for_space(&question) {
+        *tokens = question;
+    }
 }
 
 #[cfg(test)]

@@ -88,6 +88,14 @@ fn rewrite_which_is(tokens: &mut Vec<String>) {
     ) else {
         return;
     };
+    // "which beanbag is the ball next to"
+    for words in [["next", "to"], ["close", "to"], ["closest", "to"], ["nearest", "to"]] {
+        if verb > 1 && end > verb + 3 && tokens[end - 2..end] == words {
+            tokens.drain(end - 2..end);
+            tokens.splice(verb..=verb, words.map(str::to_owned));
+            return;
+        }
+    }
     let carries = end > verb + 2
         && matches!(tokens[end - 1].as_str(), "on" | "in" | "under" | "at")
         && verb > 1;

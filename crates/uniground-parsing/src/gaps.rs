@@ -148,11 +148,11 @@ fn midpoint_between(
 mod tests {
     use super::*;
     use crate::superpoints::Patch;
-    use camino::{Utf8Path, Utf8PathBuf};
-    use image::{ImageBuffer, Luma};
+    use camino::Utf8Path;
     use uniground_geometry::Isometry3;
     use uniground_geometry::color::Lab;
-    use uniground_geometry::scene::{FrameIndex, Intrinsics, Optics};
+    use uniground_geometry::scene::Intrinsics;
+    use uniground_testing::flat_frame;
 
     const CAMERA: Intrinsics =
         Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
@@ -201,26 +201,6 @@ mod tests {
         assert!(gaps_of(0.5).is_empty(), "too far apart for a gap");
     }
 
-    /// Returns a frame that measured `depth_m` everywhere, meters.
-    fn frame(folder: &Utf8Path, index: u32, depth_m: f32) -> FrameRef {
-        let depth = folder.join(format!("{index}.png"));
-        let millimetres = Luma([(depth_m * 1e3) as u16]);
-        ImageBuffer::<Luma<u16>, Vec<u16>>::from_pixel(CAMERA.width, CAMERA.height, millimetres)
-            .save(&depth)
-            .unwrap();
-        FrameRef {
-            index: FrameIndex(index),
-            time_s: None,
-            color: Utf8PathBuf::new(),
-            depth,
-            color_intrinsics: CAMERA,
-            depth_intrinsics: CAMERA,
-            depth_scale_m: 0.001,
-            camera_to_world: Isometry3::identity(),
-            optics: Optics::default(),
-        }
-    }
-
     #[test]
     fn pairs_are_removed_where_most_frames_see_through_the_gap() {
         let folder = tempfile::tempdir().unwrap();
@@ -228,7 +208,7 @@ mod tests {
         let neighbors = |apart_m: f32, depths_m: &[f32]| {
             let (cloud, superpoints) = two_squares(apart_m);
             let frames: Vec<FrameRef> =
-                (0..).zip(depths_m).map(|(i, &depth_m)| frame(folder, i, depth_m)).collect();
+                (0..).zip(depths_m).map(|(i, &m)| flat_frame(folder, i, CAMERA, m)).collect();
             remove_pairs_across_gaps(
                 &cloud,
                 &superpoints,

@@ -176,36 +176,17 @@ fn shows(camera: &Camera, depth: &DepthImage, points: &[Point3<f32>]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use camino::{Utf8Path, Utf8PathBuf};
-    use image::{ImageBuffer, Luma};
+    use camino::Utf8Path;
+    use uniground_geometry::Vector3;
     use uniground_geometry::boxes::Aabb;
-    use uniground_geometry::scene::{
-        FrameIndex, Intrinsics, Optics, ParseReport, PointCloud, Support,
-    };
-    use uniground_geometry::{Isometry3, Vector3};
-    use uniground_testing::thing;
+    use uniground_geometry::scene::{FrameIndex, Intrinsics, ParseReport, PointCloud, Support};
+    use uniground_testing::{flat_frame, thing};
 
     const CAMERA: Intrinsics =
         Intrinsics { width: 32, height: 24, fx: 16.0, fy: 16.0, cx: 15.5, cy: 11.5 };
 
-    /// A frame at the origin that looks along +Z and measured this depth everywhere.
     fn frame(folder: &Utf8Path, index: u32, depth_m: f32, time_s: Option<f64>) -> FrameRef {
-        let depth = folder.join(format!("{index}.png"));
-        let millimeters = Luma([(depth_m * 1e3) as u16]);
-        ImageBuffer::<Luma<u16>, Vec<u16>>::from_pixel(CAMERA.width, CAMERA.height, millimeters)
-            .save(&depth)
-            .unwrap();
-        FrameRef {
-            index: FrameIndex(index),
-            time_s,
-            color: Utf8PathBuf::new(),
-            depth,
-            color_intrinsics: CAMERA,
-            depth_intrinsics: CAMERA,
-            depth_scale_m: 0.001,
-            camera_to_world: Isometry3::identity(),
-            optics: Optics::default(),
-        }
+        FrameRef { time_s, ..flat_frame(folder, index, CAMERA, depth_m) }
     }
 
     /// Two walls in front of the camera: one instance at two meters, one at three.

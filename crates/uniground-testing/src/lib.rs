@@ -5,11 +5,14 @@
 #![allow(clippy::expect_used, clippy::missing_panics_doc)]
 
 use camino::{Utf8Path, Utf8PathBuf};
+use image::{ImageBuffer, Luma};
 use std::sync::Arc;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::color::ColorHistogram;
-use uniground_geometry::scene::{Instance, InstanceId, Support};
-use uniground_geometry::{Point3, Vector3};
+use uniground_geometry::scene::{
+    FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, Optics, Support,
+};
+use uniground_geometry::{Isometry3, Point3, Vector3};
 use uniground_models::neural::{DualEncoder, Models, OnnxRuntime, RuntimeSettings, Segmenter};
 
 /// Returns an object whose box has this size (x, y, z in meters) and whose underside is `base`
@@ -74,4 +77,29 @@ pub fn tiny_segmenter(name: &str) -> Arc<Segmenter> {
         .expect("the bundle loads")
         .segmenters
         .remove(0)
+}
+
+/// Returns a frame at the origin that looks along +Z and measured `depth_m` meters everywhere. Its
+/// depth picture is written into `folder`; it has no color picture.
+///
+/// # Panics
+/// Panics if the picture cannot be written.
+#[must_use]
+pub fn flat_frame(folder: &Utf8Path, index: u32, camera: Intrinsics, depth_m: f32) -> FrameRef {
+    let depth = folder.join(format!("{index}.png"));
+    let millimeters = Luma([(depth_m * 1e3) as u16]);
+    let picture =
+        ImageBuffer::<Luma<u16>, Vec<u16>>::from_pixel(camera.width, camera.height, millimeters);
+    picture.save(&depth).expect("the folder is writable");
+    FrameRef {
+        index: FrameIndex(index),
+        time_s: None,
+        color: Utf8PathBuf::new(),
+        depth,
+        color_intrinsics: camera,
+        depth_intrinsics: camera,
+        depth_scale_m: 0.001,
+        camera_to_world: Isometry3::identity(),
+        optics: Optics::default(),
+    }
 }

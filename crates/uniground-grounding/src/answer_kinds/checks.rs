@@ -3,8 +3,8 @@
 use super::measures::{length_error, measure};
 use super::sentences::{be, capitalized, joined, spoken as spoken_phrase, with_article};
 use super::{
-    AnswerValue, Grounding, MissingAnchor, NoMatchReason, Status, Writer, builtin, to_target,
-    value_of,
+    Anchors, AnswerValue, Grounding, MissingAnchor, NoMatchReason, Status, Writer, builtin,
+    to_target, value_of,
 };
 use crate::Unit;
 use crate::answer::superlative_words;
@@ -15,7 +15,7 @@ use crate::reasoner::builtin::ALSO_MEANT;
 use uniground_geometry::scene::Support;
 use uniground_language::{
     Claim, ComparedBy, Comparison, Dimension, Meaning, ParsedQuery, Phrase, Quantity, Reference,
-    plural_of,
+    With, plural_of,
 };
 
 /// A claim with at least this score holds.
@@ -43,6 +43,16 @@ impl Writer<'_> {
                 let reason = missing.reason.unwrap_or(NoMatchReason::Absent);
                 self.choose(best, subject, found.confidence.min(missing.confidence), grounding);
                 grounding.text = Self::nothing(&anchor, Some(reason));
+                // What is not there is not on the desk either.
+                if reason == NoMatchReason::Absent
+                    && self.parsed.target.with.iter().any(|with| with.phrase == anchor)
+                {
+                    let answer = if claim.is_negated { "Yes" } else { "No" };
+                    grounding.text = format!("{answer}. {}", grounding.text);
+                    let ids = [self.instances()[best].id];
+                    grounding.value =
+                        Some(AnswerValue { yes: Some(claim.is_negated), ..value_of(&ids) });
+                }
                 return;
             }
         };
@@ -196,13 +206,39 @@ impl Writer<'_> {
         &mut self,
         subject: &Phrase,
     ) -> Result<Option<(Vec<f32>, f32)>, MissingAnchor> {
-        let (claim, confidence) = self.resolve_anchors(&self.parsed.target.clone())?;
+        let target = self.parsed.target.clone();
+        // "Does the desk have a lamp", where there is no lamp.
+        for with in target
+            .with
+            .iter()
+            .filter(|with| !with.absent && !subject.with.contains(with) && !is_part(&with.phrase))
+        {
+            let found = self.resolve(&with.phrase);
+            if found.index.is_none() {
+                return Err(Box::new((with.phrase.clone(), found)));
+            }
+        }
+        let (claim, confidence) = self.resolve_anchors(&target, Anchors::AllMeant)?;
         Ok(self.claim_scores(subject, &claim).map(|scores| (scores, confidence)))
     }
 
     /// Returns how well a claim holds of every instance; `None` where nothing in it can be checked.
     fn claim_scores(&self, subject: &Phrase, claim: &Phrase) -> Option<Vec<f32>> {
-        let assessed = self.assessor.assess(claim);
+        // What is claimed to be carried has to be seen; a description may leave it open.
+        let (own, carried): (Vec<&With>, Vec<&With>) = claim
+            .with
+            .iter()
+            .partition(|with| subject.with.contains(with) || is_part(&with.phrase));
+        let described = Phrase { with: own.into_iter().cloned().collect(), ..claim.clone() };
+        let assessed = self.assessor.assess(&described);
+        let all = 0..self.instances().len();
+        let carried: Vec<(bool, Vec<(usize, f32)>)> = carried
+            .into_iter()
+            .map(|with| {
+                let things = self.assessor.assess(&with.phrase).total;
+                (with.absent, self.assessor.carried(&with.phrase, &things, all.clone()))
+            })
+            .collect();
         let named = matches!(subject.meaning(), Meaning::Instance(_))
             && !matches!(claim.meaning(), Meaning::Instance(_) | Meaning::Anything);
         // No parse finds the cushion of a chair.
@@ -225,7 +261,11 @@ impl Writer<'_> {
             if !claim.colors.is_empty() || !claim.other_than.is_empty() {
                 score = score.min(colors_fit(self.assessor.scene, claim, i));
             }
-            let is_described = !claim.traits.is_empty() || !claim.with.is_empty();
+            for (absent, fits) in &carried {
+                let fit = fits[i].1;
+                score = score.min(if *absent { 1.0 - fit } else { fit });
+            }
+            let is_described = !claim.traits.is_empty() || !described.with.is_empty();
             if is_described && assessed.nouns[i] > 0.0 {
                 score = score.min(assessed.own[i] / assessed.nouns[i]);
             }
@@ -240,7 +280,7 @@ impl Writer<'_> {
             }
             score
         };
-        Some((0..self.instances().len()).map(of).collect())
+        Some(all.map(of).collect())
     }
 
     /// Returns what the question claims of objects with a name, or that it does not hold: "is on the

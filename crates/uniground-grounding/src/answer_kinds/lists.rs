@@ -2,8 +2,8 @@
 
 use super::sentences::{capitalized, joined, with_article};
 use super::{
-    AnswerValue, Grounding, NoMatchReason, Resolved, Status, Writer, is_about_anything, to_target,
-    value_of,
+    Anchors, AnswerValue, Grounding, NoMatchReason, Resolved, Status, Writer, is_about_anything,
+    to_target, value_of,
 };
 use crate::assess::carried::is_part;
 use crate::reasoner::NamesFrom;
@@ -237,7 +237,7 @@ impl Writer<'_> {
         if !about_anything && grounding.status == Status::NoMatch {
             return Listing::Found(Vec::new(), 1.0);
         }
-        let (resolved, anchor_confidence) = match self.resolve_anchors(&target) {
+        let (resolved, anchor_confidence) = match self.resolve_anchors(&target, Anchors::Best) {
             Ok(resolved) => resolved,
             Err(missing) => return Listing::NoAnchor(missing),
         };

@@ -146,6 +146,15 @@ struct Resolved {
     scores: Vec<f32>,
 }
 
+/// Which instances the anchors of a phrase stand for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Anchors {
+    /// The best ones, unless others fit as well.
+    Best,
+    /// All that may be meant: "on the white table" is true of each white table.
+    AllMeant,
+}
+
 /// An anchor of a question that was not found, and why.
 type MissingAnchor = Box<(Phrase, Resolved)>;
 
@@ -206,7 +215,11 @@ impl<'a> Writer<'a> {
 
     /// Replaces the anchors of a phrase by the instances that they mean. Returns the phrase, and
     /// the confidence in its anchors; or the anchor that was not found, and why.
-    fn resolve_anchors(&mut self, phrase: &Phrase) -> Result<(Phrase, f32), MissingAnchor> {
+    fn resolve_anchors(
+        &mut self,
+        phrase: &Phrase,
+        anchors: Anchors,
+    ) -> Result<(Phrase, f32), MissingAnchor> {
         let mut resolved = phrase.clone();
         let mut confidence = 1.0_f32;
         for relation in &mut resolved.relations {
@@ -223,7 +236,9 @@ impl<'a> Writer<'a> {
                     return Err(Box::new((anchor.clone(), found)));
                 };
                 // "on the wall", where there are four: each of them may be meant.
-                if found.is_tied || matches!(anchor.meaning(), Meaning::Structure(_)) {
+                let several =
+                    found.is_tied || anchors == Anchors::AllMeant && found.next_to(index).is_some();
+                if several || matches!(anchor.meaning(), Meaning::Structure(_)) {
                     continue;
                 }
                 confidence = confidence.min(found.confidence);

@@ -15,6 +15,8 @@ const LEAST_COLOR: f32 = 0.15;
 const MOST_COLORS: usize = 3;
 /// Maximum number of other names in a description.
 const MOST_NAMES: usize = 3;
+/// Maximum number of objects on another one that are named.
+const MOST_CARRIED: usize = 8;
 
 /// Names of instances in sentences.
 #[derive(Clone, Copy)]
@@ -174,6 +176,17 @@ pub(super) fn description(
             text.push('.');
             if instance.structure.is_none() {
                 text = format!("{text} It is {colors}.");
+            }
+            let on_it: Vec<String> = (0..instances.len())
+                .filter(|&i| instances[i].is_shown())
+                .filter(|&i| instances[i].support == Support::Instance { id: instance.id })
+                .map(|i| names.a(i))
+                .collect();
+            if !on_it.is_empty() {
+                let more = on_it.len().saturating_sub(MOST_CARRIED);
+                let mut named: Vec<String> = on_it.into_iter().take(MOST_CARRIED).collect();
+                named.extend((more > 0).then(|| format!("{more} more")));
+                text = format!("{text} On or in it: {}.", joined(&named));
             }
             let others: Vec<String> = instance
                 .names

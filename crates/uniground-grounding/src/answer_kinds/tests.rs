@@ -348,6 +348,34 @@ fn a_wall_is_no_answer_to_another_word() {
     assert_eq!(targets(&answer), [10]);
 }
 
+/// What is not found is not there, and what stands elsewhere is not carried.
+#[test]
+fn what_an_object_has_must_be_seen_on_it() {
+    assert_eq!(yes("does the desk have a laptop?"), Some(true));
+    assert_eq!(yes("does the desk have a stool?"), Some(false));
+    let answer = ask("does the desk have a piano?");
+    assert_eq!(answer.value.unwrap().yes, Some(false));
+    assert_eq!(answer.text, "No. I found no piano.");
+    let answer = ask("does the desk have a blorp?");
+    assert!(answer.value.is_none() && answer.text.contains("do not know"), "{}", answer.text);
+}
+
+#[test]
+fn a_claim_about_a_place_holds_of_every_place_that_may_be_meant() {
+    let table = |id, x, rgb| {
+        let instance = thing(id, [x, 0.0], [0.8, 0.8, 0.5], 0.0, Support::Floor, rgb);
+        Instance { given_name: Some("coffee table".into()), ..instance }
+    };
+    let on = Support::Instance { id: InstanceId(1) };
+    let instances = vec![
+        table(1, 0.0, [235, 225, 215]),
+        table(2, 3.0, [250, 250, 250]),
+        named(3, "remote", [0.0, 0.0], [0.2, 0.05, 0.02], 0.5, on),
+    ];
+    let answer = ask_in(&instances, &Question::of("is the remote on the white coffee table?"));
+    assert_eq!(answer.value.unwrap().yes, Some(true), "{}", answer.text);
+}
+
 #[test]
 fn parts_of_furniture_cannot_be_checked() {
     let answer = ask("does the sofa have a cushion?");
@@ -429,6 +457,8 @@ fn places_and_descriptions_are_sentences() {
     let answer = ask("what is #6?");
     assert_eq!(answer.kind, AnswerKind::Description);
     assert!(answer.text.contains("stool") && answer.text.contains("40 cm"), "{}", answer.text);
+    let answer = ask("describe the desk");
+    assert!(answer.text.contains("On or in it: a grey laptop"), "{}", answer.text);
     let answer = ask("what is the sofa made of?");
     assert!(answer.text.starts_with("A scan does not show"), "{}", answer.text);
     assert!(ask("what is this?").text.contains("Select an object"));

@@ -91,7 +91,32 @@ impl Assessor<'_> {
             }
             return;
         }
-        let things = most_plausible(&found.total, MAX_ANCHORS);
+        let plausible = most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| i);
+        let fits = self.carried(phrase, &found.total, plausible);
+        // Where no instance carries such an object, detection missed it: books on a shelf are
+        // seldom found one by one.
+        let missed = !absent && fits.iter().all(|(_, fit)| *fit < CARRIED);
+        let mut shares = vec![NOT_CARRIED; scores.len()];
+        for (i, fit) in fits {
+            let fit = NOT_CARRIED + (1.0 - NOT_CARRIED) * fit;
+            shares[i] = if *absent {
+                1.0 + NOT_CARRIED - fit
+            } else {
+                fit.max(if missed { SMALL_NOT_FOUND } else { 0.0 })
+            };
+        }
+        scores.iter_mut().zip(shares).for_each(|(score, share)| *score *= share);
+    }
+
+    /// Returns how well each of some instances carries what a phrase says, `0..=1`, given how well
+    /// every instance fits the phrase.
+    pub(crate) fn carried(
+        &self,
+        phrase: &Phrase,
+        fits: &[f32],
+        instances: impl Iterator<Item = usize>,
+    ) -> Vec<(usize, f32)> {
+        let things = most_plausible(fits, MAX_ANCHORS);
         let best = things.iter().map(|t| t.1).fold(f32::EPSILON, f32::max);
         let fit_of = |i: usize| {
             let carried = |&(t, _): &(usize, f32)| {
@@ -111,21 +136,7 @@ impl Assessor<'_> {
                 }
             }
         };
-        let fits: Vec<(usize, f32)> =
-            most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| (i, fit_of(i))).collect();
-        // Where no instance carries such an object, detection missed it: books on a shelf are
-        // seldom found one by one.
-        let missed = !absent && fits.iter().all(|(_, fit)| *fit < CARRIED);
-        let mut shares = vec![NOT_CARRIED; scores.len()];
-        for (i, fit) in fits {
-            let fit = NOT_CARRIED + (1.0 - NOT_CARRIED) * fit;
-            shares[i] = if *absent {
-                1.0 + NOT_CARRIED - fit
-            } else {
-                fit.max(if missed { SMALL_NOT_FOUND } else { 0.0 })
-            };
-        }
-        scores.iter_mut().zip(shares).for_each(|(score, share)| *score *= share);
+        instances.map(|i| (i, fit_of(i))).collect()
     }
 
     fn is_named(&self, index: usize, noun: &str) -> bool {

@@ -15,6 +15,10 @@ use crate::{NoMatchReason, SceneView, Status};
 use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Reach, RelationKind};
 use uniground_models::attributes::Noun;
 
+/// At this fit or above, an instance clearly has the requested colors. Below it, its color says
+/// that it may not be meant.
+const CLEAR_COLOR: f32 = 0.8;
+
 /// Name and version, recorded with answers.
 pub const NAME: &str = "builtin-3";
 
@@ -151,7 +155,13 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         } else {
             1.0
         };
+        let colored = if parsed.target.colors.is_empty() {
+            1.0
+        } else {
+            (colors_fit(assessor.scene, &parsed.target, i) / CLEAR_COLOR).min(1.0)
+        };
         *belief = called
+            * colored
             * understood
             * named
             * share_right(*belief, NamesFrom::of(assessor.scene, &parsed.target, i));

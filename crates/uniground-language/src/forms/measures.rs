@@ -25,12 +25,43 @@ pub(super) const DIMENSIONS: [(&str, Dimension); 16] = [
     ("elevation", Dimension::Elevation),
 ];
 
+/// Words for a way past or below objects.
+const PASSES: [&str; 6] = ["through", "between", "under", "underneath", "beneath", "below"];
+
+/// Beginnings of questions whether something can be moved somewhere.
+const MOVED: [&str; 14] = [
+    "can i push",
+    "can i move",
+    "can i get",
+    "can i fit",
+    "can i squeeze",
+    "can i roll",
+    "can i carry",
+    "could i push",
+    "could i get",
+    "could i fit",
+    "can we push",
+    "can we get",
+    "can we fit",
+    "could we fit",
+];
+
+/// Words before "distance" that say how it is measured.
+const DISTANCE_ADJECTIVES: [&str; 8] =
+    ["straight-line", "straight", "line", "direct", "shortest", "closest", "minimum", "euclidean"];
+
 impl PatternReader<'_> {
     pub(super) fn distance(&mut self, words: &[&str]) -> Found {
         // "the distance between A and B", "how much space is there between A and B"
         let named = after(words, &["what is the", "what are the", "measure the", "give me the"])
             .unwrap_or(words);
-        let named = named.strip_prefix(&["the"]).unwrap_or(named);
+        let mut named = named.strip_prefix(&["the"]).unwrap_or(named);
+        while let [word, rest @ ..] = named
+            && DISTANCE_ADJECTIVES.contains(word)
+        {
+            named = rest;
+        }
+        let is_distance = named.first() == Some(&"distance");
         let named = after(
             named,
             &[
@@ -39,7 +70,6 @@ impl PatternReader<'_> {
                 "space",
                 "spacing",
                 "clearance",
-                "shortest distance",
                 "how much space is there",
                 "how much room is there",
                 "how much space is",
@@ -55,13 +85,25 @@ impl PatternReader<'_> {
         );
         if let Some(named) = named {
             let named = named.strip_prefix(&["left"]).unwrap_or(named);
+            // "the distance between the two stools"
+            if let Some(both) = after(named, &["between the two", "between both", "between the"])
+                && !both.contains(&"and")
+            {
+                let other = Reference::Object(Box::new(self.object(both)));
+                return Some((Form::Distance(other), owned(both)));
+            }
             let pair = after(named, &["between"])
                 .and_then(|pair| split_pair(pair, "and"))
                 .or_else(|| {
                     let pair = after(named, &["from"])?;
                     split_last(pair, "to")
                 })
-                .or_else(|| Some((after(named, &["to"])?, &["me"][..])));
+                .or_else(|| Some((after(named, &["to"])?, &["me"][..])))
+                // "distance sofa to door"
+                .or_else(|| {
+                    let pair = split_last(named, "to").or_else(|| split_pair(named, "and"));
+                    pair.filter(|_| is_distance)
+                });
             let (target, other) = pair?;
             let (target, other) = pair_with_nouns(target, other);
             return Some((Form::Distance(self.reference(&other)), owned(&target)));
@@ -184,6 +226,12 @@ impl PatternReader<'_> {
             let way = rest.iter().position(|word| WAYS.iter().any(|(said, _)| said == word))?;
             Some((rest[..way].to_vec(), rest[way..].to_vec()))
         });
+        // "can I push a cart 80 cm wide between the bed and the desk"
+        let found = found.or_else(|| {
+            let rest = after(words, &MOVED)?;
+            let way = rest.iter().position(|word| is_one_of(Some(word), &PASSES))?;
+            Some((rest[..way].to_vec(), rest[way..].to_vec()))
+        });
         let (guest, rest) = found?;
         // "drive through between the two armchairs"
         let rest = if let ["through", between @ ..] = &rest[..]
@@ -288,11 +336,18 @@ pub(super) fn measure_of(words: &[&str]) -> Found {
     let asked = after(
         words,
         &["what is the", "what are the", "give me the", "measure the", "show me the", "the"],
-    )?;
+    )
+    .unwrap_or(words);
     DIMENSIONS.iter().find_map(|(word, dimension)| {
         let target = after(asked, &[word]).and_then(|rest| after(rest, &["of"]))?;
         Some((Form::Size(*dimension), owned(target)))
     })
+}
+
+/// Returns whether a question asks whether something fits or passes.
+pub(super) fn asks_for_space(question: &[String]) -> bool {
+    let words: Vec<&str> = question.iter().map(String::as_str).collect();
+    verb_of_fitting(&words).is_some()
 }
 
 /// Returns where "fit", "go through" and the like stand, and the words after them.
@@ -315,10 +370,7 @@ fn verb_of_fitting<'b>(words: &[&'b str]) -> Option<(usize, Vec<&'b str>)> {
     ];
     (1..words.len()).find_map(|i| {
         let rest = after(&words[i..], &VERBS)?;
-        let passes = is_one_of(
-            rest.first(),
-            &["through", "between", "under", "underneath", "beneath", "below"],
-        );
+        let passes = is_one_of(rest.first(), &PASSES);
         (passes || words[i] == "fit").then(|| (i, rest.to_vec()))
     })
 }

@@ -3,7 +3,7 @@
 use super::descriptions::{description, place};
 use super::lists::{exists, list};
 use super::measures::{how, measure_of};
-use super::words::{LEADS, TAILS, after, before, owned, without_second_question};
+use super::words::{LEADS, TAILS, after, before, is_article, owned, without_second_question};
 use super::{Form, ReadObject, Reference};
 use crate::Phrase;
 use crate::distances::{self, LengthUnit};
@@ -21,6 +21,20 @@ pub(super) struct PatternReader<'a> {
     pub unit: Option<LengthUnit>,
 }
 
+/// Turns a statement to be confirmed into a question: "confirm: the bear is on the sofa".
+fn as_question<'b>(words: &[&'b str]) -> Option<Vec<&'b str>> {
+    let stated = after(
+        words,
+        &["confirm that", "confirm", "verify that", "verify", "is it true that", "true or false"],
+    )?;
+    let stated = stated.strip_prefix(&[BREAK]).unwrap_or(stated);
+    let be = stated.iter().position(|word| matches!(*word, "is" | "are"))?;
+    let has_article = stated.first().is_some_and(|word| is_article(word));
+    let article = (!has_article).then_some("the");
+    let question = [stated[be]].into_iter().chain(article).chain(stated[..be].iter().copied());
+    Some(question.chain(stated[be + 1..].iter().copied()).collect())
+}
+
 impl PatternReader<'_> {
     /// Recognizes the form of the clause with which tokens begin, up to their end. Forms that a
     /// plain description can look like are recognized only at the beginning of the question.
@@ -33,6 +47,8 @@ impl PatternReader<'_> {
         while let Some(rest) = before(words, &TAILS).filter(|rest| rest.len() > 2) {
             words = rest.strip_suffix(&[BREAK]).unwrap_or(rest);
         }
+        let asked = as_question(words);
+        let words = asked.as_deref().unwrap_or(words);
         let mut words = without_second_question(words);
         let unit = distances::take_unit(&mut words);
         let words = &words[..];

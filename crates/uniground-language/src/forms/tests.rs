@@ -28,6 +28,9 @@ fn distances_have_a_target_and_a_reference() {
         ("how far am I from the door?", "door", "me"),
         ("how far is it from the desk to the window", "desk", "window"),
         ("how close is the lamp to the curtain?", "lamp", "curtain"),
+        ("give me the distance between the two round stools", "stools", "stools"),
+        ("Straight-line distance lamp to curtain?", "lamp", "curtain"),
+        ("the shortest distance between the desk and the bed", "desk", "bed"),
         ("can you tell me how far the desk is", "", ""),
     ] {
         if target.is_empty() {
@@ -52,6 +55,7 @@ fn sizes_have_a_dimension() {
         ("what is the height of the floor lamp?", "floor lamp", Dimension::Height),
         ("how much space does the wardrobe take up?", "wardrobe", Dimension::Area),
         ("what size is the rug?", "rug", Dimension::All),
+        ("Length of the rug, in meters", "rug", Dimension::Length),
         ("how many centimeters wide is the desk", "desk", Dimension::Width),
         ("how much of the floor does the rug cover", "rug", Dimension::Area),
     ] {
@@ -297,6 +301,21 @@ fn fits_have_a_guest_and_a_place() {
             "{query}"
         );
     }
+    for (query, way, given_m) in [
+        ("I'm 25 cm tall. Do I fit under the sofa?", Way::Under, 0.25),
+        ("I have a crate 40 cm tall, would it slide under the table?", Way::Under, 0.4),
+        ("My robot is 0.5 m wide, can it drive through the door?", Way::Through, 0.5),
+        (
+            "Can I push a cart 80 cm wide between the bed and the desk without moving anything?",
+            Way::Between,
+            0.8,
+        ),
+    ] {
+        let parsed = parse(query);
+        let Form::Fit(found) = &parsed.form else { panic!("{query}: {parsed:?}") };
+        assert!((found.given_m.unwrap() - given_m).abs() < 1e-5, "{query}: {found:?}");
+        assert_eq!(found.way, way, "{query}");
+    }
     let parsed = parse("would a robot 60 cm wide fit through the door");
     let Form::Fit(found) = &parsed.form else { panic!("{parsed:?}") };
     assert!((found.given_m.unwrap() - 0.6).abs() < 1e-5);
@@ -365,6 +384,7 @@ fn spoken_variants_have_the_same_form() {
         "Is anything standing on the shelves?",
         "Can you find my umbrella?",
         "Do you see the vacuum cleaner anywhere?",
+        "Does the kitchen have a dishwasher?",
     ] {
         assert_eq!(form(query), Form::Exists, "{query}: {:?}", parse(query));
     }
@@ -390,6 +410,19 @@ fn spoken_variants_have_the_same_form() {
     assert_eq!((parsed.target.head.as_str(), head(other)), ("beanbag", "beanbag"));
     let parsed = parse("Which toaster is next to the microwave, the green one or the yellow one?");
     assert_eq!((parsed.form, parsed.target.head.as_str()), (Form::Object, "toaster"));
+    let parsed = parse("which beanbag is the basketball next to, green or orange");
+    assert_eq!((parsed.form, parsed.target.head.as_str()), (Form::Object, "beanbag"));
+    assert_eq!(parsed.target.relations[0].anchors[0].head, "basketball");
+    let parsed = parse("Confirm: teddy bear is on the orange sofa");
+    assert!(matches!(&parsed.form, Form::Holds(claim) if claim.subject.head == "teddy bear"));
+    assert_eq!(parsed.target.relations[0].anchors[0].head, "sofa");
+    let parsed = parse("Toaster beside the microwave: green or yellow? Give the box.");
+    assert_eq!((parsed.form, parsed.target.head.as_str()), (Form::Object, "toaster"));
+    let parsed = parse("Bring me the blue mug from the table");
+    assert_eq!(parsed.target.head, "mug");
+    assert_eq!(parsed.target.relations[0].anchors[0].head, "table");
+    let parsed = parse("there's a plant within a meter or so of the door, which");
+    assert_eq!(parsed.target.relations[0].text, "within 1 m of", "{parsed:?}");
     let parsed = parse("How many refrigerators are there, and where do they stand?");
     assert_eq!((parsed.form, parsed.target.head.as_str()), (Form::Count, "refrigerators"));
 }

@@ -49,7 +49,7 @@ pub(super) const LEADS: [&str; 38] = [
 ];
 
 /// Words after a question that say nothing about the object.
-pub(super) const TAILS: [&str; 27] = [
+pub(super) const TAILS: [&str; 29] = [
     "in the whole room",
     "in the entire room",
     "in the room",
@@ -72,6 +72,8 @@ pub(super) const TAILS: [&str; 27] = [
     "in this apartment",
     "in this office",
     "in this place",
+    "without moving anything",
+    "without moving things",
     "do we have",
     "do we own",
     "do you see",
