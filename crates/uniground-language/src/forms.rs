@@ -364,8 +364,8 @@ fn remove_choice_of_colors(tokens: &mut Vec<String>) {
         matches!(super::words::longest_match(words), Some((Meaning::Color(_), length)) if length == words.len())
     };
     // "which is closer, the red one or the blue one" compares the two.
-    let compares = |word: &&str| word.ends_with("er") || *word == "more";
-    if words[..start].iter().any(compares) || matches!(words.first(), Some(&("is" | "are"))) {
+    let compares = |at: usize| comparisons::is_comparative(&words[at..start]);
+    if (0..start).any(compares) || matches!(words.first(), Some(&("is" | "are"))) {
         return;
     }
     let pair = words::split_pair(&words[start + 1..], "or");

@@ -141,7 +141,7 @@ impl PatternReader<'_> {
     }
 }
 
-fn is_comparative(words: &[&str]) -> bool {
+pub(super) fn is_comparative(words: &[&str]) -> bool {
     COMPARATIVES[..FIRST_SUPERLATIVE].iter().any(|(word, ..)| after(words, &[word]).is_some())
         || is_one_of(words.first(), &["closer", "nearer", "farther", "further"])
 }
