@@ -159,7 +159,12 @@ impl Writer<'_> {
             let others = grounding.alternatives.iter().map(|other| other.confidence);
             let chosen = grounding.targets.iter().map(|target| target.confidence);
             let all: f32 = others.chain(chosen).sum();
-            grounding.confidence = grounding.confidence.max(all.min(1.0));
+            // But many that are unlikely do not make it likely: their names err together.
+            let most = self.chosen(grounding).map_or(1.0, |index| {
+                let fit = self.assessor.assess_target(target).nouns[index];
+                NamesFrom::of(self.assessor.scene, target, index).share_right(fit)
+            });
+            grounding.confidence = grounding.confidence.max(all.min(most));
         }
         let is_found = matches!(grounding.status, Status::Grounded | Status::Uncertain);
         if is_found && !is_about_anything(target) && grounding.confidence < CANNOT_TELL {

@@ -52,6 +52,11 @@ impl NamesFrom {
         share_right(if all > 0.0 { first / all } else { 0.0 }, source)
     }
 
+    /// Returns the share of answers with this belief that are right.
+    pub fn share_right(self, belief: f32) -> f32 {
+        share_right(belief, self)
+    }
+
     fn curve(self) -> &'static [(f32, f32)] {
         static CURVES: LazyLock<[Vec<(f32, f32)>; 3]> = LazyLock::new(|| SOURCES.map(read));
         match self {
