@@ -55,6 +55,8 @@ fn doubt_colors(colors: &[[u8; 3]]) -> Option<Finding> {
         "all points have the same color".to_owned()
     } else if share(nearly) > MANY_NEARLY_BLACK {
         "nearly all points are black: check the range of the colors".to_owned()
+    } else if colors.iter().all(|[r, g, b]| r == g && g == b) {
+        "all points are gray: questions about colors cannot be answered".to_owned()
     } else if share(black) > MANY_BLACK {
         format!(
             "{:.0}% of the points are exactly black, which often marks points without a color",

@@ -10,7 +10,7 @@ use crate::reasoner::NamesFrom;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
-use uniground_language::{Meaning, Phrase, Relation, RelationKind};
+use uniground_language::{Meaning, Phrase, Relation, RelationKind, plural_of};
 use uniground_models::attributes::Lexicon;
 
 /// A relation with at least this score holds.
@@ -496,7 +496,10 @@ impl Writer<'_> {
                 let named = self.named_with_places(grounding);
                 match grounding.targets.len() {
                     1 => format!("One: {named}."),
-                    count => format!("{count} {}: {named}.", super::sentences::spoken(target)),
+                    count => {
+                        let kind = plural_of(&super::sentences::spoken(target));
+                        format!("{count} {kind}: {named}.")
+                    }
                 }
             }
         }

@@ -64,7 +64,7 @@ impl CloudSample {
         let text = if total.is_unlike() {
             "the colors of the cloud are not those of the color pictures: the cloud is colored by labels, heights or intensity, or it is of another scan"
         } else if total.has_swapped_channels() {
-            "red and blue are swapped, in the cloud or in the color pictures"
+            "red, green and blue have another order in the cloud than in the color pictures: red and blue are swapped in one of them, for example"
         } else {
             return;
         };
@@ -88,7 +88,7 @@ pub(super) fn check_fit(
         )
     } else if of_cloud.close_share() < CLOSE_OF_FRAMES * of_frames.close_share() {
         format!(
-            "the cloud lies beside the surfaces that the frames show: {:.0}% of its compared points are within 2% of the measured distance, and {:.0}% of those of other frames. It is shifted, scaled or rotated a little, or was made from other poses",
+            "the cloud lies beside the surfaces that the frames show: {:.0}% of its compared points are within 2% of the measured distance, and {:.0}% of those of other frames. It is shifted, scaled or rotated a little, or was made from other poses, or the depth is too large or too small",
             of_cloud.close_share() * 100.0,
             of_frames.close_share() * 100.0
         )

@@ -13,16 +13,23 @@ pub(super) const SAME_SURFACE: f32 = 0.03;
 /// Minimum number of shared points of two frames, and of a frame with all others.
 const MIN_SHARED: u32 = 15;
 const MIN_POINTS: u32 = 300;
-/// Minimum standard deviation of what is compared, levels. Below it, noise decides.
+/// Minimum standard deviation of brightness, and of red minus blue, levels. Below it, noise and the
+/// white balance decide.
 const MIN_SPREAD: f64 = 5.0;
+const MIN_COLOR_SPREAD: f64 = 12.0;
 /// Below this correlation of brightness, pictures do not show the same. Frames of correct scans
 /// reach 0.5 to 0.99 with a median of 0.77 to 0.97; pictures of another moment, mirrored or rotated
 /// ones, -0.3 to 0.4 with a median of 0 to 0.2.
 const UNLIKE: f32 = 0.4;
-/// A frame stands out if it is also this much below the median.
+/// Below this, a single frame stands out if it is also this much below the median.
+const FRAME_UNLIKE: f32 = 0.3;
 const BELOW_MEDIAN: f32 = 0.25;
+/// Another scale of the pictures is named if it raises the median by this much.
+const ZOOM_BETTER: f32 = 0.05;
+/// Scales of the pictures that are tried: cropped ones, or intrinsics of another picture size.
+const ZOOMS: [f32; 4] = [0.8, 0.87, 1.15, 1.25];
 /// Below this correlation of red minus blue, red and blue are swapped. Correct scans: 0.5 to 0.99.
-const SWAPPED: f32 = -0.1;
+const SWAPPED: f32 = -0.25;
 /// The brightness of a picture with swapped channels is at most this much below the median.
 const SWAPPED_BELOW_MEDIAN: f32 = 0.2;
 /// Pictures whose brightness deviates by less than this (levels) show a single color.
@@ -31,6 +38,8 @@ const SINGLE_COLOR: f32 = 1.5;
 /// below which they are black.
 const GRAY: f32 = 1.0;
 const BLACK: f32 = 16.0;
+/// Pixels brighter than this are white.
+const WHITE: f32 = 250.0;
 
 /// Correlation of brightness and depth from which a picture shows depth. Photographs reach 0.7.
 const SHOWS_DEPTH: f32 = 0.95;
@@ -65,8 +74,8 @@ impl Covariance {
     }
 
     /// Returns the correlation, -1 to 1. `None` where one side hardly varies.
-    fn correlation(&self, count: u32) -> Option<f32> {
-        let least = MIN_SPREAD * MIN_SPREAD * f64::from(count);
+    fn correlation(&self, count: u32, min_spread: f64) -> Option<f32> {
+        let least = min_spread * min_spread * f64::from(count);
         (self.aa >= least && self.bb >= least)
             .then(|| (self.ab / (self.aa * self.bb).sqrt()) as f32)
     }
@@ -108,14 +117,20 @@ impl SharedColors {
 
     /// Returns the correlation of brightness. `None` if too little was compared.
     pub fn brightness(&self) -> Option<f32> {
-        self.brightness.correlation(self.points).filter(|_| self.points >= MIN_POINTS)
+        self.brightness.correlation(self.points, MIN_SPREAD).filter(|_| self.points >= MIN_POINTS)
+    }
+
+    /// Returns the correlation of red minus blue. `None` if the pictures are nearly gray.
+    fn red_minus_blue(&self) -> Option<f32> {
+        self.red_minus_blue
+            .correlation(self.points, MIN_COLOR_SPREAD)
+            .filter(|_| self.points >= MIN_POINTS)
     }
 
     /// Returns whether brightness goes along, but red minus blue in the opposite direction.
     pub fn has_swapped_channels(&self) -> bool {
-        let red_minus_blue = self.red_minus_blue.correlation(self.points);
         self.brightness().is_some_and(|alike| alike >= UNLIKE)
-            && red_minus_blue.is_some_and(|alike| alike < SWAPPED)
+            && self.red_minus_blue().is_some_and(|alike| alike < SWAPPED)
     }
 
     /// Returns whether the colors are of different things.
@@ -132,6 +147,8 @@ enum PictureChange {
     UpsideDown,
     Next,
     Previous,
+    /// Enlarged around the middle by this factor.
+    Zoomed(f32),
 }
 
 impl PictureChange {
@@ -146,6 +163,16 @@ impl PictureChange {
             Self::None => Some(here.tones[pixel]),
             Self::Mirrored => Some(here.tones[pixel / width * width + width - 1 - pixel % width]),
             Self::UpsideDown => Some(here.tones[last - pixel]),
+            Self::Zoomed(factor) => {
+                let (column, row) = (pixel % width, pixel / width);
+                let from = |at: usize, length: usize| {
+                    let middle = (length as f32 - 1.0) / 2.0;
+                    let at = (at as f32 - middle) / factor + middle;
+                    (-0.5..length as f32 - 0.5).contains(&at).then(|| at.round() as usize)
+                };
+                let height = here.tones.len() / width;
+                Some(here.tones[from(row, height)? * width + from(column, width)?])
+            }
             Self::Next => Some(of(frame + 1)?.tones[pixel]),
             Self::Previous => Some(of(frame.checked_sub(1)?)?.tones[pixel]),
         }
@@ -210,17 +237,27 @@ pub(super) fn check(
         findings.push(all_unlike(sketches, middle, is_complete));
         return;
     }
+    let zoomed = ZOOMS.into_iter().filter_map(|factor| {
+        let changed = ColorComparison::new(sketches, PictureChange::Zoomed(factor));
+        Some((changed.median_brightness(&used)?, factor))
+    });
+    if let Some((alike, factor)) = zoomed.max_by(|a, b| a.0.total_cmp(&b.0))
+        && alike >= middle + ZOOM_BETTER
+    {
+        let text = format!(
+            "the color pictures have another scale than the depth pictures: where two frames see the same surface, the correlation of their brightness is {middle:.2}; it would be {alike:.2} if the pictures were enlarged {factor} times. Were they cropped or resized? Check the intrinsics of the color camera"
+        );
+        findings.push(Finding::unusual(FindingSubject::Camera, text));
+        return;
+    }
     let mut wrong = remove_outliers(
         &mut used,
         |i, used| comparison.of_frame(i, used).brightness(),
-        |lowest, middle| lowest < UNLIKE.min(middle - BELOW_MEDIAN),
+        |lowest, middle| lowest < FRAME_UNLIKE.min(middle - BELOW_MEDIAN),
     );
     let opposite = remove_outliers(
         &mut used,
-        |i, used| {
-            let of_frame = comparison.of_frame(i, used);
-            of_frame.red_minus_blue.correlation(of_frame.points)
-        },
+        |i, used| comparison.of_frame(i, used).red_minus_blue(),
         |lowest, _| lowest < SWAPPED,
     );
     // Swapped channels change the brightness little.
@@ -244,11 +281,15 @@ pub(super) fn check(
         findings.push(Finding::unusual(FindingSubject::Frames, text).counting(wrong.len()));
     }
     if !swapped.is_empty() {
+        let all = sketches.len();
+        // Of two halves, nothing tells which is right.
+        let which = match swapped.len() * 4 > all {
+            true => "which ones, the pictures do not show".to_owned(),
+            false => named(&swapped),
+        };
         let text = format!(
-            "red and blue seem to be swapped in {} of {} compared color pictures: {}",
-            swapped.len(),
-            sketches.len(),
-            named(&swapped)
+            "red, green and blue seem to be in another order in {} of {all} compared color pictures than in the others (blue first, for example): {which}",
+            swapped.len()
         );
         findings.push(Finding::unusual(FindingSubject::Frames, text).counting(swapped.len()));
     }
@@ -320,7 +361,29 @@ pub(super) fn check_contents(scan: &Scan, sketches: &[&FrameSketch], findings: &
         findings.push(Finding::unusual(FindingSubject::Frames, text).counting(black));
         return;
     }
-    let gray = count(&|sketch| mean(sketch, |tone| tone.red_minus_blue.abs()) < GRAY);
+    let bright = |sketch: &FrameSketch| {
+        let white = sketch.tones.iter().filter(|tone| tone.brightness > WHITE).count();
+        white * 2 > sketch.tones.len()
+    };
+    let white = count(&bright);
+    if white * 2 > all {
+        let text = format!(
+            "{white} of {all} examined color pictures are overexposed: most of their pixels are white"
+        );
+        findings.push(Finding::unusual(FindingSubject::Frames, text).counting(white));
+        return;
+    }
+    let is_gray = |sketch: &FrameSketch| mean(sketch, |tone| tone.red_minus_blue.abs()) < GRAY;
+    let gray = count(&is_gray);
+    if gray > single.len() && gray < all {
+        let at: Vec<usize> =
+            sketches.iter().filter(|sketch| is_gray(sketch)).map(|sketch| sketch.at).collect();
+        let text = format!(
+            "{gray} of {all} examined color pictures are gray, the others are not: {}",
+            name_frames(scan, &at)
+        );
+        findings.push(Finding::unusual(FindingSubject::Frames, text).counting(gray));
+    }
     if all > 0 && single.len() < all && gray == all {
         let depth = count(&|sketch| shows_depth(sketch));
         let text = match depth * 2 > all {

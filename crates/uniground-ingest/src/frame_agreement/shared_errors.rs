@@ -13,7 +13,7 @@ const MIN_POINTS: u32 = 1000;
 const CLOSE: f32 = 0.02;
 /// Share of close points below which something is wrong. Correct scans reach 0.92 to 0.98; with a
 /// focal length or a scale that is a tenth off, 0.46 to 0.72; with poses that are 5 cm off, 0.46.
-const LOW: f32 = 0.75;
+const LOW: f32 = 0.72;
 /// A change explains the error if the share then reaches this, and rises by this factor.
 const EXPLAINED: f32 = 0.85;
 const TIMES_BETTER: f32 = 1.15;

@@ -20,9 +20,8 @@ fn moved(i: usize, by: [f64; 3]) -> nalgebra::Matrix4<f64> {
 /// Returns the warnings of a scan about what its frames show.
 fn warnings(write: impl Fn(&Out)) -> Vec<String> {
     with_import(write, |found| {
-        let about = |f: &Finding| {
-            f.warning && [FindingSubject::Poses, FindingSubject::Frames].contains(&f.about)
-        };
+        let subjects = [FindingSubject::Poses, FindingSubject::Frames, FindingSubject::Camera];
+        let about = |f: &Finding| f.warning && subjects.contains(&f.about);
         found.unwrap().report.findings.into_iter().filter(about).map(|f| f.text).collect()
     })
 }
@@ -293,9 +292,42 @@ fn color_pictures_of_something_else_are_named() {
         picture
     });
     assert!(
-        swapped.iter().any(|w| w.starts_with("red and blue") && w.ends_with("color/4.jpg")),
+        swapped.iter().any(|w| w.starts_with("red, green and") && w.ends_with("color/4.jpg")),
         "{swapped:?}"
     );
+}
+
+/// Returns a color picture whose brightness is a wave in the world.
+fn wave(frame: usize) -> image::RgbImage {
+    let (camera, depth_m) = (CAMERA, room::depth_m(&CAMERA, &pose(frame)));
+    image::RgbImage::from_fn(camera.width, camera.height, |u, v| {
+        let z = f64::from(depth_m[(v * camera.width + u) as usize]);
+        let x = (f64::from(u) - f64::from(camera.cx)) / f64::from(camera.fx) * z;
+        let y = (f64::from(v) - f64::from(camera.cy)) / f64::from(camera.fy) * z;
+        let at = pose(frame) * nalgebra::Point3::new(x, y, z);
+        let height = (4.0 * at.x).sin() + (4.0 * at.y).sin() + (4.0 * at.z).sin();
+        image::Rgb([(128.0 + 40.0 * height) as u8; 3])
+    })
+}
+
+#[test]
+fn cropped_color_pictures_are_named() {
+    use image::imageops::{FilterType, crop_imm, resize};
+    let drawn = |change: fn(image::RgbImage) -> image::RgbImage| {
+        warnings(|out| {
+            writers::plain(out);
+            redraw(out, |i, _| change(wave(i)));
+        })
+    };
+    let cropped = drawn(|picture| {
+        let (width, height) = picture.dimensions();
+        let (x, y) = (width / 10, height / 10);
+        let inner = crop_imm(&picture, x, y, width - 2 * x, height - 2 * y).to_image();
+        resize(&inner, width, height, FilterType::Triangle)
+    });
+    assert!(cropped.iter().any(|w| w.contains("enlarged 0.8 times")), "{cropped:?}");
+    let whole = drawn(|picture| picture);
+    assert!(!whole.iter().any(|w| w.contains("another scale")), "{whole:?}");
 }
 
 #[test]
@@ -315,6 +347,13 @@ fn color_pictures_without_color_are_named() {
     assert!(
         dark.iter().any(|w| w.contains("12 of 12 examined color pictures are nearly")),
         "{dark:?}"
+    );
+    let white = drawn(|_, _| [255; 3]);
+    assert!(white.iter().any(|w| w.contains("show a single color")), "{white:?}");
+    let some = drawn(|i, [r, _, b]| if i < 3 { [r; 3] } else { [r, 120, b] });
+    assert!(
+        some.iter().any(|w| w.starts_with("3 of 12 examined color pictures are gray")),
+        "{some:?}"
     );
     let single = drawn(|i, color| if i == 7 { [0; 3] } else { color });
     assert_eq!(single, ["1 of 12 examined color pictures show a single color: color/7.jpg"]);
@@ -415,7 +454,7 @@ fn clouds_of_other_colors_or_extent_are_named() {
     };
     assert_eq!(recolored(|color, _| color), recolored(|color, _| color.map(|c| c / 2 + 40)));
     let swapped = recolored(|[r, g, b], _| [b, g, r]);
-    assert!(swapped.contains("red and blue are swapped"), "{swapped}");
+    assert!(swapped.contains("red, green and blue have another order"), "{swapped}");
     let labels = recolored(|_, i| [[200, 30, 30], [30, 200, 30], [240, 240, 200]][i / 500 % 3]);
     assert!(labels.contains("not those of the color pictures"), "{labels}");
     let half = about_cloud(&|points| points.into_iter().filter(|(p, _)| p.x < -1.2).collect());
