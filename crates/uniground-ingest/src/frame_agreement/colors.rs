@@ -32,19 +32,6 @@ const ZOOMS: [f32; 4] = [0.8, 0.87, 1.15, 1.25];
 const SWAPPED: f32 = -0.25;
 /// The brightness of a picture with swapped channels is at most this much below the median.
 const SWAPPED_BELOW_MEDIAN: f32 = 0.2;
-/// Pictures whose brightness deviates by less than this (levels) show a single color.
-const SINGLE_COLOR: f32 = 1.5;
-/// Mean difference of red and blue, in levels, below which pictures are gray; and mean brightness
-/// below which they are black.
-const GRAY: f32 = 1.0;
-const BLACK: f32 = 16.0;
-/// Pixels brighter than this are white.
-const WHITE: f32 = 250.0;
-
-/// Correlation of brightness and depth from which a picture shows depth. Photographs reach 0.7.
-const SHOWS_DEPTH: f32 = 0.95;
-/// Levels that a meter of depth is compared as.
-const LEVELS_PER_METER: f32 = 60.0;
 
 /// How well two lists of values go along with each other: sums of products of the deviations from
 /// the mean.
@@ -326,87 +313,6 @@ fn all_unlike(sketches: &[&FrameSketch], middle: f32, is_complete: bool) -> Find
         "the color pictures do not fit the depth pictures: where two frames see the same surface, the correlation of their brightness is {middle:.2} (correct scans: 0.7 or more); {cause}"
     );
     Finding::unusual(FindingSubject::Frames, text)
-}
-
-/// Adds findings about color pictures that have no color.
-pub(super) fn check_contents(scan: &Scan, sketches: &[&FrameSketch], findings: &mut Vec<Finding>) {
-    let mean = |sketch: &FrameSketch, value: fn(&Tone) -> f32| {
-        sketch.tones.iter().map(value).sum::<f32>() / sketch.tones.len() as f32
-    };
-    let spread = |sketch: &FrameSketch| {
-        let middle = mean(sketch, |tone| tone.brightness);
-        let squares = sketch.tones.iter().map(|tone| (tone.brightness - middle).powi(2));
-        (squares.sum::<f32>() / sketch.tones.len() as f32).sqrt()
-    };
-    let single: Vec<usize> = sketches
-        .iter()
-        .filter(|sketch| spread(sketch) < SINGLE_COLOR)
-        .map(|sketch| sketch.at)
-        .collect();
-    let all = sketches.len();
-    if !single.is_empty() {
-        let text = format!(
-            "{} of {all} examined color pictures show a single color: {}",
-            single.len(),
-            name_frames(scan, &single)
-        );
-        findings.push(Finding::unusual(FindingSubject::Frames, text).counting(single.len()));
-    }
-    let count = |holds: &dyn Fn(&FrameSketch) -> bool| sketches.iter().filter(|s| holds(s)).count();
-    let black = count(&|sketch| mean(sketch, |tone| tone.brightness) < BLACK);
-    if single.len() < all && black * 2 > all {
-        let text = format!(
-            "{black} of {all} examined color pictures are nearly black: check the range of their colors"
-        );
-        findings.push(Finding::unusual(FindingSubject::Frames, text).counting(black));
-        return;
-    }
-    let bright = |sketch: &FrameSketch| {
-        let white = sketch.tones.iter().filter(|tone| tone.brightness > WHITE).count();
-        white * 2 > sketch.tones.len()
-    };
-    let white = count(&bright);
-    if white * 2 > all {
-        let text = format!(
-            "{white} of {all} examined color pictures are overexposed: most of their pixels are white"
-        );
-        findings.push(Finding::unusual(FindingSubject::Frames, text).counting(white));
-        return;
-    }
-    let is_gray = |sketch: &FrameSketch| mean(sketch, |tone| tone.red_minus_blue.abs()) < GRAY;
-    let gray = count(&is_gray);
-    if gray > single.len() && gray < all {
-        let at: Vec<usize> =
-            sketches.iter().filter(|sketch| is_gray(sketch)).map(|sketch| sketch.at).collect();
-        let text = format!(
-            "{gray} of {all} examined color pictures are gray, the others are not: {}",
-            name_frames(scan, &at)
-        );
-        findings.push(Finding::unusual(FindingSubject::Frames, text).counting(gray));
-    }
-    if all > 0 && single.len() < all && gray == all {
-        let depth = count(&|sketch| shows_depth(sketch));
-        let text = match depth * 2 > all {
-            true => "the color pictures show depth: are they the depth pictures, drawn in gray?",
-            false => {
-                "the color pictures are gray: questions about colors cannot be answered, and names are less certain"
-            }
-        };
-        findings.push(Finding::unusual(FindingSubject::Frames, text));
-    }
-}
-
-/// Returns whether the brightness of a picture is that of its depth.
-fn shows_depth(sketch: &FrameSketch) -> bool {
-    let in_levels = |z: f32| Tone { brightness: z * LEVELS_PER_METER, red_minus_blue: 0.0 };
-    let pairs: Vec<(Tone, Tone)> = sketch
-        .tones
-        .iter()
-        .zip(&sketch.depth_m)
-        .filter(|(_, z)| **z > 0.0)
-        .map(|(tone, z)| (*tone, in_levels(*z)))
-        .collect();
-    SharedColors::of(&pairs).brightness().is_some_and(|alike| alike.abs() >= SHOWS_DEPTH)
 }
 
 #[cfg(test)]

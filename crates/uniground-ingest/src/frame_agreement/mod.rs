@@ -10,6 +10,7 @@ mod cloud;
 mod colors;
 mod groups;
 mod outliers;
+mod pictures;
 mod shared_errors;
 mod sketch;
 
@@ -60,7 +61,7 @@ pub(super) fn check(
         (0..sketches.len()).filter(is_used).map(|i| &sketches[i]).collect()
     };
     let mut used = vec![true; sketches.len()];
-    colors::check_contents(scan, &in_color(&used), findings);
+    pictures::check(scan, &in_color(&used), findings);
     let cloud = own_cloud.map(CloudSample::new);
     let comparison = Comparison::new(&sketches, cloud.as_ref());
     let (of_cloud, of_frames) = comparison.totals();
