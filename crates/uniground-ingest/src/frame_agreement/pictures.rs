@@ -5,6 +5,7 @@ use super::colors::SharedColors;
 use super::name_frames;
 use super::sketch::{FrameSketch, Tone};
 use crate::scan::Scan;
+use uniground_geometry::statistics::median;
 use uniground_types::findings::{Finding, FindingSubject};
 
 /// Pictures whose brightness deviates by less than this (levels) show a single color.
@@ -13,6 +14,8 @@ const SINGLE_COLOR: f32 = 1.5;
 /// below which they are black.
 const GRAY: f32 = 1.0;
 const BLACK: f32 = 16.0;
+/// Half of the pictures of a scan in color have at least this difference of red and blue.
+const COLORFUL: f32 = 8.0;
 /// Pixels brighter than this are white.
 const WHITE: f32 = 250.0;
 
@@ -62,6 +65,12 @@ pub(super) fn check(scan: &Scan, sketches: &[&FrameSketch], findings: &mut Vec<F
             ),
         );
     } else if !gray.is_empty() && gray.len() < varied.len() {
+        // In a room that has hardly any color, some views have none.
+        let mut others: Vec<f32> =
+            varied.iter().filter(|s| !is_gray(s)).map(|s| colorfulness(s)).collect();
+        if median(&mut others).is_none_or(|others| others < COLORFUL) {
+            return;
+        }
         let text = format!(
             "{} of {all} examined color pictures are gray, the others are not: {}",
             gray.len(),
@@ -101,7 +110,12 @@ fn is_white(sketch: &FrameSketch) -> bool {
 }
 
 fn is_gray(sketch: &FrameSketch) -> bool {
-    mean(sketch, |tone| tone.red_minus_blue.abs()) < GRAY
+    colorfulness(sketch) < GRAY
+}
+
+/// Returns the mean difference of red and blue, levels.
+fn colorfulness(sketch: &FrameSketch) -> f32 {
+    mean(sketch, |tone| tone.red_minus_blue.abs())
 }
 
 /// Returns whether the brightness of a picture is that of its depth.
