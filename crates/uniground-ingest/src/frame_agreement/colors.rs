@@ -28,7 +28,8 @@ const BELOW_MEDIAN: f32 = 0.25;
 const ZOOM_BETTER: f32 = 0.05;
 /// Scales of the pictures that are tried: cropped ones, or intrinsics of another picture size.
 const ZOOMS: [f32; 4] = [0.8, 0.87, 1.15, 1.25];
-/// Below this correlation of red minus blue, red and blue are swapped. Correct scans: 0.5 to 0.99.
+/// Below this correlation of red minus blue, the channels have another order. Correct scans: 0.5 to
+/// 0.99.
 const SWAPPED: f32 = -0.25;
 /// The brightness of a picture with swapped channels is at most this much below the median.
 const SWAPPED_BELOW_MEDIAN: f32 = 0.2;

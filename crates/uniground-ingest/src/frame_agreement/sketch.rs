@@ -45,7 +45,7 @@ pub(super) struct FrameSketch {
     pub depth_m: Vec<f32>,
     /// Colors of the kept pixels. Empty if the color picture was not decoded.
     pub tones: Vec<Tone>,
-    /// Every n-th column and row of the depth picture is kept.
+    /// Side of the square of depth pixels that a kept pixel stands for.
     step: u32,
 }
 

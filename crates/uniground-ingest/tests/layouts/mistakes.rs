@@ -206,6 +206,13 @@ fn frames_in_other_coordinates_are_named() {
         replace_poses(out, |i| moved(i, if i < 6 { [0.0; 3] } else { [50.0, 0.0, 0.0] }));
     });
     assert!(parts.iter().any(|w| w.contains("in 2 parts that never see")), "{parts:?}");
+    let overlapping = warnings(|out| {
+        replace_poses(out, |i| moved(i, if i < 6 { [0.0; 3] } else { [1.1, 0.8, 0.5] }));
+    });
+    assert!(
+        overlapping.iter().any(|w| w.contains("in 2 parts that do not fit")),
+        "{overlapping:?}"
+    );
 }
 
 #[test]
@@ -350,6 +357,8 @@ fn color_pictures_without_color_are_named() {
     );
     let white = drawn(|_, _| [255; 3]);
     assert!(white.iter().any(|w| w.contains("show a single color")), "{white:?}");
+    let bright = drawn(|_, color| if color[0] > 140 { [255; 3] } else { color });
+    assert!(bright.iter().any(|w| w.contains("are overexposed")), "{bright:?}");
     let some = drawn(|i, [r, _, b]| if i < 3 { [r; 3] } else { [r, 120, b] });
     assert!(
         some.iter().any(|w| w.starts_with("3 of 12 examined color pictures are gray")),
@@ -463,4 +472,25 @@ fn clouds_of_other_colors_or_extent_are_named() {
         points.into_iter().map(|(p, c)| (p + Vector3::new(0.12, 0.1, 0.06), c)).collect()
     });
     assert!(beside.contains("the cloud lies beside the surfaces"), "{beside}");
+}
+
+#[test]
+fn a_camera_matrix_written_by_columns_is_read() {
+    let by_columns = warnings(|out| {
+        writers::plain(out);
+        let c = CAMERA;
+        let matrix = format!("{} 0 0\n0 {} 0\n{} {} 1\n", c.fx, c.fy, c.cx, c.cy);
+        out.put("intrinsic.txt", matrix);
+    });
+    assert_eq!(by_columns, [""; 0]);
+}
+
+#[test]
+fn pictures_rotated_against_their_intrinsics_are_explained() {
+    let rotated = warnings(|out| {
+        writers::plain(out);
+        let picture = image::imageops::rotate90(&room::color(&CAMERA, &pose(3)).into_rgb8());
+        out.put("color/3.jpg", room::encoded(&picture.into(), image::ImageFormat::Jpeg));
+    });
+    assert!(rotated.iter().any(|w| w.contains("rotated by 90 degrees")), "{rotated:?}");
 }
