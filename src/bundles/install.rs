@@ -9,13 +9,13 @@ use super::source::{BundleSource, HubName, check_name};
 use super::{AddError, HubSettings};
 use crate::packages::Event;
 use camino::{Utf8Path, Utf8PathBuf};
-use rustix::fs::{FlockOperation, flock};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io;
 use std::time::Duration;
 use uniground_core::models::neural::bundle::{Bundle, MANIFEST};
 use uniground_core::models::neural::layouts::{About, Precision, external_weights};
+use uniground_storage::FileLock;
 
 /// How to install bundles.
 pub struct AddOptions<'a> {
@@ -95,11 +95,10 @@ pub fn add(
     let options = &AddOptions { precision: options.precision.or(pinned_precision), ..*options };
     let staging = options.models.join(STAGING).join(&name);
     fs::create_dir_all(&staging).map_err(|why| AddError::File { file: staging.clone(), why })?;
-    let _guard = lock_folder(&staging, FlockOperation::NonBlockingLockExclusive).map_err(|_| {
-        AddError::Source {
-            source_name: source.to_string(),
-            why: format!("another process installs {name}"),
-        }
+    let file = File::open(&staging).map_err(|why| AddError::File { file: staging.clone(), why })?;
+    let _guard = FileLock::try_exclusive(file).map_err(|_| AddError::Source {
+        source_name: source.to_string(),
+        why: format!("another process installs {name}"),
     })?;
     let pinned = pinned.filter(|_| !options.update);
     let mut origin = Origin::open(source, pinned, &staging, options, on_event)?;
@@ -183,13 +182,6 @@ fn requested(source: &BundleSource) -> Option<&str> {
     }
 }
 
-/// Locks a folder until the result is dropped.
-fn lock_folder(folder: &Utf8Path, operation: FlockOperation) -> io::Result<File> {
-    let guard = File::open(folder)?;
-    flock(&guard, operation)?;
-    Ok(guard)
-}
-
 /// Removes what attempts of other sources, revisions and precisions have left in a staging folder.
 fn remove_others(staging: &Utf8Path, files: &BTreeMap<String, LockedFile>) {
     for entry in staging.read_dir_utf8().into_iter().flatten().flatten() {
@@ -217,7 +209,8 @@ fn publish(staging: &Utf8Path, folder: &Utf8Path) -> Result<(), AddError> {
 
 /// Adds a bundle to `models.lock`. Other processes may do the same.
 fn pin(models: &Utf8Path, name: &str, locked: LockedBundle) -> Result<(), AddError> {
-    let _guard = lock_folder(models, FlockOperation::LockExclusive)
+    let _guard = File::open(models)
+        .and_then(FileLock::exclusive)
         .map_err(|why| AddError::File { file: models.to_owned(), why })?;
     let mut lock = Lock::read(models)?;
     lock.bundles.insert(name.to_owned(), locked);

@@ -1,6 +1,7 @@
 //! A lock on an open file that ends when its owner drops it.
 
 use std::fs::{File, TryLockError};
+use std::io;
 
 /// A locked file. Dropping it unlocks the file at once. Closing the file alone would not: a child
 /// process that is being started has a copy of the descriptor, and with it the lock, until it
@@ -9,6 +10,15 @@ use std::fs::{File, TryLockError};
 pub struct FileLock(File);
 
 impl FileLock {
+    /// Locks the file for this process alone, after waiting for others.
+    ///
+    /// # Errors
+    /// Returns an error if the file system cannot lock files.
+    pub fn exclusive(file: File) -> io::Result<Self> {
+        file.lock()?;
+        Ok(Self(file))
+    }
+
     /// Locks the file for this process alone.
     ///
     /// # Errors
@@ -58,7 +68,7 @@ mod tests {
         let lock = FileLock::try_exclusive(file).unwrap();
         assert!(matches!(FileLock::try_exclusive(open()), Err(TryLockError::WouldBlock)));
         drop(lock);
-        let shared = FileLock::try_exclusive(open()).unwrap();
+        let shared = FileLock::exclusive(open()).unwrap();
         shared.share().unwrap();
         FileLock::try_shared(open()).unwrap();
         assert!(matches!(FileLock::try_exclusive(open()), Err(TryLockError::WouldBlock)));

@@ -64,6 +64,7 @@ pub use data_migration::{
     StoreLocation, migrate_data,
 };
 pub use database::{Location, PostgresUrl};
+pub use file_lock::FileLock;
 pub use growth::{ContinuationReason, ContinuedParse, GrowthOutcome, SceneGrowth};
 pub use health::{HealthProbe, StoreHealth};
 pub use integrity::{BrokenReference, IntegrityRepository};
