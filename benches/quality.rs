@@ -1,26 +1,31 @@
 //! Stage 1 against annotated rooms: `make bench-quality`, or `cargo bench --bench quality --
-//! [--settings FILE] [--misses] [--brief] [--rooms room1,room2] [FOLDER]`.
+//! [--settings FILE] [--models DIR] [--misses] [--losses] [--brief] [--rooms room1,room2] [FOLDER]`.
 //!
 //! The rooms (all archives with annotations) are in `../shared/scenes` or in the given folder. A
 //! single run varies by an object or two, so every figure is also averaged over several rotations
 //! about Z. The table of stage losses shows what is still recoverable after each step. `--brief` is
 //! for work on stage 1: instances only, without rotation and averaged over six runs, five of which
 //! omit a fifth of the frames; boxes are the annotated ones, which is not possible in a rotated
-//! world.
+//! world. `--losses` adds the table of stage losses to it. `--models` takes the masks of the
+//! segmenters in a folder of models instead of the built-in ones, and stores them in `target/masks`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
+use uniground::config::{AUTO, ModelsConfig};
 use uniground_core::models::attributes::Lexicon;
+use uniground_core::models::neural::Role;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::MaskSource;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
+use uniground_core::parsing::masks::sam::{EncodedFrames, SamMasks};
 use uniground_core::parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Instance, ParsedScene};
 use uniground_evaluation::annotated::AnnotatedRoom;
 use uniground_evaluation::annotations::{Annotations, SceneObject};
+use uniground_evaluation::cached_masks::CachedMasks;
 use uniground_evaluation::segmentation::{
     InstanceScore, score_instances, score_structure, score_superpoints,
 };
@@ -31,10 +36,15 @@ use uniground_evaluation::systems::{NamedBy, instances_of};
 const MIN_POINTS: u32 = 200;
 const TURNS_DEG: [f32; 6] = [0.0, 10.0, 23.0, 45.0, 67.0, 90.0];
 
+/// Where the masks of segmenters are stored.
+const MASKS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/target/masks");
+
 struct Options {
     folder: Utf8PathBuf,
     settings: ParsingSettings,
+    models: Option<Utf8PathBuf>,
     misses: bool,
+    losses: bool,
     brief: bool,
     rooms: Option<Vec<String>>,
 }
@@ -43,7 +53,9 @@ fn options() -> Options {
     let mut options = Options {
         folder: Utf8PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes"),
         settings: ParsingSettings::default(),
+        models: None,
         misses: false,
+        losses: false,
         brief: false,
         rooms: None,
     };
@@ -55,7 +67,9 @@ fn options() -> Options {
                     serde_json::from_str(&std::fs::read_to_string(args.next().unwrap()).unwrap())
                         .unwrap();
             }
+            "--models" => options.models = Some(args.next().unwrap().into()),
             "--misses" => options.misses = true,
+            "--losses" => options.losses = true,
             "--brief" => options.brief = true,
             "--rooms" => {
                 options.rooms = Some(args.next().unwrap().split(',').map(str::to_owned).collect());
@@ -81,35 +95,83 @@ fn main() {
 }
 
 /// Returns instances by the built-in masks.
-fn run_brief(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
+fn run_brief(rooms: &[String], options: &Options) {
     const FIFTHS: usize = 5;
-    let mut table = instance_table();
+    let Options { folder, settings, misses, .. } = options;
+    let encoded = options.models.as_deref().map(load_segmenter);
+    let mut instances = instance_table();
+    let mut losses = losses_table();
     for name in rooms {
         let temporary = tempfile::tempdir().unwrap();
         let room =
             AnnotatedRoom::load(folder, name, Utf8Path::from_path(temporary.path()).unwrap())
                 .unwrap();
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
-        let (as_is, seconds) = measure(&room, &rgbd, settings, *misses);
-        table.add_row(row(name, rgbd.name(), "as is", &as_is, seconds));
+        let segmented = encoded.as_ref().map(|(frames, label)| SamMasks {
+            frames,
+            settings: settings.sam_masks,
+            segments: settings.rgbd_masks,
+            name: label.clone(),
+        });
+        let stored = segmented.as_ref().map(|source| CachedMasks {
+            source,
+            folder: format!("{MASKS}/{}-{name}", source.name()).into(),
+        });
+        let masks: &dyn MaskSource = stored.as_ref().map_or(&rgbd, |stored| stored);
+        let (as_is, seconds) = measure(&room, masks, settings, *misses);
+        instances.add_row(row(name, masks.name(), "as is", &as_is, seconds));
+        if options.losses {
+            add_losses(&mut losses, name, &room, masks, settings);
+        }
         let mut runs = vec![(as_is, seconds)];
         runs.extend((0..FIFTHS).map(|fifth| {
             let mut fewer = room.clone();
             let mut at = 0..;
             fewer.bundle.frames.retain(|_| at.next().is_some_and(|i: usize| i % FIFTHS != fifth));
-            measure(&fewer, &rgbd, settings, false)
+            measure(&fewer, masks, settings, false)
         }));
-        table.add_row(mean_and_range(name, rgbd.name(), "six runs", &runs));
+        instances.add_row(mean_and_range(name, masks.name(), "six runs", &runs));
     }
-    println!("{table}");
+    println!("{instances}");
+    if options.losses {
+        println!("\n{losses}");
+    }
+}
+
+/// Returns the first segmenter in a folder of models, with its label.
+fn load_segmenter(models: &Utf8Path) -> (EncodedFrames, String) {
+    let mut config = ModelsConfig::builtin();
+    config.masks = AUTO.into();
+    config.bundles.models = models.to_owned();
+    let mut models = config.load().unwrap().models;
+    let label = models.label(Role::Masks).unwrap();
+    (EncodedFrames::new(models.segmenters.remove(0), None, 0).unwrap(), label)
+}
+
+fn losses_table() -> Table {
+    table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"])
+}
+
+fn add_losses(
+    table: &mut Table,
+    name: &str,
+    room: &AnnotatedRoom,
+    masks: &dyn MaskSource,
+    settings: &ParsingSettings,
+) {
+    for step in stage_losses::measure_stage_losses(room, masks, settings, MIN_POINTS).unwrap() {
+        let (boxes, points) = step.recall();
+        let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
+        let head = [name.to_owned(), masks.name().to_owned(), step.step, step.pieces.to_string()];
+        table.add_row(head.into_iter().chain(figures));
+    }
 }
 
 fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {
     let mut superpoint_table =
         table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
     let mut instance_table = instance_table();
-    let mut losses_table =
-        table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"]);
+    let mut losses_table = losses_table();
     let mut structure_table = table(&["room", "masks", "recall", "precision"]);
     let mut naming_table =
         table(&["room", "boxes: first name", "in five", "instances: first name", "in five"]);
@@ -155,15 +217,7 @@ fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options
         let (score, seconds) = measure(&room, &annotated, settings, *misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
         for masks in [&rgbd as &dyn MaskSource, &annotated] {
-            for rung in
-                stage_losses::measure_stage_losses(&room, masks, settings, MIN_POINTS).unwrap()
-            {
-                let (boxes, points) = rung.recall();
-                let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
-                let head =
-                    [name.clone(), masks.name().to_owned(), rung.step, rung.pieces.to_string()];
-                losses_table.add_row(head.into_iter().chain(figures));
-            }
+            add_losses(&mut losses_table, name, &room, masks, settings);
         }
     }
     println!(

@@ -6,6 +6,7 @@
 
 pub mod annotated;
 pub mod annotations;
+pub mod cached_masks;
 pub mod comparison;
 pub mod configuration;
 pub mod digest;

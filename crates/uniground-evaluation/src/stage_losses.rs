@@ -9,19 +9,24 @@ use super::segmentation::{AnnotatedObject, InstanceScore, recall, score_instance
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{Frame, FrameIndex, InstanceId};
+use uniground_geometry::scene::{Frame, FrameIndex, InstanceId, PointCloud};
 use uniground_parsing::checkpoints::Checkpoints;
+use uniground_parsing::consensus::clusters::MaskCluster;
+use uniground_parsing::consensus::observations::MaskObservations;
+use uniground_parsing::consensus::{self, MaskedFrames, RegionsOfScan};
 use uniground_parsing::labels::Labels;
 use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
 use uniground_parsing::masks::{IdImage, MaskSource};
+use uniground_parsing::planes::{self, Planes};
 use uniground_parsing::relief::FlatCandidates;
 use uniground_parsing::superpoints::{self, Superpoints};
 use uniground_parsing::views::{InstanceViews, LabeledPoints};
 use uniground_parsing::visibility::Visibility;
 use uniground_parsing::{
-    ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging,
-    planes, refinement, split_supported, views,
+    ParseError, ParsingSettings, frame_selection, hierarchy, instances, merging, part_merging,
+    refinement, split_supported, views,
 };
+use uniground_types::settings::InstanceSettings;
 
 /// The result of one step for all objects.
 pub struct StageLoss {
@@ -57,17 +62,26 @@ pub fn measure_stage_losses(
     let cloud = &room.bundle.cloud;
     let objects = room.objects(min_points);
     let superpoints = superpoints::compute(cloud, &settings.superpoints, &quiet)?;
-    let frames = frame_sampling::sample_frames(&room.bundle.frames, &settings.frame_sampling);
+    let frames = frame_selection::choose_frames(
+        &room.bundle.frames,
+        cloud,
+        &superpoints.patches,
+        masks,
+        &settings.frame_sampling,
+    );
     let cameras: Vec<_> =
         frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
     let planes = planes::find(cloud, &superpoints, &cameras, &quiet)?;
     // Without sightings no instance is dropped.
-    let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
-        let labels = Labels::from_regions(region_of, &superpoints, Vec::new());
+    let score_regions = |region_of: &[u32],
+                         superpoints: &Superpoints,
+                         planes: &Planes|
+     -> Result<InstanceScore, ParseError> {
+        let labels = Labels::from_regions(region_of, superpoints, Vec::new());
         let built = instances::build(
             cloud,
-            &superpoints,
-            &planes,
+            superpoints,
+            planes,
             labels,
             InstanceViews::default(),
             &settings.instances,
@@ -75,6 +89,7 @@ pub fn measure_stage_losses(
         )?;
         Ok(score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth))
     };
+    let score_points = |region_of: &[u32]| score_regions(region_of, &superpoints, &planes);
     let score = |region_of: &[u32]| score_points(&superpoints.regions_of_points(region_of));
     let mut rungs = Vec::new();
     let mut push = |step: &str, pieces: usize, score: InstanceScore| {
@@ -119,6 +134,10 @@ pub fn measure_stage_losses(
         },
     );
     push("lifted masks", count, score(&vote_superpoints(&superpoints, &tables, &best))?);
+    let observations =
+        MaskObservations::collect(cloud.len(), &visibility, &frames, &masks_of, &quiet)?;
+    let clusters = consensus::find_clusters(cloud, &observations, &quiet)?;
+    push("clusters of masks", clusters.len(), score_clusters(&clusters, cloud, &objects, room));
 
     let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
@@ -156,31 +175,31 @@ pub fn measure_stage_losses(
         better(&mut sum.point_iou, &here.point_iou);
         push(&step, pieces, here);
     }
-    let refined = refinement::refine(
-        cloud,
-        &visibility,
-        superpoints.regions_of_points(&joined),
-        &frames,
-        &masks_of,
-        &quiet,
-    )?;
-    push("refined", labels(&refined), score_points(&refined)?);
-    let proposals =
-        hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
-    let labels = Labels::from_regions(&refined, &superpoints, proposals);
+    let before = RegionsOfScan {
+        superpoints: superpoints.clone(),
+        planes: planes.clone(),
+        levels: merged,
+        tables,
+        region_of: joined,
+        clusters: Vec::new(),
+    };
+    let masked =
+        MaskedFrames { cloud, visibility: &visibility, frames: &frames, masks_of: &masks_of };
+    let grouped = consensus::regroup(masked, before, settings, &quiet)?;
+    let region_of = grouped.superpoints.regions_of_points(&grouped.region_of);
+    let regrouped = score_regions(&region_of, &grouped.superpoints, &grouped.planes)?;
+    push("regrouped by masks", labels(&grouped.region_of), regrouped);
+    let refined = refinement::refine(cloud, &visibility, region_of, &frames, &masks_of, &quiet)?;
+    let (superpoints, planes) = (&grouped.superpoints, &grouped.planes);
+    push("refined", labels(&refined), score_regions(&refined, superpoints, planes)?);
+    let proposals = hierarchy::propose(&grouped, settings, &quiet)?;
+    let labels = Labels::from_regions(&refined, superpoints, proposals);
     let labeled = LabeledPoints { labels: &labels, visibility: &visibility };
     let flats =
-        FlatCandidates::find(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
+        FlatCandidates::find(cloud, superpoints, planes, &labels, &cameras, &settings.instances);
     let sighted = views::compute_instance_views(labeled, Some(&flats), &frames, &masks_of, &quiet)?;
-    let built = instances::build(
-        cloud,
-        &superpoints,
-        &planes,
-        labels,
-        sighted,
-        &settings.instances,
-        &quiet,
-    )?;
+    let built =
+        instances::build(cloud, superpoints, planes, labels, sighted, &settings.instances, &quiet)?;
     let shown =
         score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth);
     let point_iou = best_ious(&built.labels, &objects, &room.truth);
@@ -192,6 +211,41 @@ pub fn measure_stage_losses(
         push("any of these", 0, any);
     }
     Ok(rungs)
+}
+
+/// Scores clusters, which can overlap, by the samples they consist of.
+fn score_clusters(
+    clusters: &[MaskCluster],
+    cloud: &PointCloud,
+    objects: &[AnnotatedObject],
+    room: &AnnotatedRoom,
+) -> InstanceScore {
+    let mut of_object: BTreeMap<u32, u32> = BTreeMap::new();
+    for (point, &id) in room.truth.iter().enumerate() {
+        *of_object.entry(id).or_default() += u32::from(MaskObservations::sample(point).is_some());
+    }
+    let mut score = InstanceScore {
+        objects: objects.len(),
+        instances: clusters.len(),
+        box_iou: vec![0.0; objects.len()],
+        reachable_box_iou: Vec::new(),
+        point_iou: vec![0.0; objects.len()],
+        ap50: 0.0,
+    };
+    for cluster in clusters {
+        let points: Vec<u32> =
+            cluster.samples.iter().map(|&s| MaskObservations::point(s) as u32).collect();
+        let built = instances::build_from_points(cloud, &points, &[], &InstanceSettings::default());
+        let mut shared: BTreeMap<u32, u32> = BTreeMap::new();
+        points.iter().for_each(|&p| *shared.entry(room.truth[p as usize]).or_default() += 1);
+        for (i, object) in objects.iter().enumerate() {
+            let both = shared.get(&object.id).copied().unwrap_or(0);
+            let all = points.len() as u32 + of_object[&object.id] - both;
+            score.point_iou[i] = score.point_iou[i].max(both as f32 / all as f32);
+            score.box_iou[i] = score.box_iou[i].max(built.aabb.iou(&object.aabb));
+        }
+    }
+    score
 }
 
 /// Returns the best IoU of point sets per object. Parts and wholes count as instances too.
@@ -320,7 +374,8 @@ fn vote_superpoints(
         }
         for row in &table.rows {
             let (visible, votes) = &mut votes[row.superpoint as usize];
-            *visible += row.visible;
+            // Every id image of a frame shows the same points.
+            *visible += if table.layer == 0 { row.visible } else { 0 };
             for (mask, n) in &row.masks {
                 objects_of
                     .get(mask)

@@ -5,11 +5,13 @@
 //! A greedy choice of the frames that show most finds fewer objects than the same number of evenly
 //! spread frames (docs/METHOD.md), so only their number depends on what they show.
 
-use crate::frame_sampling::spread_along_path;
+use crate::frame_sampling::{sample_frames, spread_along_path};
+use crate::masks::{self, MaskSource};
 use crate::superpoints::Patch;
 use rayon::prelude::*;
 use uniground_geometry::Point3;
 use uniground_geometry::scene::{Camera, FrameRef, Pixel, PointCloud};
+use uniground_types::settings::FrameSamplingSettings;
 
 /// Size of the depth buffer in which parts are hidden by what is nearer, cells.
 const COLUMNS: usize = 64;
@@ -21,6 +23,29 @@ const DRAWN: usize = 60_000;
 const TOLERANCE: (f32, f32) = (0.05, 0.05);
 /// The selection shows at least this share of what is wanted.
 const ENOUGH: f64 = 0.9;
+
+/// Fewest frames that are selected for a segmentation model, which takes seconds per frame.
+const LEAST_FRAMES: usize = 8;
+/// Fewest frames that are selected for built-in masks, which take a tenth of a second.
+const LEAST_FRAMES_BUILTIN: usize = 100;
+
+/// Returns the frames of which a parse uses the masks: sampled as the settings say, of which as
+/// many are selected as show the parts of the scan, such as superpoints, often enough.
+#[must_use]
+pub fn choose_frames(
+    frames: &[FrameRef],
+    cloud: &PointCloud,
+    parts: &[Patch],
+    masks: &dyn MaskSource,
+    settings: &FrameSamplingSettings,
+) -> Vec<FrameRef> {
+    let sampled = sample_frames(frames, settings);
+    let least = if masks::is_builtin(masks.name()) { LEAST_FRAMES_BUILTIN } else { LEAST_FRAMES };
+    match settings.views_per_part {
+        Some(views) => select_frames(&sampled, cloud, parts, views, least),
+        None => sampled,
+    }
+}
 
 /// Returns the frames to use, in order: at least `least`, if there are so many. Each part of the
 /// scan, such as a superpoint, is wanted in `views` frames, or in as many as there are.

@@ -7,9 +7,10 @@
 //! show best are added beside the things, ranked by the same measure that separates things from
 //! leftovers.
 
+use super::consensus::RegionsOfScan;
+use super::frame_masks::FrameMasks;
 use super::lifting::{FrameVisibility, coarsen};
 use super::merging::Regions;
-use super::planes::Planes;
 use super::superpoints::Superpoints;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -40,20 +41,15 @@ const HELD: f32 = 0.7;
 const MOST_REGIONS: usize = 12;
 
 /// Returns parts and wholes, best shown first: at most as many per region as the settings allow.
-/// `levels` are the steps of merging that led to `region_of` (both by superpoint); `tables` is what
-/// the frames see of the superpoints.
 ///
 /// # Errors
 /// [`Cancelled`].
 pub fn propose(
-    superpoints: &Superpoints,
-    planes: &Planes,
-    levels: &Regions,
-    region_of: &[u32],
-    tables: &[FrameVisibility],
+    scan: &RegionsOfScan,
     settings: &ParsingSettings,
     progress: &Progress,
 ) -> Result<Vec<Proposal>, Cancelled> {
+    let RegionsOfScan { superpoints, planes, levels, tables, region_of, clusters } = scan;
     progress.report("hierarchy", 0.0)?;
     let members = superpoints_by_region(region_of);
     let most = (settings.instances.parts_and_wholes * members.len() as f32) as usize;
@@ -61,6 +57,10 @@ pub fn propose(
         return Ok(Vec::new());
     }
     let mut proposals = find_parts(levels, region_of, tables);
+    let from_clusters = parts_from_clusters(clusters, superpoints, region_of, tables);
+    let is_cluster: BTreeSet<Vec<u32>> =
+        from_clusters.iter().map(|proposal| proposal.superpoints.clone()).collect();
+    proposals.extend(from_clusters);
     progress.check()?;
     proposals.extend(find_wholes(superpoints, region_of, &members, tables));
     let size = |set: &[u32]| {
@@ -70,7 +70,7 @@ pub fn propose(
     proposals.retain(|p| {
         p.agreement >= settings.instances.min_agreement
             && size(&p.superpoints) >= settings.merging.min_points as f32
-            && !planar(&p.superpoints)
+            && (is_cluster.contains(&p.superpoints) || !planar(&p.superpoints))
     });
     proposals.sort_by(|a, b| {
         b.agreement.total_cmp(&a.agreement).then_with(|| a.superpoints.cmp(&b.superpoints))
@@ -128,6 +128,41 @@ fn find_parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -
     found.into_iter().filter_map(of).collect()
 }
 
+/// Returns clusters of masks as parts of the regions that hold most of them.
+fn parts_from_clusters(
+    clusters: &[Vec<u32>],
+    superpoints: &Superpoints,
+    region_of: &[u32],
+    tables: &[FrameVisibility],
+) -> Vec<Proposal> {
+    let mut sets: BTreeMap<Vec<u32>, u32> = BTreeMap::new();
+    for cluster in clusters {
+        let mut votes: BTreeMap<u32, u32> = BTreeMap::new();
+        for &s in cluster {
+            *votes.entry(region_of[s as usize]).or_default() +=
+                superpoints.patches[s as usize].points;
+        }
+        let all: u32 = votes.values().sum();
+        let most = votes.into_iter().max_by_key(|&(region, n)| (n, std::cmp::Reverse(region)));
+        if let Some((region, _)) = most.filter(|(_, n)| *n as f32 >= HELD * all as f32) {
+            let inside = |s: &u32| region_of[*s as usize] == region;
+            sets.insert(cluster.iter().copied().filter(inside).collect(), region);
+        }
+    }
+    let (sets, regions): (Vec<Vec<u32>>, Vec<u32>) = sets.into_iter().unzip();
+    let agreements = agreements(tables, &sets);
+    sets.into_iter()
+        .zip(regions)
+        .zip(agreements)
+        .map(|((superpoints, region), agreement)| Proposal {
+            level: Level::Part,
+            superpoints,
+            regions: vec![region],
+            agreement,
+        })
+        .collect()
+}
+
 /// Returns the sets of regions that one mask holds and that fill it, and pairs of neighbors.
 fn find_wholes(
     superpoints: &Superpoints,
@@ -177,8 +212,7 @@ fn regions_held_by_masks(table: &FrameVisibility) -> Vec<Vec<u32>> {
 
 /// Returns how well masks show each union of rows of the tables, `0..=1`.
 fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
-    let frames: Vec<FrameMasks> =
-        tables.chunk_by(|a, b| a.frame == b.frame).map(FrameMasks::of).collect();
+    let frames = FrameMasks::of_all(tables);
     let agreement = |union: &Vec<u32>| {
         let seen = frames.iter().map(|frame| frame.agreement(union));
         let (sum, weight) =
@@ -188,54 +222,11 @@ fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
     unions.par_iter().map(agreement).collect()
 }
 
-/// The masks of one frame.
-struct FrameMasks<'a> {
-    /// One table for each id image.
-    images: &'a [FrameVisibility],
-    /// Points each mask holds, by id image.
-    points: Vec<BTreeMap<u16, u32>>,
-}
-
-impl<'a> FrameMasks<'a> {
-    fn of(images: &'a [FrameVisibility]) -> Self {
-        let points = |table: &FrameVisibility| {
-            let mut points = BTreeMap::new();
-            let masks = table.rows.iter().flat_map(|row| &row.masks);
-            masks.for_each(|&(mask, n)| *points.entry(mask).or_insert(0) += n);
-            points
-        };
-        Self { images, points: images.iter().map(points).collect() }
-    }
-
-    /// Returns the IoU of a union's visible points and the best fitting mask, and the number of
-    /// visible points.
-    fn agreement(&self, union: &[u32]) -> (f32, f32) {
-        let (mut best, mut visible) = (0.0_f32, 0);
-        for (table, points) in self.images.iter().zip(&self.points) {
-            let mut shared: BTreeMap<u16, u32> = BTreeMap::new();
-            visible = 0;
-            for part in union {
-                let Ok(row) = table.rows.binary_search_by_key(part, |row| row.superpoint) else {
-                    continue;
-                };
-                visible += table.rows[row].visible;
-                table.rows[row]
-                    .masks
-                    .iter()
-                    .for_each(|&(mask, n)| *shared.entry(mask).or_insert(0) += n);
-            }
-            let iou =
-                |(mask, both): (u16, u32)| both as f32 / (visible + points[&mask] - both) as f32;
-            best = shared.into_iter().map(iou).fold(best, f32::max);
-        }
-        (best, visible as f32)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::lifting::VisibleSuperpoint;
+    use crate::planes::Planes;
     use crate::superpoints::Patch;
     use uniground_geometry::scene::FrameIndex;
     use uniground_geometry::{Point3, Vector3};
@@ -258,8 +249,8 @@ mod tests {
             roughness_m: vec![0.0; 3],
         };
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 3] };
-        let region_of = [0, 0, 1];
-        let levels = Regions { levels: vec![vec![0, 1, 2], region_of.to_vec()] };
+        let region_of = vec![0, 0, 1];
+        let levels = Regions { levels: vec![vec![0, 1, 2], region_of.clone()] };
         let table = |layer, masks: [&[(u16, u32)]; 3]| FrameVisibility {
             frame: FrameIndex(0),
             layer,
@@ -273,23 +264,16 @@ mod tests {
                 })
                 .collect(),
         };
-        let tables = [
+        let tables = vec![
             table(0, [&[(1, 10)], &[(2, 90)], &[]]),
             table(1, [&[(7, 95)], &[(7, 100)], &[(7, 80)]]),
         ];
+        let scan =
+            RegionsOfScan { superpoints, planes, levels, tables, region_of, clusters: Vec::new() };
         let proposed = |parts_and_wholes| {
             let instances = InstanceSettings { parts_and_wholes, ..InstanceSettings::default() };
             let settings = ParsingSettings { instances, ..ParsingSettings::default() };
-            propose(
-                &superpoints,
-                &planes,
-                &levels,
-                &region_of,
-                &tables,
-                &settings,
-                &Progress::silent(),
-            )
-            .unwrap()
+            propose(&scan, &settings, &Progress::silent()).unwrap()
         };
         let told: Vec<_> = proposed(1.5)
             .into_iter()

@@ -3,11 +3,11 @@
 //!
 //! ```text
 //! cloud  -> superpoints -> planes ─┐
-//! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> views
+//! frames -> masks -> lifting -> affinity -> merging -> part merging -> consensus -> refinement -> views
 //!        -> instances -> appearance -> names
 //! ```
-//! Frames are read four times, decoded a few at a time: for masks and lifting, for gaps (depth
-//! only), for refinement and for the views. Where networks take part, the chosen views are read
+//! Frames are read five times, decoded a few at a time: for masks and lifting, then their depth for
+//! gaps, consensus, refinement and views. Where networks take part, the chosen views are read
 //! once more. Same input and settings give the same instances, whatever the number of threads.
 
 #![warn(missing_docs)]
@@ -16,6 +16,7 @@ pub mod affinity;
 pub mod appearance;
 pub mod changes;
 pub mod checkpoints;
+pub mod consensus;
 pub mod correction;
 pub mod evidence;
 pub mod frame_appearance;
@@ -34,6 +35,7 @@ pub mod outline;
 pub mod part_merging;
 
 mod frame_budget;
+mod frame_masks;
 mod lift_frames;
 pub mod planes;
 pub mod pointed;
@@ -51,6 +53,7 @@ pub mod visibility;
 
 use appearance::Correction;
 use checkpoints::Checkpoints;
+use consensus::{MaskedFrames, RegionsOfScan};
 use correction::Corrector;
 use hierarchy::Proposal;
 use instances::BuiltInstances;
@@ -151,13 +154,13 @@ pub fn parse(
     let seen = ScanObservations {
         cloud: &cloud,
         frames: &frames,
-        superpoints: &superpoints,
+        superpoints,
         visibility: &visibility,
-        tables: &tables,
+        tables,
         masks_of: &masks_of,
         ends,
     };
-    let RegionGrouping { planes, region_of, proposals } =
+    let RegionGrouping { superpoints, planes, region_of, proposals } =
         group_superpoints(seen, perception, settings, &checkpoints, progress, &mut watch)?;
     let labels = Labels::from_regions(&region_of, &superpoints, proposals);
     let sighted = watch.time("views", |outcome| {
@@ -287,19 +290,19 @@ fn split_at_depth_edges(
 }
 
 /// A scan in superpoints, with what its frames show of them.
-#[derive(Clone, Copy)]
 struct ScanObservations<'a> {
     cloud: &'a PointCloud,
     frames: &'a [FrameRef],
-    superpoints: &'a Superpoints,
+    superpoints: Superpoints,
     visibility: &'a Visibility,
-    tables: &'a [FrameVisibility],
+    tables: Vec<FrameVisibility>,
     masks_of: &'a MasksOfFrames,
     ends: StageEnds,
 }
 
 /// The points of a scan grouped into regions, each a candidate for an instance.
 struct RegionGrouping {
+    superpoints: Superpoints,
     planes: Planes,
     /// One region per point of the cloud.
     region_of: Vec<u32>,
@@ -320,7 +323,7 @@ fn group_superpoints(
     let planes = watch.time("planes", |outcome| {
         let planes = planes::find(
             cloud,
-            superpoints,
+            &superpoints,
             &camera_centers(frames),
             &progress.sub_range(ends.masks, ends.planes),
         )?;
@@ -331,9 +334,9 @@ fn group_superpoints(
     let regions = watch.time("merging", |outcome| {
         let compute = || {
             merging::merge(
-                superpoints,
+                &superpoints,
                 &planes,
-                tables,
+                &tables,
                 &settings.merging,
                 &progress.sub_range(ends.planes, ends.merging),
             )
@@ -352,7 +355,7 @@ fn group_superpoints(
             false => regions.last().to_vec(),
             true => split_supported::split_supported(
                 cloud,
-                superpoints,
+                &superpoints,
                 &planes,
                 regions.last().to_vec(),
                 settings.merging.min_points,
@@ -361,7 +364,7 @@ fn group_superpoints(
         };
         let joined = part_merging::join_parts(
             cloud,
-            superpoints,
+            &superpoints,
             &planes,
             freed,
             &settings.part_merging,
@@ -370,20 +373,31 @@ fn group_superpoints(
         outcome.produced = count_labels(&joined);
         Ok::<_, ParseError>(joined)
     })?;
+    let mut grouped = RegionsOfScan {
+        superpoints,
+        planes,
+        levels: regions,
+        tables,
+        region_of,
+        clusters: Vec::new(),
+    };
+    // Built-in masks divide things so much that their clusters gain nothing.
+    if settings.part_merging.enabled && !masks::is_builtin(perception.masks.name()) {
+        grouped = watch.time("regrouping", |outcome| {
+            let masked = MaskedFrames { cloud, visibility, frames, masks_of };
+            let regrouping = progress.sub_range(ends.part_merging, ends.part_merging);
+            let regrouped = consensus::regroup(masked, grouped, settings, &regrouping)?;
+            outcome.produced = count_labels(&regrouped.region_of);
+            Ok::<_, ParseError>(regrouped)
+        })?;
+    }
     let proposals = watch.time("hierarchy", |outcome| {
         let proposing = progress.sub_range(ends.part_merging, ends.part_merging);
-        let proposals = hierarchy::propose(
-            superpoints,
-            &planes,
-            &regions,
-            &region_of,
-            tables,
-            settings,
-            &proposing,
-        )?;
+        let proposals = hierarchy::propose(&grouped, settings, &proposing)?;
         outcome.produced = proposals.len();
         Ok::<_, ParseError>(proposals)
     })?;
+    let RegionsOfScan { superpoints, planes, region_of, .. } = grouped;
     let region_of = superpoints.regions_of_points(&region_of);
     let region_of = match settings.refine_borders {
         false => region_of,
@@ -395,7 +409,7 @@ fn group_superpoints(
             Ok::<_, ParseError>(refined)
         })?,
     };
-    Ok(RegionGrouping { planes, region_of, proposals })
+    Ok(RegionGrouping { superpoints, planes, region_of, proposals })
 }
 
 /// Returns the camera positions, meters, world frame.

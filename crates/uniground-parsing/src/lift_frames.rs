@@ -5,22 +5,17 @@
 use super::checkpoints::Checkpoints;
 use super::frame_budget::FrameBudget;
 use super::lifting::{Lifted, LiftingInput};
-use super::masks::{self, MaskSource};
+use super::masks::MaskSource;
 use super::stage_shares::StageEnds;
 use super::superpoints::{self, Superpoints};
 use super::visibility::Visibility;
 use super::{ParseError, Perception, StageOutcome, Stopwatch};
-use super::{frame_sampling, frame_selection, stage_shares};
+use super::{frame_selection, stage_shares};
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{FrameRef, PointCloud, SceneBundle};
 use uniground_types::settings::{
     FrameSamplingSettings, ParsingSettings, RgbdSettings, SamSettings, SuperpointSettings,
 };
-
-/// Fewest frames that are selected for a segmentation model, which takes seconds per frame.
-const LEAST_FRAMES: usize = 8;
-/// Fewest frames that are selected for built-in masks, which take a tenth of a second.
-const LEAST_FRAMES_BUILTIN: usize = 100;
 
 /// A scan in superpoints, with what its frames show of them.
 pub(super) struct LiftedFrames {
@@ -106,18 +101,13 @@ pub(super) fn lift_scan(
                       cloud: &PointCloud,
                       superpoints: &Superpoints,
                       checkpoints: &Checkpoints| {
-        let sampled = frame_sampling::sample_frames(frames, &settings.frame_sampling);
-        let selected = match settings.frame_sampling.views_per_part {
-            Some(views) => {
-                let least = match masks::is_builtin(perception.masks.name()) {
-                    true => LEAST_FRAMES_BUILTIN,
-                    false => LEAST_FRAMES,
-                };
-                let parts = &superpoints.patches;
-                frame_selection::select_frames(&sampled, cloud, parts, views, least)
-            }
-            None => sampled,
-        };
+        let selected = frame_selection::choose_frames(
+            frames,
+            cloud,
+            &superpoints.patches,
+            perception.masks,
+            &settings.frame_sampling,
+        );
         let budget = FrameBudget { perception, settings, superpoints: superpoints.patches.len() };
         let affordable = budget.fit(selected, checkpoints, progress)?;
         warnings.extend(affordable.warning);
