@@ -70,7 +70,8 @@ impl StageEnds {
         let mut done = 0.0;
         let mut ends = stages.map(|stage| {
             done += stage;
-            start + (1.0 - start) * done / total
+            // Rounding can exceed the end by a little.
+            (start + (1.0 - start) * done / total).min(1.0)
         });
         let mut next = || ends.next().unwrap_or(1.0);
         Self {

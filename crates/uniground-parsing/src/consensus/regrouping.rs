@@ -85,7 +85,7 @@ struct Grouping<'a> {
 
 /// A set of superpoints that becomes a region.
 struct Change {
-    /// The superpoints, ascending.
+    /// The superpoints.
     set: Vec<u32>,
     /// The regions it takes superpoints from, with what frames show of these superpoints.
     taken: Vec<(u32, Shown)>,
