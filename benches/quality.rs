@@ -6,13 +6,15 @@
 //! about Z. The table of stage losses shows what is still recoverable after each step. `--brief` is
 //! for work on stage 1: instances only, without rotation and averaged over six runs, five of which
 //! omit a fifth of the frames; boxes are the annotated ones, which is not possible in a rotated
-//! world. `--losses` adds the table of stage losses to it. `--models` takes the masks of the
-//! segmenters in a folder of models instead of the built-in ones, and stores them in `target/masks`.
+//! world. `--losses` adds the table of stage losses to it. With `--brief`, `--models` takes the
+//! masks of the first segmenter in a folder of models instead of the built-in ones, and stores them
+//! in `target/masks`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use uniground::config::{AUTO, ModelsConfig};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::models::neural::Role;
@@ -88,6 +90,7 @@ fn main() {
         println!("skipped: no annotated rooms in {}", options.folder);
         return;
     }
+    assert!(options.brief || options.models.is_none(), "--models needs --brief");
     match options.brief {
         true => run_brief(&rooms, &options),
         false => run_full(&rooms, &options),
@@ -113,10 +116,9 @@ fn run_brief(rooms: &[String], options: &Options) {
             segments: settings.rgbd_masks,
             name: label.clone(),
         });
-        let stored = segmented.as_ref().map(|source| CachedMasks {
-            source,
-            folder: format!("{MASKS}/{}-{name}", source.name()).into(),
-        });
+        let stored = segmented
+            .as_ref()
+            .map(|source| CachedMasks { source, folder: masks_folder(source, folder, name) });
         let masks: &dyn MaskSource = stored.as_ref().map_or(&rgbd, |stored| stored);
         let (as_is, seconds) = measure(&room, masks, settings, *misses);
         instances.add_row(row(name, masks.name(), "as is", &as_is, seconds));
@@ -136,6 +138,14 @@ fn run_brief(rooms: &[String], options: &Options) {
     if options.losses {
         println!("\n{losses}");
     }
+}
+
+/// Returns the folder for the masks of a room: another one for other settings, models or scans.
+fn masks_folder(source: &SamMasks, rooms: &Utf8Path, room: &str) -> Utf8PathBuf {
+    let mut hasher = DefaultHasher::new();
+    serde_json::to_string(&(source.settings, source.segments)).unwrap().hash(&mut hasher);
+    std::fs::canonicalize(rooms).unwrap().hash(&mut hasher);
+    format!("{MASKS}/{}-{room}-{:016x}", source.name(), hasher.finish()).into()
 }
 
 /// Returns the first segmenter in a folder of models, with its label.

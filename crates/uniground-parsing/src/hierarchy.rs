@@ -286,4 +286,46 @@ mod tests {
         assert_eq!(told, [whole, drawer, rest]);
         assert_eq!((proposed(0.5).len(), proposed(0.0).len()), (1, 0));
     }
+
+    /// A rug on a floor, superpoints 1 and 0 of a plane, and a cluster that lies in two regions.
+    #[test]
+    fn clusters_are_parts_of_their_region_even_on_a_plane() {
+        let patch = Patch {
+            points: 100,
+            center: Point3::origin(),
+            normal: Vector3::z(),
+            lab: Vector3::zeros(),
+        };
+        let row = |superpoint, mask| VisibleSuperpoint {
+            superpoint,
+            visible: 100,
+            masks: vec![(mask, 100)],
+        };
+        let scan = RegionsOfScan {
+            superpoints: Superpoints {
+                of_point: Vec::new(),
+                patches: vec![patch; 3],
+                adjacent: vec![(0, 1)],
+                roughness_m: vec![0.0; 3],
+            },
+            planes: Planes { planes: Vec::new(), of_superpoint: vec![Some(0), Some(0), None] },
+            levels: Regions { levels: vec![vec![0, 0, 1]] },
+            tables: vec![FrameVisibility {
+                frame: FrameIndex(0),
+                layer: 0,
+                masks: 3,
+                rows: vec![row(0, 1), row(1, 2), row(2, 3)],
+            }],
+            region_of: vec![0, 0, 1],
+            clusters: vec![vec![1], vec![1, 2]],
+        };
+        let found = |clusters: Vec<Vec<u32>>| {
+            let scan = RegionsOfScan { clusters, ..scan.clone() };
+            propose(&scan, &ParsingSettings::default(), &Progress::silent()).unwrap()
+        };
+        let rug =
+            Proposal { level: Level::Part, superpoints: vec![1], regions: vec![0], agreement: 1.0 };
+        assert_eq!(found(scan.clusters.clone()), [rug]);
+        assert_eq!(found(Vec::new()), []);
+    }
 }

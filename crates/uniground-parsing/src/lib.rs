@@ -6,8 +6,8 @@
 //! frames -> masks -> lifting -> affinity -> merging -> part merging -> consensus -> refinement -> views
 //!        -> instances -> appearance -> names
 //! ```
-//! Frames are read five times, decoded a few at a time: for masks and lifting, then their depth for
-//! gaps, consensus, refinement and views. Where networks take part, the chosen views are read
+//! Frames are decoded a few at a time: for masks and lifting, then their depth for gaps, consensus
+//! (with a segmentation model only), refinement and views. Where networks take part, the chosen views are read
 //! once more. Same input and settings give the same instances, whatever the number of threads.
 
 #![warn(missing_docs)]

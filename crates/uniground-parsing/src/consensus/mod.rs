@@ -47,7 +47,7 @@ pub struct RegionsOfScan {
     pub tables: Vec<FrameVisibility>,
     /// Region `0..n` of each superpoint.
     pub region_of: Vec<u32>,
-    /// The superpoints of each cluster of masks that is not a region, ascending.
+    /// The superpoints of each cluster of masks that was no region after merging, ascending.
     pub clusters: Vec<Vec<u32>>,
 }
 

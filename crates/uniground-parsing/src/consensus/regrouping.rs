@@ -144,7 +144,7 @@ impl<'a> Grouping<'a> {
             if visible == 0.0 {
                 continue;
             }
-            let own = visible * best_iou(whole.visible[i], &whole.masks[i], &[], frame);
+            let own = visible * frame.best_iou(whole.visible[i], &whole.masks[i]);
             agreement += own;
             weight += visible;
             gain += own;
@@ -152,8 +152,8 @@ impl<'a> Grouping<'a> {
                 let before = &self.shown[*region as usize];
                 let (all, gone) = (before.visible[i], part.visible[i]);
                 gain += (all - gone) as f32
-                    * best_iou(all - gone, &before.masks[i], &part.masks[i], frame)
-                    - all as f32 * best_iou(all, &before.masks[i], &[], frame);
+                    * frame.best_iou_without(all - gone, &before.masks[i], &part.masks[i])
+                    - all as f32 * frame.best_iou(all, &before.masks[i]);
             }
         }
         (weight > 0.0).then(|| Change {
@@ -190,26 +190,7 @@ struct Shown {
 
 impl Shown {
     fn of(set: &BTreeSet<u32>, frames: &[FrameMasks]) -> Self {
-        let (mut visible, mut masks) = (Vec::new(), Vec::new());
-        for frame in frames {
-            let mut seen = 0;
-            let of_frame = frame.images.iter().map(|table| {
-                let mut shared: BTreeMap<u16, u32> = BTreeMap::new();
-                seen = 0;
-                for part in set {
-                    let row = table.rows.binary_search_by_key(part, |row| row.superpoint);
-                    let Ok(row) = row else { continue };
-                    seen += table.rows[row].visible;
-                    for &(mask, n) in &table.rows[row].masks {
-                        *shared.entry(mask).or_default() += n;
-                    }
-                }
-                shared
-            });
-            let of_frame = of_frame.collect();
-            masks.push(of_frame);
-            visible.push(seen);
-        }
+        let (visible, masks) = frames.iter().map(|frame| frame.look_up(set)).unzip();
         Self { visible, masks }
     }
 
@@ -237,23 +218,4 @@ impl Shown {
             }
         }
     }
-}
-
-/// Returns the IoU of the mask that fits best with `visible` points, of which each mask has
-/// `shared`, less `without`.
-fn best_iou(
-    visible: u32,
-    shared: &[BTreeMap<u16, u32>],
-    without: &[BTreeMap<u16, u32>],
-    frame: &FrameMasks,
-) -> f32 {
-    let mut best = 0.0_f32;
-    for (image, shared) in shared.iter().enumerate() {
-        for (mask, both) in shared {
-            let both = both - without.get(image).and_then(|w| w.get(mask)).unwrap_or(&0);
-            let iou = both as f32 / (visible + frame.points[image][mask] - both).max(1) as f32;
-            best = best.max(iou);
-        }
-    }
-    best
 }

@@ -168,6 +168,18 @@ fn cluster_that_is_a_region_changes_nothing() {
 }
 
 #[test]
+fn clusters_that_are_a_region_already_are_left_out() {
+    let views = observations(&[vec![0; 200]]);
+    // Region 0 has the samples 0 to 99.
+    let region_of_point: Vec<u32> = (0..400).map(|point| u32::from(point >= 200)).collect();
+    let cluster =
+        |samples: std::ops::Range<u32>| MaskCluster { samples: samples.collect(), masks: 2 };
+    let mut clusters = vec![cluster(0..80), cluster(0..70), cluster(60..140)];
+    retain_new(&mut clusters, &region_of_point, &views);
+    assert_eq!(clusters, [cluster(0..70), cluster(60..140)]);
+}
+
+#[test]
 fn clusters_are_divided_into_connected_pieces() {
     let (cloud, _) = row_of_superpoints(4);
     // Samples are 2 cm apart; 10 cm are missing.
