@@ -9,7 +9,7 @@
 # `alone` means that no other step runs at the same time: for steps that measure times. Once it may start, no step below it starts before it.
 # AFTER names the steps that must have passed before, separated by commas; `-` means none.
 #
-# Each step writes to a log file of its own, which is printed when the step ends. After the first failure no other step starts, and those
+# Each step writes to a log file of its own, which is printed when the step ends. The exit status of a failed step is printed as well. After the first failure no other step starts, and those
 # that run are stopped. A table of seconds is printed at the end, also after a failure. CI_CPU overrides the capacity, which is the number of
 # cores times 100.
 
@@ -58,6 +58,15 @@ has_room() { # NAME
     [ $used = 0 ] || [ $((used + step_cpu[$1])) -le "$capacity" ]
 }
 
+# Runs the command of a step and stores its exit status in a file, which is missing if the step was killed.
+run_command() { # NAME
+    local code=0
+    # Not ended by the signal itself: the command gets it as well, and needs time to clean up.
+    trap : INT TERM
+    bash -euo pipefail -c "$(declare -f)"$'\n'"${step_command[$1]}" || code=$?
+    echo $code >"${step_log[$1]}.status"
+}
+
 start_steps() {
     local name waiting
     mapfile -t waiting < <(steps_that_are 'not run')
@@ -72,7 +81,7 @@ start_steps() {
         echo "-- $name starts (${SECONDS} s)"
         # In a process group of its own.
         set -m
-        bash -euo pipefail -c "$(declare -f)"$'\n'"${step_command[$name]}" </dev/null >"${step_log[$name]}" 2>&1 &
+        run_command "$name" </dev/null >"${step_log[$name]}" 2>&1 &
         step_pid[$name]=$!
         set +m
     done
@@ -80,14 +89,16 @@ start_steps() {
 
 # Records the result of a finished step.
 end_step() { # NAME
-    local code=0
-    wait "${step_pid[$1]}" || code=$?
+    local code=
+    wait "${step_pid[$1]}" || true
+    # Without the file, the step was killed.
+    [ ! -e "${step_log[$1]}.status" ] || code=$(<"${step_log[$1]}.status")
     # Processes that it left running.
     kill -KILL -- "-${step_pid[$1]}" 2>/dev/null || true
     step_seconds[$1]=$((SECONDS - step_began[$1]))
     step_state[$1]=passed
-    if [ $code != 0 ]; then
-        step_state[$1]=FAILED
+    if [ "$code" != 0 ]; then
+        step_state[$1]="FAILED (exit status ${code:-unknown})"
         failed_step=${failed_step:-$1}
     fi
     printf '\n== %s: %s after %s s\n' "$1" "${step_state[$1]}" "${step_seconds[$1]}"
@@ -150,7 +161,7 @@ run_steps() {
     trap - INT TERM
     print_table
     if [ -n "$failed_step" ]; then
-        printf '\n%s failed. The end of its log:\n' "$failed_step"
+        printf '\n%s: %s. The end of its log:\n' "$failed_step" "${step_state[$failed_step]}"
         tail -n 40 "${step_log[$failed_step]}"
         return 1
     fi

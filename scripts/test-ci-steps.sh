@@ -49,18 +49,22 @@ step slow 100 - slow
 step bad 100 left-behind stops_at_once
 step never 10 bad true'
 check "a failure is the exit code of the run" [ $code = 1 ]
-check "the step that failed is named with the end of its log" has '^bad failed'
+check "the step that failed is named with the end of its log" has '^bad: FAILED \(exit status 1\)\. The end of its log:'
 check "a function fails at its first command that fails" lacks unreachable
 check "what runs is stopped, with time to clean up" [ "$(cat "$scratch/cleaned")" = cleaned ]
 check "the table says what failed, was stopped and did not run" \
-    [ "$(grep -cE '^bad .* FAILED$|^slow .* stopped$|^never .* not run$|^left-behind .* passed$' "$scratch/out")" = 4 ]
+    [ "$(grep -cE '^bad .* FAILED \(exit status 1\)$|^slow .* stopped$|^never .* not run$|^left-behind .* passed$' "$scratch/out")" = 4 ]
 # A finished process may still be in the process table.
 check "no process stays behind" [ "$(ps -o stat= -p "$(cat "$scratch/left")" | grep -vc Z)" = 0 ]
 
 run 'step noisy 10 - bash -c "echo to stdout; echo to stderr >&2; cat; exit 3"
 step quiet 10 - echo "test result: ok. 7 passed"'
 check "a log has both outputs, and no step waits for input" [ "$(grep -cE '^to std(out|err)$' "$scratch/out")" -ge 2 ]
-check "the exit code of a failure is not lost" [ $code = 1 ]
+check "the exit status of a failed step is printed" has '^noisy .* FAILED \(exit status 3\)$'
+check "the run fails" [ $code = 1 ]
+
+run 'step killed 10 - bash -c "kill -KILL 0"'
+check "a step that was killed with its group has failed" has '^killed .* FAILED \(exit status unknown\)$'
 
 run 'step large 900 - true'
 check "a step that wants more than the machine has runs all the same" [ $code = 0 ]
