@@ -9,9 +9,9 @@
 # `alone` means that no other step runs at the same time: for steps that measure times. Once it may start, no step below it starts before it.
 # AFTER names the steps that must have passed before, separated by commas; `-` means none.
 #
-# Each step writes to a log file of its own, which is printed when the step ends. The exit status of a failed step is printed as well. After the first failure no other step starts, and those
-# that run are stopped. A table of seconds is printed at the end, also after a failure. CI_CPU overrides the capacity, which is the number of
-# cores times 100.
+# Each step writes to a log file of its own, which is printed when the step ends. The exit status of a failed step is printed as well. After the
+# first failure no other step starts, and those that run are stopped. A table of seconds is printed at the end, also after a failure. CI_CPU
+# overrides the capacity, which is the number of cores times 100.
 
 step_names=()
 declare -A step_cpu step_after step_command step_state step_began step_seconds step_pid step_log
