@@ -16,7 +16,7 @@ use uniground_types::job::JobState;
 
 const QUERIES: [&str; 4] = [
     "the red sofa",
-    "the purple bed",
+    "the purple beds",
     "all the things on the table",
     "the sofa closest to the table",
 ];
@@ -61,7 +61,7 @@ async fn every_item_gets_an_answer_or_an_error_in_order() {
     let nowhere = "018f0000-0000-7000-8000-000000000000";
     let items = json!([
         {"query": "the red sofa", "min_confidence": 0.0},
-        {"query": "the purple bed", "include": []},
+        {"query": "the purple beds", "include": []},
         {"query": ""},
         {"query": "the red sofa", "top_k": 0},
         {"query": "the red sofa", "colour": "red"},

@@ -377,7 +377,7 @@ async fn answers_and_jobs_can_be_filtered() {
         server.upload_and_parse(Scan::neutral().zip()).await.id,
     ];
     let mut given = Vec::new();
-    for (scene, query) in [(&a, "the red sofa"), (&a, "the purple bed"), (&b, "the red sofa")] {
+    for (scene, query) in [(&a, "the red sofa"), (&a, "the purple beds"), (&b, "the red sofa")] {
         given.push(client.ground(scene, &ask(query)).await.unwrap());
     }
     let ids = async |query: &[(&str, &str)]| {
@@ -420,7 +420,7 @@ async fn answers_and_jobs_can_be_filtered() {
     assert!(
         rows.len() == 3
             && rows[0].starts_with("answer_id,scene_id,query,status,predicted_id")
-            && rows[1].contains("the purple bed,no_match")
+            && rows[1].contains("the purple beds,no_match")
     );
 
     let kinds = async |query: &[(&str, &str)]| {

@@ -15,7 +15,7 @@ async fn answers_match_their_snapshots() {
     let server = TestServer::start().await;
     let scene = server.upload_and_parse(fs::read(SAMPLE).unwrap()).await;
     for (name, query) in
-        [("answer_found", "the mug on the coffee table"), ("answer_no_match", "the purple bed")]
+        [("answer_found", "the mug on the coffee table"), ("answer_no_match", "the purple beds")]
     {
         let answer = server
             .client

@@ -160,7 +160,7 @@ async fn metrics_and_stats_match_the_requests() {
     let again =
         server.client.create_scene(Some("again"), "application/zip", sample_scan()).await.unwrap();
     wait_for_job(&server.client, &again.job.unwrap().id).await;
-    for query in ["the mug on the coffee table", "the purple bed"] {
+    for query in ["the mug on the coffee table", "the purple beds"] {
         server.client.ground(&scene, &ask(query)).await.unwrap();
     }
     server

@@ -54,7 +54,7 @@ test("no match is said once, with the closest candidates, and the camera stays",
   await page.locator("canvas").press("ArrowLeft");
   await still(page);
   const [before, address] = [await page.evaluate(() => window.unigroundPage.camera().position), page.url()];
-  const answer = await ask(page, "the purple bed");
+  const answer = await ask(page, "the purple beds");
   await still(page);
   assert.deepEqual(await page.evaluate(() => window.unigroundPage.camera().position), before);
   assert.equal(new URL(page.url()).hash.match(/cam=[^&]*/)[0], new URL(address).hash.match(/cam=[^&]*/)[0]);

@@ -98,7 +98,7 @@ test("what was not understood stands out, and nothing fitting is no error", asyn
   const { page, close } = await room();
   let answer = await ask(page, "the zorgly red chair");
   assert.equal(await answer.locator(".word.lost").textContent(), "zorgly");
-  answer = await ask(page, "the purple bed");
+  answer = await ask(page, "the purple beds");
   await answer.getByText("no match", { exact: true }).waitFor();
   await drawn(page);
   assert.deepEqual(await page.evaluate(() => window.unigroundPage.boxes()), []);

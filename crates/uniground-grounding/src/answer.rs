@@ -1,6 +1,6 @@
 //! Builds the answer: six fields, both boxes, the status, and what led to the decision.
 
-use super::reasoner::Verdict;
+use super::reasoner::{NamesFrom, Verdict};
 use super::shortlist;
 use super::vlm::PromptContext;
 use super::{
@@ -122,7 +122,11 @@ pub(super) fn assemble(
         {
             NOBODY_KNOWS
         }
-        (Status::NoMatch, Some(best)) => 1.0 - best.score,
+        (Status::NoMatch, Some(best)) => {
+            let names = NamesFrom::of(scene, &parsed.target, best.id.0 as usize - 1);
+            let most = if names == NamesFrom::Given { 1.0 } else { NOBODY_KNOWS };
+            (1.0 - best.score).min(most)
+        }
         (Status::NoMatch, None) => 1.0,
         (_, Some(best)) => beliefs[best.id.0 as usize - 1],
         (_, None) => 0.0,
@@ -234,9 +238,11 @@ pub(super) fn to_target(instance: &Instance, confidence: f32) -> Target {
 }
 
 impl Grounding {
-    /// Makes the answer uncertain if its confidence is below `least`.
+    /// Makes the answer uncertain if its confidence is below `least`, or if its sentence says that
+    /// the object has other names. 0 disables both.
     pub(super) fn require_confidence(&mut self, least: f32) {
-        if self.status == Status::Grounded && self.confidence < least {
+        let has_other_names = least > 0.0 && self.text.starts_with(NOTHING_CLEARLY);
+        if self.status == Status::Grounded && (self.confidence < least || has_other_names) {
             self.status = Status::Uncertain;
             let says_so = ["I cannot", "I do not", "I know where", NOTHING_CLEARLY];
             if !says_so.iter().any(|start| self.text.starts_with(start)) {
@@ -248,6 +254,8 @@ impl Grounding {
 
 /// Start of the sentence about an object that has other names.
 pub(super) const NOTHING_CLEARLY: &str = "I found nothing that is clearly";
+/// Start of the sentence about an object that may not be there.
+pub(super) const CANNOT_TELL_WHETHER: &str = "I cannot tell whether there is";
 
 /// Returns dominant color and best name, such as "red sofa", whatever the question says.
 pub(super) fn describe_instance(instance: &Instance) -> String {

@@ -1,5 +1,6 @@
 //! Whether an object that was not found may be where no camera looked.
 
+use super::answer::{CANNOT_TELL_WHETHER, NOTHING_CLEARLY};
 use super::{Grounding, NoMatchReason, Region, Status};
 use uniground_geometry::Point3;
 use uniground_geometry::scene::{RoomCoverage, UnseenVolume};
@@ -16,7 +17,7 @@ pub(super) fn add_coverage(
     grounding: &mut Grounding,
 ) {
     let is_absent = grounding.status == Status::NoMatch;
-    // A guess by structure: "I found nothing that is clearly a piano. The likeliest is the table."
+    // A guess: "I found nothing that is clearly a piano. The likeliest is the table."
     if !is_absent && grounding.answer.target_name_matches != Some(false) {
         return;
     }
@@ -25,7 +26,12 @@ pub(super) fn add_coverage(
         grounding.no_match_reason,
         Some(NoMatchReason::NotRecognised | NoMatchReason::NotEnglish | NoMatchReason::NotListed)
     );
-    if let Some(coverage) = grounding.coverage.as_ref().filter(|_| is_absent && is_about_the_room) {
+    let says_nothing_found = is_absent
+        || [NOTHING_CLEARLY, CANNOT_TELL_WHETHER].iter().any(|it| grounding.text.starts_with(it));
+    if let Some(coverage) = &grounding.coverage
+        && says_nothing_found
+        && is_about_the_room
+    {
         // Rounded down: "100 %" is said of a room only if all of it was seen.
         let percent = (coverage.seen_share * 100.0).floor();
         let part = if within.is_some() { "that part of the room" } else { "the room" };

@@ -7,6 +7,7 @@ use super::kinds::breadth;
 use super::names::GivenName;
 use super::readings::{Reading, Readings};
 use super::solid::Solid;
+use super::unfound_structure::fits_by_shape;
 use std::collections::HashSet;
 use uniground_geometry::color::{ColorName, srgb_to_lab};
 use uniground_geometry::scene::{Instance, Level, Structure, Support};
@@ -108,6 +109,14 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
             .unzip(),
         _ => Default::default(),
     };
+    let by_shape = match meaning {
+        Meaning::Structure(structure)
+            if !scene.instances.iter().any(|i| i.structure == Some(*structure)) =>
+        {
+            Some(fits_by_shape(*structure, scene.instances))
+        }
+        _ => None,
+    };
     let unnamed = |(index, instance): (usize, &Instance)| match meaning {
         // A word without measures: only the appearance decides.
         Meaning::Unknown if instance.structure.is_none() => {
@@ -122,9 +131,10 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
             }
         }
         Meaning::Instance(id) => f32::from(u8::from(instance.id == *id)),
-        Meaning::Structure(structure) => {
-            f32::from(u8::from(instance.structure == Some(*structure)))
-        }
+        Meaning::Structure(structure) => match &by_shape {
+            Some(fits) => fits[index],
+            None => f32::from(u8::from(instance.structure == Some(*structure))),
+        },
         // A wall may contain the window that the question uses as an anchor. Floors and ceilings
         // contain nothing.
         Meaning::Nouns(_)
@@ -161,6 +171,7 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         }
         (Some(name), Meaning::Anything) if !name.is_thing() => 0.0,
         // Planes were measured; a name also covers stretches that were not.
+        (Some(name), Meaning::Structure(_)) if by_shape.is_some() => name.fit(phrase, meaning),
         (Some(name), Meaning::Structure(_)) => {
             unnamed((index, instance)).max(name.fit(phrase, meaning))
         }

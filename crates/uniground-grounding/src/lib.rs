@@ -34,6 +34,7 @@ pub mod room_index;
 mod scene_source;
 mod shortlist;
 pub mod solid;
+mod unfound_structure;
 pub mod vlm;
 
 pub use answer::Grounding;

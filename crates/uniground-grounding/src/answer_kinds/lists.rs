@@ -5,6 +5,7 @@ use super::{
     Anchors, AnswerValue, Grounding, NoMatchReason, Resolved, Status, Writer, is_about_anything,
     to_target, value_of,
 };
+use crate::answer::CANNOT_TELL_WHETHER;
 use crate::assess::carried::is_part;
 use crate::reasoner::NamesFrom;
 use std::collections::BTreeSet;
@@ -176,7 +177,7 @@ impl Writer<'_> {
             grounding.value = None;
             grounding.count = None;
             grounding.text = format!(
-                "I cannot tell whether there is {}.{}.",
+                "{CANNOT_TELL_WHETHER} {}.{}.",
                 with_article(&super::sentences::spoken(target)),
                 best.trim_end()
             );
@@ -185,7 +186,7 @@ impl Writer<'_> {
         if grounding.status == Status::Ambiguous && grounding.alternatives.is_empty() {
             grounding.value = None;
             grounding.text = format!(
-                "I cannot tell whether there is {}.",
+                "{CANNOT_TELL_WHETHER} {}.",
                 with_article(&super::sentences::spoken(target))
             );
             return;

@@ -28,9 +28,6 @@ const MIN_FIT: f32 = 0.25;
 const MIN_UNNAMED_FIT: f32 = 0.35;
 /// Below this, no likely instance has the requested color.
 pub(crate) const MIN_COLOR: f32 = 0.42;
-/// Names from measures are wrong too often to deny an object: it is denied only if no instance
-/// scores more than this.
-const MEASURES_DENY: f32 = 0.05;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
 /// Factor of the belief where words of the question could not be used: they may have distinguished
@@ -65,7 +62,9 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let mut verdict = decide_english(assessor, parsed);
     let best = (0..verdict.scores.len())
         .reduce(|best, i| if verdict.scores[i] > verdict.scores[best] { i } else { best });
-    if best.is_some_and(|best| is_guess(assessor.scene, &parsed.target, best)) {
+    if best.is_some_and(|best| {
+        guessed_from(assessor.scene, &parsed.target, best) == Some(NamesFrom::Measures)
+    }) {
         verdict.explanation.push_str(NAMES_ARE_GUESSES);
     }
     verdict
@@ -74,11 +73,10 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
 fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let read: Vec<Read> =
         views(assessor, parsed).into_iter().map(|view| Read::of(view, assessor, parsed)).collect();
-    let scores: Vec<f32> = (0..assessor.scene.instances.len())
+    let mut scores: Vec<f32> = (0..assessor.scene.instances.len())
         .map(|i| read.iter().map(|read| read.score(i)).fold(0.0, f32::max))
         .collect();
-    let mut order: Vec<usize> = (0..scores.len()).collect();
-    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    let mut order = best_first(&scores);
     // The view with the best score is the one to explain and to compare with others.
     let score_of_best = |read: &Read| order.first().map_or(0.0, |&best| read.score(best));
     let won = (0..read.len()).reduce(|best, next| {
@@ -94,10 +92,19 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let reason = if is_unknown { NoMatchReason::NotRecognised } else { NoMatchReason::Absent };
         return no_match(assessment.own.clone(), reason, why_nothing_fits(parsed));
     }
+    let likeliest = best_first(&assessment.own);
+    if scores[order[0]] <= 0.0
+        && guessed_from(assessor.scene, &parsed.target, likeliest[0]).is_some()
+    {
+        // Nothing guessed stands in the relations asked for: the anchor may have a wrong name.
+        scores = assessment.own.iter().map(|own| MIN_SCORE * own).collect();
+        order = likeliest;
+    }
     let best = order[0];
-    let is_guess = is_guess(assessor.scene, &parsed.target, best);
-    let may_deny = !is_guess || assessment.own.iter().copied().fold(0.0, f32::max) < MEASURES_DENY;
-    if may_deny && (best_fit < MIN_FIT || !colors_agree(assessment, &parsed.target, assessor.scene))
+    // Guessed names are wrong too often to deny an object. But a list of several may be empty.
+    let is_guess = guessed_from(assessor.scene, &parsed.target, best).is_some();
+    if (!is_guess || parsed.quantity != Quantity::One)
+        && (best_fit < MIN_FIT || !colors_agree(assessment, &parsed.target, assessor.scene))
     {
         return no_match(assessment.own.clone(), NoMatchReason::Absent, why_nothing_fits(parsed));
     }
@@ -105,11 +112,14 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
+    if scores[best] <= 0.0 {
+        return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
+    }
     // An instance may match the color and a rough size, yet not the measures of a fridge, while its
     // first guess is another name. An encoder has weighed the names already.
     let is_named = name_matches(assessor.scene, &parsed.target, best)
         && is_called(&parsed.target, assessor.scene)(best);
-    if may_deny
+    if !is_guess
         && assessor.scene.appearance.is_none()
         && assessment.nouns[best] < MIN_UNNAMED_FIT
         && !is_named
@@ -121,7 +131,9 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let tied: Vec<usize> =
         order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
     // Several that fit badly are no choice to offer.
-    let may_be_tied = !is_guess || assessment.nouns[best] >= MIN_UNNAMED_FIT;
+    let may_be_tied = !is_guess
+        || assessment.nouns[best] >= MIN_UNNAMED_FIT
+            && colors_agree(assessment, &parsed.target, assessor.scene);
     let status = if several.is_empty() && tied.len() > 1 && may_be_tied {
         Status::Ambiguous
     } else {
@@ -183,10 +195,19 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     }
 }
 
-/// Returns whether the instance at an index is compared with a noun by its measures only.
-fn is_guess(scene: SceneView, target: &Phrase, index: usize) -> bool {
-    matches!(target.meaning(), Meaning::Nouns(_))
-        && NamesFrom::of(scene, target, index) == NamesFrom::Measures
+/// Returns indices by descending score.
+fn best_first(scores: &[f32]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..scores.len()).collect();
+    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    order
+}
+
+/// Returns where the name comes from that the target's noun is compared with, for the instance at
+/// an index. `None` if it was given, or if the target has no noun.
+fn guessed_from(scene: SceneView, target: &Phrase, index: usize) -> Option<NamesFrom> {
+    matches!(target.meaning(), Meaning::Nouns(_) | Meaning::Structure(_))
+        .then(|| NamesFrom::of(scene, target, index))
+        .filter(|source| *source != NamesFrom::Given)
 }
 
 /// Returns whether any instance that may be meant has the requested colors. A related color alone
@@ -354,6 +375,7 @@ fn is_called<'a>(target: &Phrase, scene: SceneView<'a>) -> impl Fn(usize) -> boo
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::answer::NOTHING_CLEARLY;
     use crate::direction::{DirectionConvention, Observer};
     use crate::{Grounding, NameIndex, Question, SceneView, SixFields, Timings, ground};
     use uniground_geometry::boxes::Aabb;
@@ -477,18 +499,58 @@ mod tests {
         }
     }
 
+    /// Returns the answer in a room whose instances have their names from a person.
+    fn ask_named(query: &str) -> Grounding {
+        let mut named = room();
+        named.iter_mut().for_each(|instance| instance.given_name = Some(instance.label().into()));
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let names = NameIndex::of(&named);
+        let scene = SceneView { instances: &named, extent, names: &names, appearance: None };
+        ground(scene, &Question::of(query))
+    }
+
     #[test]
     fn absent_and_unknown_objects_get_no_box() {
         for query in
             ["the chandelier", "the green sofa", "the theremin", "the green mug on the table"]
         {
-            let answer = ask(query);
+            let answer = ask_named(query);
             assert_eq!(
                 (answer.status, answer.aabb, answer.answer.predicted_id),
                 (Status::NoMatch, None, None),
                 "{query}: {answer:?}"
             );
         }
+    }
+
+    #[test]
+    fn guessed_names_deny_no_object() {
+        for query in ["the chandelier", "the green sofa"] {
+            let mut answer = ask(query);
+            answer.require_confidence(0.7);
+            assert_eq!(answer.status, Status::Uncertain, "{query}: {answer:?}");
+            assert!(answer.confidence < 0.2, "{query}: {answer:?}");
+        }
+        // Nothing is in a missing thing, but the best of its kind is offered.
+        let mut answer = ask("the red mug with a chandelier in it");
+        answer.require_confidence(0.7);
+        assert_eq!(answer.status, Status::Uncertain, "{answer:?}");
+        assert!(answer.aabb.is_some() && answer.confidence < 0.7, "{answer:?}");
+        // A list may be empty. How sure that is, nobody knows.
+        let none = ask("all the chandeliers");
+        assert_eq!((none.status, none.count), (Status::NoMatch, Some(0)));
+        assert!(none.confidence <= 0.5, "{none:?}");
+    }
+
+    #[test]
+    fn an_answer_whose_object_has_other_names_is_uncertain() {
+        let mut answer = ask("the red mug");
+        assert_eq!(answer.status, Status::Grounded, "{answer:?}");
+        answer.text = format!("{NOTHING_CLEARLY} a mug.");
+        answer.require_confidence(0.0);
+        assert_eq!(answer.status, Status::Grounded);
+        answer.require_confidence(answer.confidence / 2.0);
+        assert_eq!(answer.status, Status::Uncertain);
     }
 
     #[test]
@@ -666,7 +728,7 @@ mod tests {
             ("the quux", NoMatchReason::NotRecognised),
             ("das blaue Sofa neben dem Tisch", NoMatchReason::NotEnglish),
         ] {
-            assert_eq!(ask(query).no_match_reason, Some(reason), "{query}");
+            assert_eq!(ask_named(query).no_match_reason, Some(reason), "{query}");
         }
         assert_eq!(ask("the rug").no_match_reason, None);
         // Only names that were given deny a relation.
