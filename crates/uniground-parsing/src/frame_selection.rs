@@ -3,12 +3,15 @@
 //! a parse, and neighboring frames of a video show the same.
 //!
 //! A greedy choice of the frames that show most finds fewer objects than the same number of evenly
-//! spread frames (docs/METHOD.md), so only their number depends on what they show.
+//! spread frames (docs/METHOD.md), so only their number depends on what they show. A blurred frame
+//! is replaced with a sharper one that was taken shortly before or after it.
 
 use crate::frame_sampling::{sample_frames, spread_along_path};
 use crate::masks::{self, MaskSource};
+use crate::sharpness::Sharpness;
 use crate::superpoints::Patch;
 use rayon::prelude::*;
+use std::ops::Range;
 use uniground_geometry::Point3;
 use uniground_geometry::scene::{Camera, FrameRef, Pixel, PointCloud};
 use uniground_types::settings::FrameSamplingSettings;
@@ -29,8 +32,15 @@ const LEAST_FRAMES: usize = 8;
 /// Fewest frames that are selected for built-in masks, which take a tenth of a second.
 const LEAST_FRAMES_BUILTIN: usize = 100;
 
+/// Number of frames, including the selected one, among which a sharper one is looked for.
+const SHARPEST_OF: usize = 5;
+/// A frame is blurred if another one, taken shortly before or after it, is sharper by this factor.
+/// The squared Laplacian of equally sharp neighbors differs less.
+const SHARPER: f32 = 1.5;
+
 /// Returns the frames of which a parse uses the masks: sampled as the settings say, of which as
-/// many are selected as show the parts of the scan, such as superpoints, often enough.
+/// many are selected as show the parts of the scan, such as superpoints, often enough. For a
+/// segmentation model, blurred ones are replaced with sharper neighbors.
 #[must_use]
 pub fn choose_frames(
     frames: &[FrameRef],
@@ -40,25 +50,29 @@ pub fn choose_frames(
     settings: &FrameSamplingSettings,
 ) -> Vec<FrameRef> {
     let sampled = sample_frames(frames, settings);
-    let least = if masks::is_builtin(masks.name()) { LEAST_FRAMES_BUILTIN } else { LEAST_FRAMES };
-    match settings.views_per_part {
-        Some(views) => select_frames(&sampled, cloud, parts, views, least),
-        None => sampled,
+    let is_builtin = masks::is_builtin(masks.name());
+    let least = if is_builtin { LEAST_FRAMES_BUILTIN } else { LEAST_FRAMES };
+    let Some(views) = settings.views_per_part else { return sampled };
+    let mut selected = select_frames(&sampled, cloud, parts, views, least);
+    // Built-in masks take less time than to measure the sharpness of other frames.
+    if !is_builtin {
+        selected = prefer_sharp(&sampled, &selected);
     }
+    selected.into_iter().map(|frame| sampled[frame].clone()).collect()
 }
 
-/// Returns the frames to use, in order: at least `least`, if there are so many. Each part of the
-/// scan, such as a superpoint, is wanted in `views` frames, or in as many as there are.
-#[must_use]
-pub fn select_frames(
+/// Returns the positions of the frames to use, in order: at least `least`, if there are so many.
+/// Each part of the scan, such as a superpoint, is wanted in `views` frames, or in as many as there
+/// are.
+fn select_frames(
     frames: &[FrameRef],
     cloud: &PointCloud,
     parts: &[Patch],
     views: u32,
     least: usize,
-) -> Vec<FrameRef> {
+) -> Vec<usize> {
     if frames.len() <= least {
-        return frames.to_vec();
+        return (0..frames.len()).collect();
     }
     let seen: Vec<Vec<u32>> =
         frames.par_iter().map(|frame| visible_parts(frame, cloud, parts)).collect();
@@ -72,11 +86,52 @@ pub fn select_frames(
     while number < frames.len() {
         let chosen = spread_along_path(frames, number);
         if shown(&mut chosen.iter().copied()) >= wanted {
-            return chosen.into_iter().map(|frame| frames[frame].clone()).collect();
+            return chosen;
         }
         number += number.div_ceil(16);
     }
-    frames.to_vec()
+    (0..frames.len()).collect()
+}
+
+/// Replaces blurred frames among the selected ones with sharper ones: at most a quarter of the way
+/// to the selected frames before and after, so that the frames stay spread evenly.
+fn prefer_sharp(frames: &[FrameRef], selected: &[usize]) -> Vec<usize> {
+    let sharpness = |frame: usize| {
+        frames[frame].decode_color().map_or(0.0, |picture| {
+            let (width, height) = picture.dimensions();
+            Sharpness::measure(&picture).within([0, 0, width, height])
+        })
+    };
+    let sharpest = |at: usize| {
+        let frame = selected[at];
+        let others = spread_over(&neighborhood(selected, at, frames.len()), frame);
+        if others.is_empty() {
+            return frame;
+        }
+        let own = sharpness(frame);
+        others
+            .into_iter()
+            .map(|other| (sharpness(other), other))
+            .filter(|(sharp, _)| *sharp > SHARPER * own)
+            .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))
+            .map_or(frame, |(_, other)| other)
+    };
+    (0..selected.len()).into_par_iter().map(sharpest).collect()
+}
+
+/// Returns the frames that can replace a selected one: up to a quarter of the way to its neighbors.
+fn neighborhood(selected: &[usize], at: usize, count: usize) -> Range<usize> {
+    let frame = selected[at];
+    let before = at.checked_sub(1).map_or(0, |before| selected[before] + 1);
+    let after = selected.get(at + 1).copied().unwrap_or(count);
+    frame - (frame - before) / 4..frame + (after - frame - 1) / 4 + 1
+}
+
+/// Returns frames of a range other than `frame`, evenly spread.
+fn spread_over(range: &Range<usize>, frame: usize) -> Vec<usize> {
+    let others: Vec<usize> = range.clone().filter(|other| *other != frame).collect();
+    let count = others.len().min(SHARPEST_OF - 1);
+    (0..count).map(|i| others[i * others.len() / count]).collect()
 }
 
 /// Returns the parts whose centers a frame shows.
@@ -160,10 +215,37 @@ mod tests {
         let fast: Vec<FrameRef> = (0..10).map(|i| frame(i, i as f32)).collect();
         let of_slow = select_frames(&slow, &cloud, &parts(&points), 4, 8);
         assert!((12..40).contains(&of_slow.len()), "{}", of_slow.len());
-        assert!(of_slow.windows(2).all(|pair| pair[0].index < pair[1].index));
+        assert!(of_slow.windows(2).all(|pair| pair[0] < pair[1]));
         assert!(select_frames(&fast, &cloud, &parts(&points), 4, 8).len() >= 9);
         let more = select_frames(&slow, &cloud, &parts(&points), 8, 8).len();
         assert!(more > of_slow.len(), "{more}");
+    }
+
+    #[test]
+    fn blurred_frames_are_replaced_with_sharp_neighbors() {
+        let folder = tempfile::tempdir().unwrap();
+        let sharp = image::RgbImage::from_fn(64, 48, |x, y| {
+            image::Rgb([if (x / 4 + y / 4) % 2 == 0 { 220 } else { 30 }; 3])
+        });
+        let blurred = image::imageops::blur(&sharp, 2.0);
+        // A camera that shakes: every second picture is sharp.
+        let frames: Vec<FrameRef> = (0..100)
+            .map(|i| {
+                let path = folder.path().join(format!("{i}.png"));
+                if i % 2 == 1 { &sharp } else { &blurred }.save(&path).unwrap();
+                let mut frame = frame(i, i as f32 * 0.05);
+                frame.color = camino::Utf8PathBuf::from_path_buf(path).unwrap();
+                frame
+            })
+            .collect();
+        let selected: Vec<usize> = (0..5).map(|i| 20 * i + 2).collect();
+        let better = prefer_sharp(&frames, &selected);
+        assert!(better.iter().all(|frame| frame % 2 == 1), "{better:?}");
+        assert!(better.iter().zip(&selected).all(|(a, b)| a.abs_diff(*b) <= 5), "{better:?}");
+        assert_eq!(prefer_sharp(&frames, &better), better, "sharp frames stay");
+        let all: Vec<usize> = (0..100).collect();
+        assert_eq!(prefer_sharp(&frames, &all), all, "there is no other frame");
+        assert!(prefer_sharp(&[], &[]).is_empty());
     }
 
     #[test]

@@ -8,7 +8,8 @@
 //!
 //! Free space decides whether a plane belongs to the building. A floor has cameras above it and
 //! nothing below; a ceiling has nothing above it. Over the top of a wall nothing is visible; over
-//! the top of a wardrobe, the wall behind it is.
+//! the top of a wardrobe, the wall behind it is. Where only a low part of a wall was seen, nothing
+//! at all is behind it.
 
 mod rugs;
 mod sheet;
@@ -124,11 +125,17 @@ const MIN_SEED_M2: f32 = 0.04;
 /// Minimum width of a wall, and its minimum height above the floor, meters.
 const MIN_WALL_WIDTH_M: f32 = 0.5;
 const MIN_WALL_TOP_M: f32 = 1.6;
+/// The same for the lower part of a wall, where nothing is visible behind it.
+const MIN_LOW_WALL_WIDTH_M: f32 = 1.0;
+const MIN_LOW_WALL_TOP_M: f32 = 0.9;
 /// A point farther behind a plane than this counts as behind it, meters.
 const BEHIND_M: f32 = 0.15;
 /// Maximum share of cells with something behind or below them. From there on, a plane bounds no
 /// room.
 const MAX_SEEN_BEHIND: f32 = 0.25;
+/// The same for the lower part of a wall. Over kitchen cabinets, the wall behind is visible along
+/// nearly all of their width.
+const MAX_SEEN_BEHIND_LOW: f32 = 0.1;
 /// Minimum height of a ceiling above the floor, meters.
 const MIN_CEILING_M: f32 = 1.9;
 const THICKEST_RUG_M: f32 = 0.06;
@@ -356,7 +363,8 @@ impl<'a> CloudBySuperpoint<'a> {
         hit as f32 / seen.len().max(1) as f32
     }
 
-    /// Returns whether the sheet is wide and high, and nothing is visible behind it over its top.
+    /// Returns whether the sheet is wide and high, and nothing is visible behind it over its top. A
+    /// lower one is a wall if nothing is visible behind it at any height.
     fn is_wall(&self, sheet: &PlanePart, cameras: &[Point3<f32>], floor_z: f32) -> bool {
         let mut tops: BTreeMap<i32, i32> = BTreeMap::new();
         for &(a, b) in &sheet.cells {
@@ -368,25 +376,29 @@ impl<'a> CloudBySuperpoint<'a> {
             .map(|&b| sheet.middle.z + (b as f32 + 1.0) * CELL_M * sheet.up.z)
             .collect();
         let top_z = quantile(&mut highest, 0.9).unwrap_or(0.0);
-        if tops.len() as f32 * CELL_M < MIN_WALL_WIDTH_M
-            || top_z < (floor_z + MIN_WALL_TOP_M).min(self.highest_z - 0.3)
-        {
+        let is_high = top_z >= (floor_z + MIN_WALL_TOP_M).min(self.highest_z - 0.3);
+        let (min_width_m, from_z, max_behind) = match is_high {
+            true => (MIN_WALL_WIDTH_M, top_z + BEHIND_M, MAX_SEEN_BEHIND),
+            false => (MIN_LOW_WALL_WIDTH_M, f32::NEG_INFINITY, MAX_SEEN_BEHIND_LOW),
+        };
+        let width_m = tops.len() as f32 * CELL_M;
+        if width_m < min_width_m || top_z < floor_z + MIN_LOW_WALL_TOP_M {
             return false;
         }
-        // Searches over the top: behind the sheet as seen from the cameras, within its width and
-        // the depth of a room.
+        // Searches behind the sheet as seen from the cameras, within its width and the depth of a
+        // room: over the top of a high one, at any height of a low one.
         const DEPTH_M: f32 = 1.5;
         let before =
             cameras.iter().filter(|c| sheet.distance(c) > 0.0).count() * 2 >= cameras.len();
         let mut behind = BTreeSet::new();
-        for p in self.cloud.positions.iter().filter(|p| p.z > top_z + BEHIND_M) {
+        for p in self.cloud.positions.iter().filter(|p| p.z > from_z) {
             let distance = sheet.distance(p) * if before { -1.0 } else { 1.0 };
             if (BEHIND_M..DEPTH_M).contains(&distance) {
                 behind.insert(sheet.cell(p).0);
             }
         }
         let hit = tops.keys().filter(|a| behind.contains(a)).count();
-        (hit as f32) < MAX_SEEN_BEHIND * tops.len() as f32
+        (hit as f32) < max_behind * tops.len() as f32
     }
 
     /// Returns whether a larger wall continues behind it, as behind a curtain or a wardrobe as high
@@ -511,6 +523,36 @@ mod tests {
             None,
             "a wardrobe is not a wall: the wall behind is visible above it"
         );
+    }
+
+    /// A kitchen of which the cameras saw nothing above 1.4 m: a counter before one wall, the lower
+    /// part of another.
+    #[test]
+    fn the_lower_part_of_a_wall_is_a_wall_if_nothing_is_behind_it() {
+        let mut cloud = PointCloud::default();
+        block(&mut cloud, [0.0, 0.0, 0.0], [4.0, 3.0, 0.0], 120);
+        block(&mut cloud, [0.0, 0.0, 0.9], [4.0, 0.0, 2.6], 200); // a wall down to the counter
+        block(&mut cloud, [0.0, 0.0, 0.9], [4.0, 0.6, 0.9], 60); // its top
+        block(&mut cloud, [0.0, 0.6, 0.0], [4.0, 0.6, 0.9], 90); // its front
+        block(&mut cloud, [4.0, 0.7, 0.0], [4.0, 3.0, 1.4], 200); // the lower part of a wall
+        block(&mut cloud, [2.5, 2.4, 0.0], [3.0, 3.0, 0.7], 80); // a small cupboard
+        let superpoints =
+            superpoints::compute(&cloud, &SuperpointSettings::default(), &Progress::silent())
+                .unwrap();
+        let cameras = [Point3::new(1.0, 1.8, 1.5), Point3::new(1.5, 2.0, 1.5)];
+        let planes = find(&cloud, &superpoints, &cameras, &Progress::silent()).unwrap();
+        let mut walls: Vec<[i32; 3]> = planes
+            .planes
+            .iter()
+            .filter(|plane| plane.structure == Structure::Wall)
+            .map(|plane| {
+                let Point3 { coords } = plane.middle;
+                [coords.x, coords.y, coords.z].map(|v| (v * 10.0).round() as i32)
+            })
+            .collect();
+        walls.sort_unstable();
+        assert_eq!(walls.len(), 2, "{:#?}", planes.planes);
+        assert_eq!((walls[0][1], walls[1][0]), (0, 40), "{walls:?}");
     }
 
     #[test]
