@@ -105,7 +105,7 @@ async fn the_six_fields_describe_the_decision() {
     assert_eq!(grounded.relation_used.as_deref(), Some("farthest from the sofa"));
     assert!(!grounded.explanation.is_empty() && !grounded.candidate_names.is_empty());
 
-    let absent = server.client.ground(&scene.id, &ask("the green sofa")).await.unwrap();
+    let absent = server.client.ground(&scene.id, &ask("the green sofas")).await.unwrap();
     assert_eq!(
         (absent.status, absent.aabb, absent.answer.predicted_id),
         (Status::NoMatch, None, None),

@@ -120,8 +120,13 @@ async fn a_folder_without_record_versions_is_served_completely() {
         let again = server.client.ground(&scene.id, &ask(&told.query)).await.unwrap();
         let (id, timings_ms, evidence, models) =
             (told.id.clone(), told.timings_ms, told.evidence.clone(), told.models.clone());
+        if told.status == Status::NoMatch {
+            // That version denied objects by guessed names.
+            assert_eq!(again.status, Status::Uncertain, "{}", told.query);
+            continue;
+        }
         assert_eq!(again.targets.first().map(|target| target.id), told.answer.predicted_id);
-        assert_eq!(again.no_match_reason.is_some(), told.status == Status::NoMatch);
+        assert_eq!(again.no_match_reason, None);
         let ranks = |answer: &Answer| {
             answer.candidates.iter().flatten().map(|c| (c.rank, c.id)).collect::<Vec<_>>()
         };
