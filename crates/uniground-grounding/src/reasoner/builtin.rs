@@ -12,6 +12,7 @@ use crate::fit::{can_check_word, colors_fit, most_plausible};
 use crate::kinds::BROADER_NAME;
 use crate::readings::Readings;
 use crate::{NoMatchReason, SceneView, Status};
+use uniground_geometry::scene::Level;
 use uniground_language::{Meaning, ParsedQuery, Phrase, Quantity, Reach, RelationKind};
 use uniground_models::attributes::Noun;
 
@@ -28,6 +29,9 @@ const MIN_FIT: f32 = 0.25;
 const MIN_UNNAMED_FIT: f32 = 0.35;
 /// Below this, no likely instance has the requested color.
 pub(crate) const MIN_COLOR: f32 = 0.42;
+/// Where people or a model have named most things, one without a name denies nothing from this score
+/// on.
+const UNNAMED_FITS: f32 = 0.05;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
 /// Factor of the belief where words of the question could not be used: they may have distinguished
@@ -101,9 +105,12 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         order = likeliest;
     }
     let best = order[0];
-    // Guessed names are wrong too often to deny an object. But a list of several may be empty.
+    // Guessed names are wrong too often to deny an object. But a list of several may be empty, and
+    // what most things are is known once they have been named.
     let is_guess = guessed_from(assessor.scene, &parsed.target, best).is_some();
-    if (!is_guess || parsed.quantity != Quantity::One)
+    let is_nothing_likely = assessment.own.iter().all(|own| *own < UNNAMED_FITS);
+    let may_deny = !is_guess || is_nothing_likely && is_mostly_named(assessor.scene);
+    if (may_deny || parsed.quantity != Quantity::One)
         && (best_fit < MIN_FIT || !colors_agree(assessment, &parsed.target, assessor.scene))
     {
         return no_match(assessment.own.clone(), NoMatchReason::Absent, why_nothing_fits(parsed));
@@ -119,7 +126,7 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     // first guess is another name. An encoder has weighed the names already.
     let is_named = name_matches(assessor.scene, &parsed.target, best)
         && is_called(&parsed.target, assessor.scene)(best);
-    if !is_guess
+    if may_deny
         && assessor.scene.appearance.is_none()
         && assessment.nouns[best] < MIN_UNNAMED_FIT
         && !is_named
@@ -193,6 +200,17 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         relation_used: relation_words(phrase),
         target_name_matches: Some(name_matches(assessor.scene, &parsed.target, best)),
     }
+}
+
+/// Returns whether at least half of the things have names that were given.
+fn is_mostly_named(scene: SceneView) -> bool {
+    let things = || {
+        scene.instances.iter().enumerate().filter(|(_, instance)| {
+            instance.level == Level::Thing && instance.structure.is_none() && !instance.dismissed
+        })
+    };
+    let named = things().filter(|(i, _)| scene.names.get(*i).is_some()).count();
+    named > 0 && 2 * named >= things().count()
 }
 
 /// Returns indices by descending score.
@@ -531,6 +549,13 @@ mod tests {
             assert_eq!(answer.status, Status::Uncertain, "{query}: {answer:?}");
             assert!(answer.confidence < 0.2, "{query}: {answer:?}");
         }
+        // Most things have names: what is not among them is not there.
+        let mut named = room();
+        named.iter_mut().skip(1).for_each(|it| it.given_name = Some(it.label().into()));
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let names = NameIndex::of(&named);
+        let scene = SceneView { instances: &named, extent, names: &names, appearance: None };
+        assert_eq!(ground(scene, &Question::of("the chandelier")).status, Status::NoMatch);
         // Nothing is in a missing thing, but the best of its kind is offered.
         let mut answer = ask("the red mug with a chandelier in it");
         answer.require_confidence(0.7);
