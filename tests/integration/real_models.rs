@@ -94,6 +94,15 @@ fn to_strings(value: &Value) -> Vec<String> {
     serde_json::from_value(value.clone()).unwrap()
 }
 
+#[cfg(target_arch = "x86_64")]
+fn has_vnni() -> bool {
+    is_x86_feature_detected!("avx512vnni") || is_x86_feature_detected!("avxvnni")
+}
+#[cfg(not(target_arch = "x86_64"))]
+fn has_vnni() -> bool {
+    false
+}
+
 #[test]
 #[ignore = "needs models: make test-models"]
 fn clip_embeddings_equal_the_python_runtime() {
@@ -104,8 +113,10 @@ fn clip_embeddings_equal_the_python_runtime() {
     let encoder = encoder();
     assert_eq!(encoder.batch_size(), 1, "its activations are quantized over the batch");
     let expected = read_rows("clip-vitb16-lite/image_embeds.npy", encoder.dim());
+    // The reference was computed with VNNI instructions. Other CPUs round 8-bit products otherwise.
+    let least = if has_vnni() { 0.999 } else { 0.97 };
     for (files, least) in
-        [(to_strings(&known["resized"]), 0.999), (to_strings(&known["images"]), 0.97)]
+        [(to_strings(&known["resized"]), least), (to_strings(&known["images"]), 0.97)]
     {
         let pictures: Vec<RgbImage> =
             files.iter().map(|f| load_image(&format!("clip-vitb16-lite/{f}"))).collect();
