@@ -110,6 +110,7 @@ async fn build_app(config: &ServeConfig, part: &ProcessRole) -> anyhow::Result<R
         daily_usd: config.vlm.vlm_daily_usd,
         json: config.vlm.vlm_json,
         points: config.vlm.vlm_points.into(),
+        limits: config.vlm.picture_limits(),
         names: config.vlm.names.into(),
     };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
@@ -278,13 +279,14 @@ async fn check_model_server(chat: Arc<ChatClient>, services: Services, shows_pic
         );
         return vlm.record_unreachable();
     }
-    for limit in chat.describe_limits().await {
+    for limit in chat.describe_limits(vlm.picture_limits().count).await {
         tracing::warn!(limit, "vision-language model server has a limit that requests will exceed");
     }
     if !shows_pictures {
         return;
     }
-    match check_pictures(vlm.own_model().as_ref(), vlm.json(), vlm.points()).await {
+    let model = vlm.own_model();
+    match check_pictures(model.as_ref(), vlm.json(), vlm.points(), vlm.picture_limits()).await {
         Ok((findings, _)) => {
             for finding in findings {
                 if finding.is_right {

@@ -26,7 +26,7 @@ use camino::Utf8PathBuf;
 use std::fs;
 use std::net::SocketAddr;
 use std::time::Duration;
-use uniground_core::grounding::vlm::PointForm;
+use uniground_core::grounding::vlm::{PictureLimits, PointForm};
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::chat::Prices;
 use uniground_endpoints::chat::{ChatClient, Endpoint, ReplayCache, RetryPolicy};
@@ -231,6 +231,12 @@ pub struct VlmConfig {
     /// How the model gives places in pictures. `models check-vlm` finds out
     #[arg(long, env = "UNIGROUND_VLM_POINTS", value_enum, default_value_t)]
     pub vlm_points: PointChoice,
+    /// Maximum number of pictures in one request. Where a question has more, several are combined
+    #[arg(long, env = "UNIGROUND_VLM_MAX_IMAGES", value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub vlm_max_images: Option<u32>,
+    /// Maximum size of the longer side of a picture, pixels. Larger pictures are reduced
+    #[arg(long, env = "UNIGROUND_VLM_MAX_IMAGE_PX", value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(256..=8192))]
+    pub vlm_max_image_px: Option<u32>,
 }
 
 /// How a model gives places in pictures.
@@ -312,11 +318,19 @@ impl Default for VlmConfig {
             names: NamingChoice::Off,
             vlm_json: false,
             vlm_points: PointChoice::Thousandths,
+            vlm_max_images: None,
+            vlm_max_image_px: None,
         }
     }
 }
 
 impl VlmConfig {
+    /// Returns what the model accepts in one request.
+    #[must_use]
+    pub fn picture_limits(&self) -> PictureLimits {
+        PictureLimits { count: self.vlm_max_images, side_px: self.vlm_max_image_px }
+    }
+
     /// Returns the client, if a model is configured.
     ///
     /// # Errors

@@ -82,11 +82,12 @@ impl Check<'_> {
         }
         let detail = format!("It answered in {:.2} s.", start.elapsed().as_secs_f64());
         self.tell(Finding { what: REACHABLE, is_right: true, detail })?;
-        for limit in client.describe_limits().await {
+        let VlmConfig { vlm_json, vlm_points, vlm_max_images, .. } = self.args.vlm;
+        for limit in client.describe_limits(vlm_max_images).await {
             self.tell(Finding { what: "takes a question's size", is_right: false, detail: limit })?;
         }
-        match check_pictures(client, self.args.vlm.vlm_json, self.args.vlm.vlm_points.into()).await
-        {
+        let limits = self.args.vlm.picture_limits();
+        match check_pictures(client, vlm_json, vlm_points.into(), limits).await {
             Ok((findings, reply)) => {
                 findings.into_iter().try_for_each(|finding| self.tell(finding))?;
                 self.say(&format!("Three pictures took {}.", cost(&reply, client.prices())))?;

@@ -152,6 +152,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
             max_usd: args.max_usd,
             json: args.vlm.vlm_json,
             points: args.vlm.vlm_points.into(),
+            limits: args.vlm.picture_limits(),
         };
         let system = InProcess::new(
             &args.models.models,

@@ -4,7 +4,7 @@
 use image::{Rgb, RgbImage};
 use serde_json::{Value, json};
 use std::fmt;
-use uniground_grounding::vlm::PointForm;
+use uniground_grounding::vlm::{ImagePart, PictureLimits, PointForm};
 use uniground_models::chat::{
     ChatFailure, ChatModel, ChatReply, ChatRequest, Part, Picture, after_thoughts,
 };
@@ -54,12 +54,26 @@ pub async fn check_pictures(
     model: &dyn ChatModel,
     json: bool,
     points: PointForm,
+    limits: PictureLimits,
 ) -> Result<(Vec<Finding>, ChatReply), ChatFailure> {
-    let reply = model.ask(&request(json, points)).await?;
-    Ok((judge(&reply.text, points), reply))
+    let (request, disc) = request(json, points, limits);
+    let reply = model.ask(&request).await?;
+    Ok((judge(&reply.text, points, disc), reply))
 }
 
-fn request(json: bool, points: PointForm) -> ChatRequest {
+/// Where the disc is in the picture that was sent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Disc {
+    /// Shares of the picture's width and height.
+    at: [f64; 2],
+    /// Width and height of the picture, pixels.
+    size: [f64; 2],
+    /// Largest distance of a point from the middle, as a share of the picture.
+    tolerance: f64,
+}
+
+/// Returns the request, and where the disc is in its pictures.
+fn request(json: bool, points: PointForm, limits: PictureLimits) -> (ChatRequest, Disc) {
     let pictures = [tagged(), two_shapes(), two_discs()];
     let mut user: Vec<Part> = pictures.into_iter().map(Part::Picture).collect();
     let format = match json {
@@ -73,14 +87,31 @@ fn request(json: bool, points: PointForm) -> ChatRequest {
         "Number: which number is on the tag in image 1?\n\
          Left, Right: which colour has the shape at the left of image 2, and the one at its right?\n\
          Green: where is the middle of the green disc in image 3? {}.\n\n{format}",
-        points.describe("that image")
+        points.describe(limits.describe_whole(3, "that image"))
     )));
     let text = json!({"type": "string"});
     let schema = json!({
         "type": "object", "additionalProperties": false, "required": LABELS,
         "properties": {"Number": {"type": "integer"}, "Left": text, "Right": text, "Green": text},
     });
-    ChatRequest { system: SYSTEM.into(), user, schema: json.then_some(("check", schema)) }
+    let schema = json.then_some(("check", schema));
+    let (request, sent) = limits.apply(1, ChatRequest { system: SYSTEM.into(), user, schema });
+    (request, sent.part(3).map_or(Disc::ALONE, Disc::within))
+}
+
+impl Disc {
+    /// In a picture of its own.
+    const ALONE: Self =
+        Self { at: DISC, size: [WIDE[0] as f64, WIDE[1] as f64], tolerance: POINT_TOLERANCE };
+
+    /// In a part of a picture of several.
+    fn within(ImagePart { area: (left, top, width, height), picture_px }: ImagePart) -> Self {
+        let [left, top, width, height] = [left, top, width, height].map(f64::from);
+        let size = [f64::from(picture_px.0), f64::from(picture_px.1)];
+        let at = [(left + DISC[0] * width) / size[0], (top + DISC[1] * height) / size[1]];
+        let share = (width / size[0]).max(height / size[1]);
+        Self { at, size, tolerance: POINT_TOLERANCE * share }
+    }
 }
 
 fn picture(name: &str, image: &RgbImage) -> Picture {
@@ -130,7 +161,7 @@ fn is_in_disc(at: [u32; 2], middle: [f64; 2], radius: f64) -> bool {
     dx.hypot(dy) <= radius
 }
 
-fn judge(text: &str, points: PointForm) -> Vec<Finding> {
+fn judge(text: &str, points: PointForm, disc: Disc) -> Vec<Finding> {
     let told = LABELS.map(|label| value(text, label));
     let [number, left, right, green] = told.each_ref().map(|told| told.as_deref());
     let said = |told: Option<&str>| told.map_or("nothing".to_owned(), |told| format!("{told:?}"));
@@ -140,8 +171,8 @@ fn judge(text: &str, points: PointForm) -> Vec<Finding> {
     let reads = number.and_then(|told| numbers(told).first().copied()) == Some(f64::from(NUMBER));
     let is_straight = has(left, LEFT) && has(right, RIGHT);
     let is_swapped = has(left, RIGHT) && has(right, LEFT);
-    let place =
-        green.map_or_else(|| Err("It gave no point.".into()), |told| judge_point(told, points));
+    let place = green
+        .map_or_else(|| Err("It gave no point.".into()), |told| judge_point(told, points, disc));
     let keeps_format = told.iter().all(Option::is_some);
     vec![
         Finding {
@@ -194,18 +225,18 @@ fn judge(text: &str, points: PointForm) -> Vec<Finding> {
 }
 
 /// Returns how far a point is from the disc, or in which other form it was given.
-fn judge_point(told: &str, points: PointForm) -> Result<String, String> {
+fn judge_point(told: &str, points: PointForm, disc: Disc) -> Result<String, String> {
     let [x, y] = numbers(told)[..] else {
         return Err(format!("It said {told:?}, expected two numbers."));
     };
-    let [width, height] = WIDE.map(f64::from);
-    let distance = |x: f64, y: f64| (x - DISC[0]).hypot(y - DISC[1]);
+    let Disc { at, size: [width, height], tolerance } = disc;
+    let distance = |x: f64, y: f64| (x - at[0]).hypot(y - at[1]);
     let (asked, expected, size) = match points {
-        PointForm::Thousandths => ("thousandths", DISC.map(|share| share * 1000.0), [1000.0; 2]),
-        PointForm::Pixels => ("pixels", [DISC[0] * width, DISC[1] * height], [width, height]),
+        PointForm::Thousandths => ("thousandths", at.map(|share| share * 1000.0), [1000.0; 2]),
+        PointForm::Pixels => ("pixels", [at[0] * width, at[1] * height], [width, height]),
     };
     let off = distance(x / size[0], y / size[1]);
-    if off <= POINT_TOLERANCE {
+    if off <= tolerance {
         return Ok(format!("It points in {asked}, {:.1} % off.", off * 100.0));
     }
     let forms = [
@@ -215,7 +246,7 @@ fn judge_point(told: &str, points: PointForm) -> Result<String, String> {
         ("percent", [x / 100.0, y / 100.0], WRONG_PLACE),
         ("thousandths with x and y swapped", [y / 1000.0, x / 1000.0], WRONG_PLACE),
     ];
-    let form = forms.into_iter().find(|(_, [x, y], _)| distance(*x, *y) <= POINT_TOLERANCE);
+    let form = forms.into_iter().find(|(_, [x, y], _)| distance(*x, *y) <= tolerance);
     Err(match form {
         Some((form, _, help)) => {
             format!("It points in {form} ({told}) where {asked} are asked for. {help}")
@@ -273,7 +304,10 @@ mod tests {
 
     /// Returns which checks are right, in their order.
     fn right(text: &str) -> Vec<bool> {
-        judge(text, PointForm::Thousandths).into_iter().map(|finding| finding.is_right).collect()
+        judge(text, PointForm::Thousandths, Disc::ALONE)
+            .into_iter()
+            .map(|finding| finding.is_right)
+            .collect()
     }
 
     #[test]
@@ -293,8 +327,8 @@ mod tests {
             format!("Number: {number}\nLeft: {left}\nRight: {right}\nGreen: {green}")
         };
         let pixels = text("47", "blue", "red", "648, 135");
-        assert!(judge(&pixels, PointForm::Pixels)[4].is_right);
-        let found = judge(&pixels, PointForm::Thousandths);
+        assert!(judge(&pixels, PointForm::Pixels, Disc::ALONE)[4].is_right);
+        let found = judge(&pixels, PointForm::Thousandths, Disc::ALONE);
         assert!(!found[3].is_right && found[3].detail.contains("swaps"), "{found:?}");
         assert!(!found[4].is_right && found[4].detail.contains("pixels"), "{found:?}");
         for (green, form) in [
@@ -304,11 +338,12 @@ mod tests {
             ("100, 100", "The disc is at 720, 300"),
             ("in the middle", "expected two numbers"),
         ] {
-            let found = judge(&text("74", "red", "blue", green), PointForm::Thousandths);
+            let found =
+                judge(&text("74", "red", "blue", green), PointForm::Thousandths, Disc::ALONE);
             assert!(found[4].detail.contains(form), "{green}: {found:?}");
             assert!(found[0].is_right && !found[2].is_right, "{found:?}");
         }
-        let blind = judge("I cannot see images.", PointForm::Thousandths);
+        let blind = judge("I cannot see images.", PointForm::Thousandths, Disc::ALONE);
         assert!(blind.iter().all(|finding| !finding.is_right), "{blind:?}");
         assert!(
             blind[0].detail.contains("drop images") && blind[1].detail.contains("Number, Left")
@@ -318,11 +353,28 @@ mod tests {
     /// The pictures show what the check expects.
     #[test]
     fn pictures_are_drawn() {
-        let request = request(true, PointForm::Thousandths);
+        let (request, place) = request(true, PointForm::Thousandths, PictureLimits::default());
+        assert_eq!(place, Disc::ALONE);
         let pictures = request.user.iter().filter(|part| matches!(part, Part::Picture(_))).count();
         assert_eq!((pictures, request.user.len()), (3, 4));
         let disc = WIDE.map(f64::from);
         let middle = [0, 1].map(|axis| (DISC[axis] * disc[axis]) as u32);
         assert!(is_in_disc(middle, [DISC[0] * disc[0], DISC[1] * disc[1]], 2.0));
+    }
+
+    /// With one picture for all images, the place is that of the disc in this picture.
+    #[test]
+    fn combined_pictures_are_judged_by_their_own_places() {
+        let limits = PictureLimits { count: Some(1), side_px: None };
+        let (request, disc) = request(false, PointForm::Pixels, limits);
+        let Some(Part::Picture(picture)) = request.user.first() else { panic!("no picture") };
+        let drawn = image::load_from_memory(&picture.jpeg).unwrap().into_rgb8();
+        let [x, y] = [0, 1].map(|axis: usize| disc.at[axis] * disc.size[axis]);
+        let Rgb([red, green, _]) = *drawn.get_pixel(x as u32, y as u32);
+        assert!(green > 120 && red < 60, "{red} {green}");
+        let text =
+            |x: f64, y: f64| format!("Number: 47\nLeft: red\nRight: blue\nGreen: {x:.0}, {y:.0}");
+        assert!(judge(&text(x, y), PointForm::Pixels, disc)[4].is_right);
+        assert!(!judge(&text(x - 60.0, y), PointForm::Pixels, disc)[4].is_right);
     }
 }

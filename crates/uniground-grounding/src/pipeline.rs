@@ -238,7 +238,9 @@ async fn apply_review<S: SceneSource>(
         && answered.grounding.confidence >= SURE_WITHOUT_LOOKING;
     let untouched = |context| Searched::without_looking(source.clone(), context);
     let searched = match options.evidence {
-        EvidenceMode::TwoStep => untouched(narrow_candidates(source, context, &mut session).await?),
+        EvidenceMode::TwoStep => {
+            untouched(narrow_candidates(source, context, options.limits, &mut session).await?)
+        }
         EvidenceMode::Photographs if !is_sure => {
             match find_in_photographs(source, context, options, &mut session).await? {
                 Ok(found) => found,
@@ -335,8 +337,8 @@ impl<S: SceneSource> Shown<S> {
         decision: Decision,
         session: &mut Session<'_>,
     ) -> Result<Decision, S::Error> {
-        let Some(seen) = decision.seen.clone().filter(|_| decision.outcome == Outcome::NotListed)
-        else {
+        let sighting = decision.seen.clone().filter(|_| decision.outcome == Outcome::NotListed);
+        let Some(seen) = sighting.and_then(|sighting| sighting.original) else {
             return Ok(decision);
         };
         let (context, evidence, settings) =
@@ -404,6 +406,7 @@ impl<S: SceneSource> Shown<S> {
 async fn narrow_candidates<S: SceneSource>(
     source: &Arc<S>,
     context: vlm::PromptContext,
+    limits: vlm::PictureLimits,
     session: &mut Session<'_>,
 ) -> Result<vlm::PromptContext, S::Error> {
     let (context, sheets) = source
@@ -413,7 +416,7 @@ async fn narrow_candidates<S: SceneSource>(
             Ok((context, vlm::VisualEvidence { sheets, ..vlm::VisualEvidence::default() }))
         })
         .await?;
-    let mut ids = vlm::narrow(&context, &sheets, session).await.unwrap_or_default();
+    let mut ids = vlm::narrow(&context, &sheets, limits, session).await.unwrap_or_default();
     if ids.is_empty() {
         ids = context.candidates.iter().map(|c| c.id.0).take(vlm::REMAINING).collect();
     }

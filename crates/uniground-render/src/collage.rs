@@ -24,7 +24,7 @@ impl Default for Collage {
     }
 }
 
-const SHEET: Rgb<u8> = Rgb([245; 3]);
+pub(super) const SHEET: Rgb<u8> = Rgb([245; 3]);
 const RED: Rgb<u8> = Rgb([230, 20, 20]);
 const TAG: Rgb<u8> = Rgb([20, 30, 60]);
 /// Height of the tag, as a share of the sheet's height.
@@ -43,8 +43,8 @@ pub struct Tile {
     pub shows: [u32; 4],
 }
 
-/// Left, top, width, height, pixels.
-type Area = (u32, u32, u32, u32);
+/// Part of a picture: left, top, width, height, pixels.
+pub type Area = (u32, u32, u32, u32);
 
 impl Tile {
     /// Converts a position of the composed picture to column and row of the frame's color picture;
@@ -184,7 +184,7 @@ fn mosaic_area(shot: &Shot, (x, y): (u32, u32), tile_px: u32) -> Area {
 }
 
 /// Draws white letters on dark, left aligned.
-fn draw_tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
+pub(super) fn draw_tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
     let size_px = height as f32 * 0.78;
     let width = (text::width(words, size_px) as u32 + 12).min(sheet.width() - x);
     for (u, v) in (x..x + width).flat_map(|u| (y..y + height).map(move |v| (u, v))) {
@@ -208,7 +208,7 @@ fn draw_crop(sheet: &mut RgbImage, shot: &Shot, area: Area) {
     }
 }
 
-fn paste(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Area) {
+pub(super) fn paste(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Area) {
     imageops::replace(
         sheet,
         &resize(picture, (width, height), Filter::Bilinear),

@@ -8,7 +8,7 @@ use super::{
 use crate::neural::tiny_models;
 use crate::scripted_model::{Scripted, says};
 use crate::test_server::{TestServer, ask};
-use uniground::config::{LimitsConfig, ModelsConfig};
+use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_core::grounding::{NoMatchReason, Status};
 use uniground_types::answer::Answer;
 use uniground_types::instances::{InstanceView, Levels};
@@ -119,6 +119,51 @@ async fn an_unlisted_object_in_a_photograph_becomes_an_instance() {
     let again =
         instances.iter().filter(|other| other.id.0 != id && other.aabb.iou(&instance.aabb) >= 0.5);
     assert_eq!(again.count(), 0, "{}", corrections(&answer));
+    server.stop().await;
+}
+
+/// All images of the question are on the one picture that the model accepts. A place in it belongs to
+/// the photograph that lies there.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_place_in_a_combined_picture_becomes_an_instance() {
+    const MAX_PX: u32 = 1600;
+    let script = Script::default();
+    let vlm = VlmConfig {
+        vlm_max_images: Some(1),
+        vlm_max_image_px: Some(MAX_PX),
+        ..vlm_config(&script.serve(vec![says("-")]).await)
+    };
+    let (server, scene) = start_server(vlm).await;
+    let spots = (60..1000).step_by(90).flat_map(|x| (60..1000).step_by(90).map(move |y| (x, y)));
+    let mut found = None;
+    for at in spots {
+        script.take();
+        script.next(vec![unlisted_reply(3, at), six_field_reply("none", "", false, 1)]);
+        let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
+        if let Some(seen) = &answer.seen {
+            assert_eq!(seen.picture, "call-1-images-1");
+        }
+        if let Some(id) = created_instance(&answer) {
+            assert!(corrections(&answer).contains("in candidate-"), "{}", corrections(&answer));
+            found = Some((answer, id));
+            break;
+        }
+    }
+    let (answer, id) = found.expect("no place in the picture is without an instance");
+    let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
+    assert_eq!(
+        (instances.last().unwrap().id.0, instances.last().unwrap().label.as_str()),
+        (id, NAME)
+    );
+    for sent in script.take() {
+        assert_eq!(count_images(&sent), 1);
+        let text = user_text(&sent);
+        assert!(text.contains("picture 1 holds images 1 to "), "{text}");
+        assert!(text.contains("rim of the whole picture that the image is part of"), "{text}");
+    }
+    let picture = format!("v1/answers/{}/evidence/call-1-images-1.jpg", answer.id);
+    let picture = image::load_from_memory(&server.client.bytes(&picture).await.unwrap()).unwrap();
+    assert!(picture.width().max(picture.height()) <= MAX_PX);
     server.stop().await;
 }
 

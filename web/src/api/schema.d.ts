@@ -125,7 +125,8 @@ export interface paths {
         };
         /**
          * Returns a picture of an answer's evidence: `global.jpg`, and for answers of a model
-         *     `candidate-7.jpg`, `marked-1.jpg` or `names-1.jpg`, exactly as the model received it.
+         *     `candidate-7.jpg`, `marked-1.jpg`, `names-1.jpg`, or `call-1-images-1.jpg` where several were
+         *     combined in one, exactly as the model received it.
          * @description `global.jpg` always exists. If no model received one, it is drawn from above with the answer's
          *     box (green), its anchor (red) and the other candidates (blue).
          */

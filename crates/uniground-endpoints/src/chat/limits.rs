@@ -36,7 +36,9 @@ struct ListedModel {
 impl ChatClient {
     /// Returns what the endpoint's server will refuse or truncate of a question, with advice. Empty
     /// if no problem is known. Requests only the list of models from hosted servers.
-    pub async fn describe_limits(&self) -> Vec<String> {
+    ///
+    /// `max_images` is the configured maximum number of pictures in a request.
+    pub async fn describe_limits(&self, max_images: Option<u32>) -> Vec<String> {
         let Some(listed) =
             self.fetch_json::<ModelListing>(self.http.get(self.endpoint.address("models"))).await
         else {
@@ -55,7 +57,7 @@ impl ChatClient {
             .max_model_len
             .and_then(|tokens| too_short(tokens, "start its server with a larger --max-model-len"));
         let more = match found.owned_by.as_str() {
-            "vllm" => self.picture_limit_advice().await,
+            "vllm" => self.picture_limit_advice(max_images).await,
             // This is how Ollama identifies itself.
             "library" => match self.ollama_context_length().await {
                 Some(tokens) => too_short(
@@ -74,13 +76,15 @@ impl ChatClient {
 
     /// Checks whether a vLLM server refuses a question's number of pictures, by a request with tiny
     /// pictures and one token of reply.
-    async fn picture_limit_advice(&self) -> Option<String> {
+    async fn picture_limit_advice(&self, max_images: Option<u32>) -> Option<String> {
+        let count =
+            max_images.map_or(QUESTION_PICTURES, |most| QUESTION_PICTURES.min(most as usize));
         let picture = format!(
             "data:image/jpeg;base64,{}",
             STANDARD.encode(encode_jpeg(&RgbImage::new(56, 56)))
         );
-        let pictures = (0..QUESTION_PICTURES)
-            .map(|_| json!({"type": "image_url", "image_url": {"url": picture}}));
+        let pictures =
+            (0..count).map(|_| json!({"type": "image_url", "image_url": {"url": picture}}));
         let content: Vec<Value> = pictures.chain([json!({"type": "text", "text": "?"})]).collect();
         let body = json!({"model": self.endpoint.model, "max_tokens": 1, "messages": [{"role": "user", "content": content}]});
         let response = self
@@ -93,8 +97,8 @@ impl ChatClient {
         }
         let message = super::read_limited(response).await.ok().flatten().unwrap_or_default();
         Some(format!(
-            "{} refuses {QUESTION_PICTURES} pictures in one prompt, but a question needs them ({}): start vLLM with \
-             --limit-mm-per-prompt '{{\"image\": 25}}' (older versions: image=25)",
+            "{} refuses {count} pictures in one prompt, but a question needs them ({}): start vLLM with \
+             --limit-mm-per-prompt '{{\"image\": 25}}' (older versions: image=25), or set --vlm-max-images to what it accepts",
             self.endpoint.model,
             super::detail(&self.redact_key(&message))
         ))
@@ -196,7 +200,7 @@ mod tests {
         };
         ChatClient::new(endpoint, RetryPolicy::default(), ReplayCache::Off)
             .unwrap()
-            .describe_limits()
+            .describe_limits(None)
             .await
     }
 
@@ -228,7 +232,8 @@ mod tests {
         );
         assert!(
             warnings[1].contains("At most 1 image(s)")
-                && warnings[1].contains("--limit-mm-per-prompt"),
+                && warnings[1].contains("--limit-mm-per-prompt")
+                && warnings[1].contains("--vlm-max-images"),
             "{warnings:?}"
         );
 

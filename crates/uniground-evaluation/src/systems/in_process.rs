@@ -25,7 +25,7 @@ use uniground_geometry::scene::{
 };
 use uniground_grounding::memory_scene::{MemoryScene, SceneAlbum};
 use uniground_grounding::pipeline::{self, Answered, Ask, Review, WithoutModel, shortlist_of};
-use uniground_grounding::vlm::{Options, PointForm};
+use uniground_grounding::vlm::{Options, PictureLimits, PointForm};
 use uniground_grounding::{Question, ShortlistScoring};
 use uniground_ingest::ScanFolder;
 use uniground_language::{AutoParser, BuiltinParser, QueryParser, VlmParser};
@@ -49,6 +49,8 @@ pub struct ModelUse {
     pub json: bool,
     /// How the model gives places in pictures.
     pub points: PointForm,
+    /// What the model accepts in one request.
+    pub limits: PictureLimits,
 }
 
 /// Loads the networks of a mask source and an encoder, given their names.
@@ -438,6 +440,7 @@ fn answer(
                 prompt: configuration.prompt,
                 json: vlm.json,
                 points: vlm.points,
+                limits: vlm.limits,
             },
             without_model: WithoutModel::Fail,
         });
@@ -464,17 +467,18 @@ struct Reviewer {
     budgets: Vec<Budget>,
     json: bool,
     points: PointForm,
+    limits: PictureLimits,
     runtime: Runtime,
 }
 
 impl Reviewer {
     fn new(
         client: ChatClient,
-        ModelUse { max_usd, json, points }: ModelUse,
+        ModelUse { max_usd, json, points, limits }: ModelUse,
     ) -> anyhow::Result<Self> {
         let runtime =
             tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         let budgets = max_usd.map(|usd| Budget::new("this run", usd)).into_iter().collect();
-        Ok(Self { model: Arc::new(client), budgets, json, points, runtime })
+        Ok(Self { model: Arc::new(client), budgets, json, points, limits, runtime })
     }
 }

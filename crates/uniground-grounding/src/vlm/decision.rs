@@ -2,12 +2,12 @@
 
 use super::consistency::matches;
 use super::reply::{Choice, Field, Reply, SeenAt};
-use super::{PointForm, PromptCandidate, PromptContext};
+use super::{PointForm, PromptCandidate, PromptContext, SentPictures, Sighting};
 use crate::answer::{to_alternative, to_target};
-use crate::{Alternative, Grounding, NoMatchReason, Seen, Status};
+use crate::{Alternative, Grounding, NoMatchReason, Status};
 use std::collections::BTreeMap;
 use uniground_geometry::scene::{Instance, InstanceId};
-use uniground_models::chat::{AskError, Picture};
+use uniground_models::chat::AskError;
 
 /// The decision of a model.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -39,7 +39,7 @@ pub struct Decision {
     /// Names given independently of the question, to be stored.
     pub new_names: BTreeMap<u32, String>,
     /// Where the model sees the object that is not listed.
-    pub seen: Option<Seen>,
+    pub seen: Option<Sighting>,
     /// Problems on the way, in order.
     pub corrections: Vec<String>,
 }
@@ -57,7 +57,7 @@ impl Decision {
         &mut self,
         reply: Reply,
         context: &PromptContext,
-        sent: &[Picture],
+        sent: &SentPictures,
         points: PointForm,
     ) {
         let outcome = match reply.predicted {
@@ -67,14 +67,8 @@ impl Decision {
             Choice::Id(_) | Choice::Contradiction(..) | Choice::Missing => Outcome::Unknown,
         };
         if outcome != Outcome::Unknown || self.outcome == Outcome::Unknown {
-            let seen = |at: &SeenAt| {
-                let picture = sent.get(at.image - 1)?;
-                Some(Seen {
-                    picture: picture.name.clone(),
-                    at: points.to_shares(at.at, (picture.width, picture.height))?,
-                    name: at.name.clone(),
-                })
-            };
+            let seen =
+                |seen: &SeenAt| sent.sighting(seen.image, seen.at, points, seen.name.clone());
             self.seen = reply.seen_at.as_ref().and_then(seen);
             (self.outcome, self.reply) = (outcome, reply);
         }
@@ -204,7 +198,8 @@ impl Decision {
             NoMatchReason::NoneSeen
         };
         grounding.no_match_reason = chosen.is_none().then_some(reason);
-        grounding.seen = self.seen.clone().filter(|_| self.outcome == Outcome::NotListed);
+        let seen = self.seen.as_ref().filter(|_| self.outcome == Outcome::NotListed);
+        grounding.seen = seen.map(|seen| seen.shown.clone());
         grounding.status = if chosen.is_some() { Status::Grounded } else { Status::NoMatch };
         (grounding.aabb, grounding.oriented_box) =
             (chosen.map(|i| i.aabb), chosen.map(|i| i.oriented_box));
@@ -242,7 +237,7 @@ mod tests {
     use crate::answer::to_candidate;
     use crate::direction::DirectionConvention;
     use crate::vlm::reply;
-    use crate::{ParsedQuerySummary, SixFields, Timings};
+    use crate::{ParsedQuerySummary, Seen, SixFields, Timings};
     use uniground_geometry::boxes::Aabb;
     use uniground_geometry::scene::Support;
     use uniground_geometry::{Point3, Vector3};
@@ -322,6 +317,10 @@ mod tests {
         }
     }
 
+    fn sighting(seen: Seen) -> Sighting {
+        Sighting { shown: seen.clone(), original: Some(seen) }
+    }
+
     fn reply_with(predicted: Choice) -> Reply {
         Reply { predicted, ..Reply::default() }
     }
@@ -353,7 +352,12 @@ mod tests {
             (Choice::Missing, Outcome::Unknown),
         ] {
             let mut decision = Decision::default();
-            decision.take(reply_with(said_first), &context, &[], PointForm::default());
+            decision.take(
+                reply_with(said_first),
+                &context,
+                &SentPictures::default(),
+                PointForm::default(),
+            );
             assert_eq!(decision.outcome, expected, "{said_first:?}");
             assert_eq!(decision.reply.predicted, said_first);
         }
@@ -365,7 +369,12 @@ mod tests {
         let after = |replies: &[Choice]| {
             let mut decision = Decision::default();
             replies.iter().for_each(|choice| {
-                decision.take(reply_with(*choice), &context, &[], PointForm::default());
+                decision.take(
+                    reply_with(*choice),
+                    &context,
+                    &SentPictures::default(),
+                    PointForm::default(),
+                );
             });
             (decision.outcome, decision.reply.predicted)
         };
@@ -381,6 +390,7 @@ mod tests {
     fn picture_numbers_start_at_one() {
         let context = context(&[0.5]);
         let sent = ["global", "candidate-1"].map(super::super::tests::picture_named);
+        let sent = SentPictures::of(sent.to_vec());
         let seen = |image| {
             let seen_at = Some(reply::SeenAt { image, at: [250.0, 500.0], name: "clock".into() });
             let mut decision = Decision::default();
@@ -390,7 +400,7 @@ mod tests {
                 &sent,
                 PointForm::Thousandths,
             );
-            decision.seen
+            decision.seen.map(|seen| seen.shown)
         };
         let at = |picture: &str| {
             Some(Seen { picture: picture.into(), at: [0.25, 0.5], name: "clock".into() })
@@ -401,7 +411,8 @@ mod tests {
     #[test]
     fn corrections_are_kept_in_order() {
         let names = BTreeMap::from([(1, "chair".to_owned())]);
-        let seen = Some(Seen { picture: "global".into(), at: [0.0; 2], name: "chair".into() });
+        let seen =
+            Some(sighting(Seen { picture: "global".into(), at: [0.0; 2], name: "chair".into() }));
         let first = Decision {
             outcome: Outcome::NotListed,
             new_names: names.clone(),
@@ -566,7 +577,8 @@ mod tests {
     fn only_not_listed_decisions_have_a_picture_position() {
         let seen = Some(Seen { picture: "global".into(), at: [0.1, 0.2], name: "clock".into() });
         let of = |outcome| {
-            let decision = Decision { outcome, seen: seen.clone(), ..Decision::default() };
+            let seen = seen.clone().map(sighting);
+            let decision = Decision { outcome, seen, ..Decision::default() };
             let answer = applied(&decision, &[0.5], grounding(1, 0.5));
             (answer.no_match_reason, answer.seen)
         };

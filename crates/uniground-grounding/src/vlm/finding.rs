@@ -2,6 +2,7 @@
 //! things are numbered (docs/METHOD.md, section 4, "Photographs first").
 
 use super::marked_photographs::MarkedPhotographs;
+use super::picture_limits::{SentPictures, ask_within};
 use super::prompt::{SYSTEM, quoted};
 use super::prompt_context::PromptContext;
 use super::reply::{self, SeenAt};
@@ -37,8 +38,9 @@ pub async fn find(
     options: Options,
     session: &mut Session<'_>,
 ) -> Result<Finding, AskError> {
-    let text = session.ask("find", request(context, marked, options)).await?;
-    Ok(read(&text, marked, options.points))
+    let request = request(context, marked, options);
+    let (text, sent) = ask_within(options.limits, session, "find", request).await?;
+    Ok(read(&text, marked, &sent, options.points))
 }
 
 pub(super) fn request(
@@ -77,7 +79,7 @@ pub(super) fn request(
          image and the place in its middle; {}.\n\n\
          {format}\n\n\
          Query: {}",
-        options.points.describe("that image"),
+        options.points.describe(options.limits.describe_whole(count, "that image")),
         quoted(&context.query)
     );
     user.push(Part::Text(text));
@@ -95,7 +97,7 @@ fn schema() -> serde_json::Value {
 }
 
 /// Reads a reply in lines or JSON. Numbers of things that are not marked are ignored.
-fn read(text: &str, marked: &MarkedPhotographs, points: PointForm) -> Finding {
+fn read(text: &str, marked: &MarkedPhotographs, sent: &SentPictures, points: PointForm) -> Finding {
     let told = reply::labeled(text, &["could be", "anchors", "seen at"]);
     let value = |at: usize| told[at].as_deref().unwrap_or_default();
     let ids = |value: &str| {
@@ -105,12 +107,8 @@ fn read(text: &str, marked: &MarkedPhotographs, points: PointForm) -> Finding {
     };
     let mut names = reply::names_in(value(1));
     let name = |id: InstanceId| (id, names.remove(&id.0).unwrap_or_else(|| ANCHOR.into()));
-    let seen = |SeenAt { image, at, name }: SeenAt| {
-        let photograph = marked.photographs.get(image - 1)?;
-        let picture = &photograph.picture;
-        let at = points.to_shares(at, (picture.width, picture.height))?;
-        Some(Seen { picture: picture.name.clone(), at, name })
-    };
+    let seen =
+        |SeenAt { image, at, name }: SeenAt| sent.sighting(image, at, points, name)?.original;
     Finding {
         ids: ids(value(0)),
         anchors: ids(value(1)).into_iter().map(name).collect(),
@@ -142,11 +140,17 @@ mod tests {
         }
     }
 
+    fn read_reply(text: &str) -> Finding {
+        let marked = marked();
+        let sent = marked.photographs.iter().map(|photograph| photograph.picture.clone());
+        read(text, &marked, &SentPictures::of(sent.collect()), PointForm::Thousandths)
+    }
+
     /// A picture and a place in it.
     type Place = (String, [f32; 2]);
 
     fn found(text: &str) -> (Vec<u32>, Vec<u32>, Option<Place>) {
-        let Finding { ids, anchors, seen } = read(text, &marked(), PointForm::Thousandths);
+        let Finding { ids, anchors, seen } = read_reply(text);
         let ids = ids.into_iter().map(|id| id.0).collect();
         let anchors = anchors.into_iter().map(|(id, _)| id.0).collect();
         (ids, anchors, seen.map(|seen| (seen.picture, seen.at)))
@@ -165,7 +169,7 @@ mod tests {
 
     #[test]
     fn anchors_keep_their_names() {
-        let anchors = |text: &str| read(text, &marked(), PointForm::Thousandths).anchors;
+        let anchors = |text: &str| read_reply(text).anchors;
         let named = |id, name: &str| [(InstanceId(id), name.to_owned())];
         let door = named(3, "white door");
         assert_eq!(anchors("Anchors: 3 -> white door, 99 -> ghost"), door);

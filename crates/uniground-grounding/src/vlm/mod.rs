@@ -15,6 +15,7 @@ mod finding;
 mod marked_photographs;
 pub mod naming;
 mod photographs;
+mod picture_limits;
 mod points;
 mod prompt;
 mod prompt_context;
@@ -25,16 +26,18 @@ pub use decision::{Decision, Outcome};
 pub use finding::{Finding, find};
 pub use marked_photographs::{MarkedPhotographs, marked_photographs};
 pub use photographs::select_photographs;
+pub use picture_limits::{ImagePart, PictureLimits, SentPictures, Sighting};
 pub use points::PointForm;
 pub use prompt::{REMAINING, narrowing, reasoner_name};
 pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};
 pub use uniground_types::question::{Ablation, EvidenceMode, PromptVersion};
 pub use visual_evidence::{Photograph, PictureSettings, VisualEvidence, collect, contact_sheets};
 
+use picture_limits::ask_within;
 use prompt::Correction;
 use reply::{Choice, Reply};
 use std::collections::BTreeMap;
-use uniground_models::chat::{AskError, ChatRequest, Part, Picture, Session};
+use uniground_models::chat::{AskError, ChatRequest, Picture, Session};
 
 /// Maximum number of calls for one question, parsing it included (docs/METHOD.md, section 4).
 pub const MAX_CALLS: u32 = 3;
@@ -52,6 +55,8 @@ pub struct Options {
     pub json: bool,
     /// How the model gives places in pictures.
     pub points: PointForm,
+    /// What the model accepts in one request.
+    pub limits: PictureLimits,
 }
 
 /// The input of one decision.
@@ -93,8 +98,9 @@ pub async fn decide(
     let mut decision = Decision::default();
     let mut names = conversation.names.clone();
     if let Some((sheet, ids)) = conversation.unnamed.clone().filter(|_| options.uses_names()) {
-        let named = session.ask("naming", naming::request(sheet, &ids)).await;
-        let text = named.map_err(|error| Undecided { error, new_names: BTreeMap::new() })?;
+        let naming = naming::request(sheet, &ids);
+        let named = ask_within(options.limits, session, "naming", naming).await;
+        let (text, _) = named.map_err(|error| Undecided { error, new_names: BTreeMap::new() })?;
         decision.new_names = naming::read(&text, &ids);
         names.extend(decision.new_names.clone());
     }
@@ -104,9 +110,8 @@ pub async fn decide(
     let mut request = prompt::first_request(conversation, &shown, &names);
     let (mut purpose, mut looked_again) = ("spatial", false);
     loop {
-        let sent = pictures_of(&request);
-        let text = match session.ask(purpose, request).await {
-            Ok(text) => text,
+        let (text, sent) = match ask_within(options.limits, session, purpose, request).await {
+            Ok(replied) => replied,
             Err(error) if decision.settle(&error) => break,
             Err(error) => return Err(Undecided { error, new_names: decision.new_names }),
         };
@@ -203,15 +208,6 @@ impl Conversation<'_> {
     }
 }
 
-/// Returns the names of the pictures in a request, in order.
-fn pictures_of(request: &ChatRequest) -> Vec<Picture> {
-    let picture = |part: &Part| match part {
-        Part::Picture(picture) => Some(picture.clone()),
-        Part::Text(_) => None,
-    };
-    request.user.iter().filter_map(picture).collect()
-}
-
 /// Asks which of many candidates, shown on contact sheets, may be meant. Returns at most three, the
 /// likeliest first.
 ///
@@ -220,9 +216,11 @@ fn pictures_of(request: &ChatRequest) -> Vec<Picture> {
 pub async fn narrow(
     context: &PromptContext,
     evidence: &VisualEvidence,
+    limits: PictureLimits,
     session: &mut Session<'_>,
 ) -> Result<Vec<u32>, AskError> {
-    let text = session.ask("sheet", prompt::narrowing(context, evidence)).await?;
+    let request = prompt::narrowing(context, evidence);
+    let (text, _) = ask_within(limits, session, "sheet", request).await?;
     let mut ids = reply::shortlist(&text, |id| context.is_candidate(id));
     ids.truncate(prompt::REMAINING);
     Ok(ids)

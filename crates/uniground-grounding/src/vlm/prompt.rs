@@ -73,6 +73,7 @@ fn request(
     let pictures =
         shown.global.iter().chain(shown.collages.values()).chain(sheets).chain(photographs);
     let mut user: Vec<Part> = pictures.cloned().map(Part::Picture).collect();
+    let images_sent = user.len();
     if conversation.options.is_simple() {
         let mut text = format!(
             "Query: {}\nCandidate Objects: {}\nPlease identify which object ID best matches the query and explain why.",
@@ -96,7 +97,7 @@ fn request(
         Some(naming(shown, names)),
         Some(protocol(shown, prompt)),
         correction.map(|correction| describe_error(context, correction)),
-        Some(format(conversation.options)),
+        Some(format(conversation.options, images_sent)),
         Some(format!("Query: {}", quoted(&context.query))),
     ];
     let text = blocks
@@ -289,9 +290,10 @@ fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
     )
 }
 
-fn format(Options { prompt, json, points, .. }: Options) -> String {
+fn format(options: Options, images: usize) -> String {
+    let Options { prompt, json, points, limits, .. } = options;
     let revised = prompt == PromptVersion::Revised;
-    let place = points.describe("that whole image");
+    let place = points.describe(limits.describe_whole(images, "that whole image"));
     if json {
         let seen = if revised { seen_as_json(&place) } else { String::new() };
         let told = "Answer with one JSON object with the fields \"Predicted ID\" (a candidate's ID or null), \"Explanation\", \"Candidate Names\" \

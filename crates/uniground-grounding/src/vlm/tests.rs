@@ -273,7 +273,7 @@ fn decided(text: &str, context: &PromptContext) -> Decision {
     let mut decision = Decision::default();
     let reply = reply::read(text);
     decision.names.extend(reply.candidate_names.clone());
-    let sent = ["global", "candidate-6"].map(picture_named);
+    let sent = SentPictures::of(["global", "candidate-6"].map(picture_named).to_vec());
     decision.take(reply, context, &sent, PointForm::Thousandths);
     decision.project(context);
     decision

@@ -81,6 +81,12 @@ impl<'a> Session<'a> {
         self.most.saturating_sub(self.records.len() as u32)
     }
 
+    /// Returns the number of calls so far, failed ones included.
+    #[must_use]
+    pub fn calls_made(&self) -> u32 {
+        self.records.len() as u32
+    }
+
     /// Raises the limit on calls by one.
     pub fn allow_one_more(&mut self) {
         self.most += 1;

@@ -410,7 +410,7 @@ impl GroundingService {
             let shown = transcripts::picture_names(&calls)
                 .into_iter()
                 .filter(|name| *name != pictures::GLOBAL);
-            evidence.extend(shown.map(|name| transcripts::picture_path(&id, name)));
+            evidence.extend(shown.map(|name| transcripts::picture_path(&id, &name)));
         }
         Answer {
             evidence: Some(evidence),

@@ -82,6 +82,7 @@ impl QuestionModels {
                 prompt: request.prompt,
                 json: vlm.json(),
                 points: vlm.points(),
+                limits: vlm.picture_limits(),
             };
             let without_model = match request.reasoner {
                 ReasonerChoice::Vlm => WithoutModel::Fail,

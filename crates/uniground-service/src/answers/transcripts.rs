@@ -5,10 +5,10 @@ use crate::Limits;
 use crate::error::Error;
 use crate::parses::read;
 use camino::Utf8Path;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use tokio::task::spawn_blocking;
-use uniground_models::chat::{CallRecord, Part};
+use uniground_models::chat::{CallRecord, Part, Picture};
 use uniground_storage::{AnswerRepository, Blobs, Scratch};
 use uniground_types::answer::Answer;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply, PromptCall, PromptPart, ReplyCall};
@@ -22,13 +22,42 @@ pub(super) fn picture_path(answer_id: &str, name: &str) -> String {
 }
 
 /// Returns the names of the pictures that a model was shown, without duplicates.
-pub(super) fn picture_names(records: &[CallRecord]) -> BTreeSet<&str> {
-    let parts = records.iter().flat_map(|record| &record.request.user);
-    parts
-        .filter_map(|part| {
-            if let Part::Picture(picture) = part { Some(picture.name.as_str()) } else { None }
-        })
-        .collect()
+pub(super) fn picture_names(records: &[CallRecord]) -> BTreeSet<String> {
+    StoredPictures::of(records).by_name.into_keys().collect()
+}
+
+/// The pictures of all calls by the names they are stored under. A picture that differs from an earlier
+/// one of its name, such as the room with another candidate, is stored with the number of its call.
+#[derive(Default)]
+struct StoredPictures<'a> {
+    by_name: BTreeMap<String, &'a Picture>,
+    /// The names of the pictures of each call, in order.
+    of_calls: Vec<Vec<String>>,
+}
+
+impl<'a> StoredPictures<'a> {
+    fn of(records: &'a [CallRecord]) -> Self {
+        let mut stored = Self::default();
+        for (record, call) in records.iter().zip(1..) {
+            let pictures = record.request.user.iter().filter_map(|part| match part {
+                Part::Picture(picture) => Some(picture),
+                Part::Text(_) => None,
+            });
+            let names = pictures.map(|picture| stored.add(picture, call)).collect();
+            stored.of_calls.push(names);
+        }
+        stored
+    }
+
+    fn add(&mut self, picture: &'a Picture, call: usize) -> String {
+        let is_other = |other: &&&Picture| other.jpeg != picture.jpeg;
+        let name = match self.by_name.get(&picture.name).filter(is_other) {
+            Some(_) => format!("{}-call-{call}", picture.name),
+            None => picture.name.clone(),
+        };
+        self.by_name.insert(name.clone(), picture);
+        name
+    }
 }
 
 /// Stores the prompts, replies and pictures behind an answer.
@@ -105,29 +134,74 @@ impl Transcripts {
 
 fn write(scratch: &Scratch, id: &str, model: String, records: &[CallRecord]) -> Result<(), Error> {
     let folder: &Utf8Path = scratch.path();
-    for part in records.iter().flat_map(|record| &record.request.user) {
-        if let Part::Picture(picture) = part {
-            fs::write(folder.join(format!("{}.jpg", picture.name)), &picture.jpeg)?;
-        }
+    let StoredPictures { by_name, of_calls } = StoredPictures::of(records);
+    for (name, picture) in by_name {
+        fs::write(folder.join(format!("{name}.jpg")), &picture.jpeg)?;
     }
-    let shown = |part: &Part| match part {
-        Part::Text(text) => PromptPart::Text { text: text.clone() },
-        Part::Picture(picture) => PromptPart::Picture { href: picture_path(id, &picture.name) },
-    };
-    let asked = |record: &CallRecord| PromptCall {
-        purpose: record.purpose.to_owned(),
-        system: record.request.system.clone(),
-        user: record.request.user.iter().map(shown).collect(),
-        schema: record.request.schema.as_ref().map(|(_, schema)| schema.clone()),
+    let asked = |(record, names): (&CallRecord, Vec<String>)| {
+        let mut names = names.into_iter();
+        let shown = |part: &Part| match part {
+            Part::Text(text) => PromptPart::Text { text: text.clone() },
+            Part::Picture(picture) => {
+                let name = names.next().unwrap_or_else(|| picture.name.clone());
+                PromptPart::Picture { href: picture_path(id, &name) }
+            }
+        };
+        PromptCall {
+            purpose: record.purpose.to_owned(),
+            system: record.request.system.clone(),
+            user: record.request.user.iter().map(shown).collect(),
+            schema: record.request.schema.as_ref().map(|(_, schema)| schema.clone()),
+        }
     };
     let said = |record: &CallRecord| ReplyCall {
         purpose: record.purpose.to_owned(),
         text: record.outcome.as_ref().ok().map(|reply| reply.text.clone()),
         error: record.outcome.as_ref().err().cloned(),
     };
-    let prompt = AnswerPrompt { model: model.clone(), calls: records.iter().map(asked).collect() };
+    let calls = records.iter().zip(of_calls).map(asked).collect();
+    let prompt = AnswerPrompt { model: model.clone(), calls };
     let reply = AnswerReply { model, calls: records.iter().map(said).collect() };
     fs::write(folder.join(PROMPT_FILE), serde_json::to_vec_pretty(&prompt)?)?;
     fs::write(folder.join(REPLY_FILE), serde_json::to_vec_pretty(&reply)?)?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use uniground_models::chat::ChatRequest;
+
+    fn call(pictures: &[(&str, u8)]) -> CallRecord {
+        let picture = |&(name, content): &(&str, u8)| {
+            let jpeg = vec![content].into();
+            Part::Picture(Picture { name: name.into(), jpeg, width: 1, height: 1 })
+        };
+        let user = pictures.iter().map(picture).collect();
+        CallRecord {
+            purpose: "spatial",
+            request: ChatRequest { system: String::new(), user, schema: None },
+            outcome: Err(String::new()),
+            attempts: 1,
+            latency_ms: 0.0,
+            cost_usd: 0.0,
+        }
+    }
+
+    #[test]
+    fn pictures_of_one_name_that_differ_are_all_stored() {
+        let calls = [
+            call(&[("global", 1), ("candidate-7", 2)]),
+            call(&[("global", 1), ("candidate-7", 2)]),
+            call(&[("global", 3), ("candidate-7", 2), ("candidate-9", 4)]),
+        ];
+        let stored = StoredPictures::of(&calls);
+        let contents: Vec<(&str, u8)> =
+            stored.by_name.iter().map(|(name, picture)| (name.as_str(), picture.jpeg[0])).collect();
+        let expected =
+            [("candidate-7", 2), ("candidate-9", 4), ("global", 1), ("global-call-3", 3)];
+        assert_eq!(contents, expected);
+        assert_eq!(stored.of_calls[1], ["global", "candidate-7"]);
+        assert_eq!(stored.of_calls[2], ["global-call-3", "candidate-7", "candidate-9"]);
+    }
 }

@@ -204,8 +204,8 @@ impl NamingService {
         if let Some((sheet, shown)) = sheet {
             let model = vlm.model_for(caller);
             let mut session = Session::new(model.as_ref(), Vlm::budgets(None), 1);
-            names =
-                naming::read(&session.ask("naming", naming::request(sheet, &shown)).await?, &shown);
+            let (request, _) = vlm.picture_limits().apply(1, naming::request(sheet, &shown));
+            names = naming::read(&session.ask("naming", request).await?, &shown);
             names.extend(
                 ids.iter().filter(|id| !shown.contains(&id.0)).map(|id| (id.0, String::new())),
             );

@@ -9,7 +9,7 @@ use metered::MeteredModel;
 use std::sync::Arc;
 use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use uniground_grounding::vlm::PointForm;
+use uniground_grounding::vlm::{PictureLimits, PointForm};
 use uniground_models::chat::{Budget, ChatModel, Prices};
 use uniground_storage::{SpendingRepository, Store, now};
 use uniground_telemetry::metrics::Metrics;
@@ -31,6 +31,8 @@ pub struct VlmSettings {
     pub json: bool,
     /// How the model gives places in pictures.
     pub points: PointForm,
+    /// What the model accepts in one request.
+    pub limits: PictureLimits,
     /// When the model names all instances of a scene.
     pub names: WhenNamed,
 }
@@ -121,6 +123,12 @@ impl Vlm {
     #[must_use]
     pub fn points(&self) -> PointForm {
         self.settings.points
+    }
+
+    /// Returns what the model accepts in one request.
+    #[must_use]
+    pub fn picture_limits(&self) -> PictureLimits {
+        self.settings.limits
     }
 
     /// Acquires a permit to wait for the model.
