@@ -114,7 +114,7 @@ impl PictureLimits {
 
     /// Puts neighboring images on one picture, so that all pictures have about the same area.
     fn combined(self, call: u32, images: &[Picture]) -> SentPictures {
-        let count = self.count.unwrap_or(1).max(1) as u64;
+        let count = u64::from(self.count.unwrap_or(1).max(1));
         let area = |image: &Picture| u64::from(image.width) * u64::from(image.height) + 1;
         let whole: u64 = images.iter().map(area).sum();
         let (mut groups, mut before) = (vec![Vec::new(); count as usize], 0);
@@ -324,8 +324,8 @@ mod tests {
             assert_eq!(query, "Query: the mug");
             assert_eq!(of_sent[0].name, "call-1-images-1");
         }
-        let (sent, _) = limits(Some(2), None).apply(1, request(5));
-        let note = "The images are combined in fewer pictures: picture 1 holds images 1 to 2, picture 2 holds images 3 to 5. Each image is \
+        let (sent, _) = limits(Some(2), None).apply(1, request(4));
+        let note = "The images are combined in fewer pictures: picture 1 holds images 1 to 2, picture 2 holds images 3 to 4. Each image is \
                     below its tag, such as \"Image 1\".";
         assert_eq!(texts(&sent)[0], note);
     }
