@@ -199,12 +199,19 @@ impl NamingService {
         ids: &[InstanceId],
     ) -> Result<BTreeMap<u32, String>, Error> {
         let wanted = ids.to_vec();
-        let sheet = source.compute(move |source| naming::sheet_of(source, number, &wanted)).await?;
+        let limits = vlm.picture_limits();
+        let request = source
+            .compute(move |source| {
+                let sheet = naming::sheet_of(source, number, &wanted)?;
+                Ok(sheet.map(|(sheet, shown)| {
+                    (limits.apply(1, naming::request(sheet, &shown)).0, shown)
+                }))
+            })
+            .await?;
         let mut names = BTreeMap::new();
-        if let Some((sheet, shown)) = sheet {
+        if let Some((request, shown)) = request {
             let model = vlm.model_for(caller);
             let mut session = Session::new(model.as_ref(), Vlm::budgets(None), 1);
-            let (request, _) = vlm.picture_limits().apply(1, naming::request(sheet, &shown));
             names = naming::read(&session.ask("naming", request).await?, &shown);
             names.extend(
                 ids.iter().filter(|id| !shown.contains(&id.0)).map(|id| (id.0, String::new())),
