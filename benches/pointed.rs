@@ -1,9 +1,10 @@
-//! Objects that stage 1 misses, segmented from a point in a photograph: `make bench-pointed`, or
-//! `cargo bench --bench pointed -- [--models DIR] [FOLDER]`.
+//! Objects segmented from a point, or from their box, in a photograph: `make bench-pointed`, or
+//! `cargo bench --bench pointed -- [--all] [--models DIR] [FOLDER]`.
 //!
-//! For every annotated object that no instance of any level covers (box IoU below .25), a point is
-//! taken in the middle of the photograph that shows most of it. The segmented instance is compared
-//! with the annotated box, for the built-in masks and for each segmenter among the models. If there
+//! For every annotated object that no instance of any level covers (box IoU below .25), or for all
+//! of them, a point is taken in the middle of the photograph that shows most of it. The box is that
+//! of its pixels there, with each side off by a tenth. The segmented instance is compared with the
+//! annotated box, for the built-in masks and for the first segmenter among the models. If there
 //! is an encoder, the bench also prints how often the two photographs chosen for the object's name
 //! show the object, compared with two random ones.
 
@@ -19,10 +20,12 @@ use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::masks::{IdImage, MaskSource};
 use uniground_core::parsing::model_clock::PictureEncoder;
-use uniground_core::parsing::pointed::{PhotographPoint, PointedObjectFinder, find_identical};
+use uniground_core::parsing::pointed::{
+    PhotographPoint, PixelArea, PointedObjectFinder, find_identical,
+};
 use uniground_core::parsing::{self, ParsingSettings, Perception, frame_appearance};
 use uniground_core::progress::Progress;
-use uniground_core::scene::{FrameIndex, Instance};
+use uniground_core::scene::{Frame, FrameIndex, Instance};
 use uniground_evaluation::annotated::{AnnotatedMasks, AnnotatedRoom};
 use uniground_evaluation::annotations::Annotations;
 
@@ -33,6 +36,7 @@ const COVERED: f32 = 0.25;
 fn main() {
     let mut folder = Utf8PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes");
     let mut models = ModelsConfig::builtin();
+    let mut least_covered = COVERED;
     let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
     while let Some(arg) = args.next() {
         match arg.as_str() {
@@ -41,6 +45,7 @@ fn main() {
                 models.encoder = AUTO.into();
                 models.bundles.models = args.next().unwrap().into();
             }
+            "--all" => least_covered = f32::INFINITY,
             other => folder = other.into(),
         }
     }
@@ -49,14 +54,16 @@ fn main() {
     table.load_preset(presets::ASCII_MARKDOWN);
     table.set_header([
         "room",
-        "missed",
+        "object",
         "best instance",
-        "built-in masks",
-        "segmenter",
+        "built-in masks, point",
+        "box",
+        "segmenter, point",
+        "box",
         "an instance already",
         "seconds",
     ]);
-    let (mut missed, mut found, mut offered) = (0, [0, 0], PhotographChoice::default());
+    let (mut missed, mut found, mut offered) = (0, [[0; 2]; 4], PhotographChoice::default());
     for name in room_names(&folder) {
         let scratch = tempfile::tempdir().unwrap();
         let room =
@@ -75,8 +82,11 @@ fn main() {
         .unwrap();
         let covered =
             |aabb: &Aabb| parsed.instances.iter().map(|i| i.aabb.iou(aabb)).fold(0.0, f32::max);
-        let objects: Vec<_> =
-            room.objects(MIN_POINTS).into_iter().filter(|o| covered(&o.aabb) < COVERED).collect();
+        let objects: Vec<_> = room
+            .objects(MIN_POINTS)
+            .into_iter()
+            .filter(|o| covered(&o.aabb) < least_covered)
+            .collect();
         let ids: Vec<u32> = objects.iter().map(|o| o.id).collect();
         let shown = ObjectViews::of(&room, &room.masks(), &ids);
         if let Some(encoder) = &loaded.encoder {
@@ -98,7 +108,7 @@ fn main() {
             let Some(place) = *place else { continue };
             missed += 1;
             let start = Instant::now();
-            let find = |segmenter: Option<&Segmenter>| {
+            let find = |segmenter: Option<&Segmenter>, place: PhotographPoint| {
                 let pointing = PointedObjectFinder {
                     cloud: &parsed.cloud,
                     frames: &room.bundle.frames,
@@ -110,16 +120,18 @@ fn main() {
             let iou = |found: &Option<Instance>| {
                 found.as_ref().map_or(0.0, |found| found.aabb.iou(&object.aabb))
             };
-            let ours = find(None);
-            let theirs = loaded.segmenters.first().map(|segmenter| find(Some(segmenter)));
-            found[0] += u32::from(iou(&ours) >= COVERED);
-            found[1] += u32::from(theirs.as_ref().is_some_and(|theirs| iou(theirs) >= COVERED));
-            eprintln!(
-                "{name} {}: {:.2} {:.2}",
-                object.name,
-                iou(&ours),
-                theirs.as_ref().map_or(0.0, iou)
-            );
+            let only_point = PhotographPoint { area: None, ..place };
+            let (ours, by_box) = (find(None, only_point), find(None, place));
+            let theirs = loaded.segmenters.first().map(|segmenter| {
+                [only_point, place].map(|place| iou(&find(Some(segmenter), place)))
+            });
+            let [by_point, of_box] = theirs.unwrap_or_default();
+            let ious = [iou(&ours), iou(&by_box), by_point, of_box];
+            for (found, iou) in found.iter_mut().zip(ious) {
+                found[0] += u32::from(iou >= COVERED);
+                found[1] += u32::from(iou >= 0.5);
+            }
+            eprintln!("{name} {}: {ious:.2?}", object.name);
             let known = ours
                 .as_ref()
                 .and_then(|ours| find_identical(&parsed.instances, ours))
@@ -128,16 +140,18 @@ fn main() {
                 name.clone(),
                 object.name.clone(),
                 format!("{:.2}", covered(&object.aabb)),
-                format!("{:.2}", iou(&ours)),
-                theirs.map_or_else(|| "-".to_owned(), |theirs| format!("{:.2}", iou(&theirs))),
+                format!("{:.2}", ious[0]),
+                format!("{:.2}", ious[1]),
+                theirs.map_or_else(|| "-".to_owned(), |_| format!("{:.2}", ious[2])),
+                theirs.map_or_else(|| "-".to_owned(), |_| format!("{:.2}", ious[3])),
                 known.to_owned(),
                 format!("{:.1}", start.elapsed().as_secs_f32()),
             ]);
         }
     }
     println!(
-        "{table}\n\nof {missed} missed: {} by the built-in masks, {} by a segmenter, at IoU {COVERED}",
-        found[0], found[1]
+        "{table}\n\nof {missed}, at IoU {COVERED} and .5: built-in masks by point {:?}, by box {:?}; segmenter by point {:?}, by box {:?}",
+        found[0], found[1], found[2], found[3]
     );
     if loaded.encoder.is_some() {
         println!("{offered}");
@@ -176,6 +190,7 @@ impl ObjectViews {
                         Some(PhotographPoint {
                             frame: frame.index,
                             at: decoded.color_position(u as f32, v as f32),
+                            area: Some(inaccurate_area(&decoded, &image, *id as u16)),
                         }),
                     );
                 }
@@ -186,6 +201,28 @@ impl ObjectViews {
             .map(|showing| f64::from(showing) / f64::from(looked.max(1)))
             .collect();
         Self { best: best.into_iter().map(|(_, place)| place).collect(), share }
+    }
+}
+
+/// Returns the box of a mask's pixels, with each side off by a tenth of its width or height, inwards
+/// or outwards in turn.
+fn inaccurate_area(frame: &Frame, image: &IdImage, id: u16) -> PixelArea {
+    let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
+    for (u, v) in (0..image.height).flat_map(|v| (0..image.width).map(move |u| (u, v))) {
+        if image.at((u, v)) == id {
+            low = [low[0].min(u), low[1].min(v)];
+            high = [high[0].max(u), high[1].max(v)];
+        }
+    }
+    let at = |[u, v]: [u32; 2]| frame.color_position(u as f32, v as f32);
+    let ((left, top), (right, bottom)) = (at(low), at(high));
+    let (x, y) = ((right - left) / 10.0, (bottom - top) / 10.0);
+    let off = |bit: u16| if id >> bit & 1 == 0 { 1.0 } else { -1.0 };
+    PixelArea {
+        left: left + off(0) * x,
+        top: top + off(1) * y,
+        right: right + off(2) * x,
+        bottom: bottom + off(1) * y,
     }
 }
 

@@ -13,7 +13,8 @@ request that nobody has taken; several people may look side by side. They should
 
 Printed are, for each mode and room: how often some instance of the scene, a candidate that was shown, and the answer cover the target (IoU 0.25 and 0.5), how
 often the model pointed at the object, and how often that was right, absent objects told, present objects denied, calls, and prompt tokens (text by four
-characters, pictures by 28 x 28 pixels). Needs Python's standard library, and Pillow to write the pictures as PNG.
+characters, pictures by 28 x 28 pixels). Questions of the kind `false_premise` say something wrong of an object (another color or place); they count for
+themselves: told are those whose answer has the object and says what `differs`. Needs Python's standard library, and Pillow to write the pictures as PNG.
 """
 
 import argparse
@@ -239,6 +240,8 @@ def asked(server, scene, room, evidence, kind, query, target):
         "failed": answer.get("why"),
         "status": answer.get("status"),
         "confidence": answer.get("confidence"),
+        "differs": answer.get("differs"),
+        "left_out": (answer.get("trace") or {}).get("left_out"),
         "iou": iou(answer.get("box"), target),
         "shown": max([iou(c.get("box"), target) for c in answer.get("candidates") or []] or [0.0]),
         "any": max([iou(i.get("box"), target) for i in known] or [0.0]),
@@ -253,7 +256,8 @@ def asked(server, scene, room, evidence, kind, query, target):
 
 
 def describe(title, rows):
-    present = [row for row in rows if row["target"]]
+    wrong_of_it = [row for row in rows if row["kind"] == "false_premise"]
+    present = [row for row in rows if row["target"] and row["kind"] != "false_premise"]
     absent = [row for row in rows if not row["target"]]
     share = lambda key, of=present: "/".join(f"{sum(row[key] >= at for row in of) / max(len(of), 1):.3f}" for at in (0.25, 0.5))
     pointed = [row for row in present if row["pointed"]]
@@ -264,8 +268,13 @@ def describe(title, rows):
         f"denied {sum(row['status'] == 'no_match' for row in present)}; absent told {sum(row['status'] == 'no_match' for row in absent)} of {len(absent)}; "
         f"calls {mean('calls'):.2f}, prompt tokens {mean('tokens'):.0f}; failed {sum(bool(row['failed']) for row in rows)}"
     )
-    grounded = [row for row in rows if row["status"] == "grounded"]
+    grounded = [row for row in rows if row["status"] == "grounded" and row["kind"] != "false_premise"]
     print(f"    grounded {len(grounded)}, right {sum(row['iou'] >= 0.25 for row in grounded)}")
+    if wrong_of_it:
+        told = sum(bool(row["differs"]) and row["iou"] >= 0.25 for row in wrong_of_it)
+        unnoticed = sum(row["status"] == "grounded" for row in wrong_of_it)
+        print(f"    false premises {len(wrong_of_it)}, told {told}, not noticed {unnoticed}")
+    print(f"    evidence p95 {sorted(row['evidence_ms'] or 0 for row in rows)[len(rows) * 95 // 100]:.0f} ms")
 
 
 def run(args):
@@ -273,7 +282,7 @@ def run(args):
     rooms = [Path(room) for room in args.rooms]
     with tempfile.TemporaryDirectory() as work:
         parsed = f"{work}/parsed"
-        server = Server(args.program, parsed, args.serve_arg)
+        server = Server(args.program, parsed, ["--parse", "full-only", *args.serve_arg])
         scenes = {}
         for room in rooms:
             scene = server.call("POST", f"/v1/scenes?name={room.stem}", room.read_bytes())

@@ -433,6 +433,7 @@ fn an_instance_is_segmented_from_a_point() {
         let place = PhotographPoint {
             frame: thing.views[0].frame,
             at: ((left + right) as f32 / 2.0, (top + bottom) as f32 / 2.0),
+            area: None,
         };
         let known: Vec<Instance> =
             parsed.instances.iter().filter(|i| i.structure.is_some()).cloned().collect();

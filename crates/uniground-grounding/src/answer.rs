@@ -51,6 +51,10 @@ pub struct Grounding {
     /// reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
+    /// What the question says of the object and is not so, by a vision-language model: "it is
+    /// black, not white".
+    #[serde(default)]
+    pub differs: Option<String>,
     /// Which part of the room was seen; `None` unless the object was not found, and for scans
     /// without frames.
     #[serde(default)]
@@ -154,6 +158,7 @@ pub(super) fn assemble(
         status,
         no_match_reason: reason,
         seen: None,
+        differs: None,
         coverage: None,
         answer: SixFields {
             predicted_id: chosen.map(|i| i.id),

@@ -2,6 +2,7 @@
 //! it, before it decides (docs/METHOD.md, section 4, "Photographs first").
 
 use super::Seen;
+use super::found_anchors::ByGeometry;
 use super::recover_unlisted::{Found, look_up};
 use super::scene_source::SceneSource;
 use super::vlm::{
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use uniground_geometry::scene::InstanceId;
 use uniground_models::chat::{AskError, Session};
+use uniground_types::answer::LeftOut;
 
 /// Number of the geometry's best candidates that are shown beside what the model found.
 const BY_GEOMETRY: usize = 2;
@@ -25,17 +27,22 @@ pub(super) struct Searched<S> {
     pub notes: Vec<String>,
     /// Time for the photographs.
     pub drawing: Duration,
+    /// The geometry's choice, if the model sees nothing else that may be meant.
+    pub agreed: Option<InstanceId>,
+    /// Things that had no number; `None` if no photograph was searched.
+    pub left_out: Option<LeftOut>,
 }
 
 /// Asks the model where the object is, in photographs whose things are numbered. Returns why it
 /// could not be asked, where the geometry has no candidates either. A scan without photographs is
-/// not searched.
+/// not searched. The geometry decides again if the model found anchors of the question.
 ///
 /// # Errors
 /// Those of the source.
 pub(super) async fn find_in_photographs<S: SceneSource>(
     source: &Arc<S>,
     context: PromptContext,
+    mut by_geometry: ByGeometry<'_>,
     options: Options,
     session: &mut Session<'_>,
 ) -> Result<Result<Searched<S>, AskError>, S::Error> {
@@ -46,11 +53,12 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
             Ok((context, marked))
         })
         .await?;
-    let mut searched =
-        Searched { source: source.clone(), context, notes: Vec::new(), drawing: begun.elapsed() };
+    let drawing = begun.elapsed();
+    let mut searched = Searched { drawing, ..Searched::without_looking(source.clone(), context) };
     if marked.photographs.is_empty() {
         return Ok(Ok(searched));
     }
+    searched.left_out = Some(marked.left_out);
     session.allow_one_more();
     let found = match vlm::find(&searched.context, &marked, options, session).await {
         Ok(found) => found,
@@ -58,7 +66,13 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
         Err(_) if !searched.context.candidates.is_empty() => return Ok(Ok(searched)),
         Err(error) => return Ok(Err(error)),
     };
+    searched.context = by_geometry.decide_with(source, &found.anchors, searched.context).await?;
     let mut ids = found.ids;
+    searched.agreed =
+        by_geometry.choice().filter(|choice| ids == [*choice] && found.seen.is_none());
+    if searched.agreed.is_some() {
+        return Ok(Ok(searched));
+    }
     if let Some(seen) = found.seen
         && let Some(id) = searched.resolve(seen, marked, options).await?
     {
@@ -77,7 +91,14 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
 impl<S: SceneSource> Searched<S> {
     /// Returns what the model was going to be shown without looking first.
     pub fn without_looking(source: Arc<S>, context: PromptContext) -> Self {
-        Self { source, context, notes: Vec::new(), drawing: Duration::ZERO }
+        Self {
+            source,
+            context,
+            notes: Vec::new(),
+            drawing: Duration::ZERO,
+            agreed: None,
+            left_out: None,
+        }
     }
 
     /// Turns a place in a photograph into an instance; `None` where nothing can be segmented.

@@ -19,6 +19,7 @@ mod coverage;
 pub mod direction;
 mod find_in_photographs;
 mod fit;
+mod found_anchors;
 pub mod graph;
 mod kinds;
 pub mod memory_scene;
@@ -155,7 +156,7 @@ pub fn ground_read(
 ) -> Grounding {
     let parsed = choose_reading(scene, parsed);
     let mut grounding = decided(scene, question, parsed.clone(), reading).1;
-    answer_kinds::complete(scene, question, &parsed, &mut grounding);
+    answer_kinds::complete(scene, question, &parsed, false, &mut grounding);
     grounding
 }
 

@@ -1,5 +1,6 @@
 //! Caches rendered pictures in memory, so that a question does not wait for the renderer.
 
+use crate::vlm::Photograph;
 use std::sync::Arc;
 use uniground_geometry::lru_cache::LruCache;
 use uniground_models::chat::Picture;
@@ -11,6 +12,8 @@ pub struct PictureCache {
     pub(super) globals: LruCache<Picture>,
     /// By scene and instance.
     pub(super) collages: LruCache<Picture>,
+    /// Photographs whose things are numbered, by scene, frame and things.
+    pub(super) marked: LruCache<Photograph>,
     /// What the frames of a scene show.
     pub(super) contents: LruCache<Arc<FrameContents>>,
 }
@@ -35,6 +38,7 @@ impl Default for PictureCache {
         Self {
             globals: LruCache::new(PICTURE_BYTES),
             collages: LruCache::new(PICTURE_BYTES),
+            marked: LruCache::new(PICTURE_BYTES),
             contents: LruCache::new(CONTENT_BYTES),
         }
     }

@@ -13,6 +13,7 @@
 
 use super::appearance::{Appearance, ShortlistScoring};
 use super::find_in_photographs::{Searched, find_in_photographs};
+use super::found_anchors::ByGeometry;
 use super::reasoner::builtin;
 use super::recover_unlisted::{Found, look_up};
 pub use super::scene_source::{QuestionError, SceneSource};
@@ -32,6 +33,7 @@ use uniground_language::{BuiltinParser, FellBack, ParsedQuery, QueryParser, Read
 use uniground_models::attributes;
 use uniground_models::chat::{AskError, Budget, CallRecord, ChatModel, Session};
 use uniground_models::neural::DualEncoder;
+use uniground_types::answer::LeftOut;
 
 /// Confidence of the geometry from which the photographs mode does not ask where the object is.
 const SURE_WITHOUT_LOOKING: f32 = 0.8;
@@ -100,6 +102,9 @@ pub struct Answered {
     pub degraded: bool,
     /// Problems on the way, in order.
     pub corrections: Vec<String>,
+    /// Things that had no number in the photographs that a model searched; `None` if it searched
+    /// none.
+    pub left_out: Option<LeftOut>,
     /// Every call of a model, in order: at most [`MAX_CALLS`], one more where the model saw an
     /// object that was not listed, and one more where it looked at photographs first.
     pub calls: Vec<CallRecord>,
@@ -173,6 +178,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
             Ok((grounding, Some(context), parsed, used, appearance))
         })
         .await?;
+    let appearance = Arc::new(appearance);
     if let Some(why) = used.missing {
         corrections.push(format!("names and measures were used instead of the encoder: {why}"));
         degraded = true;
@@ -185,6 +191,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
         reasoner: builtin::NAME.into(),
         degraded,
         corrections,
+        left_out: None,
         calls: Vec::new(),
     };
     let may_decide = |(review, context): &(Review, vlm::PromptContext)| {
@@ -194,14 +201,17 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let mut source = source.clone();
     if let Some((review, context)) = review.zip(context).filter(may_decide) {
         // On the heap: most questions have no review, and its future is by far the largest.
-        let review = apply_review(&source, &mut answered, review, context, &mut calls, start);
+        let question = (&asked, &appearance);
+        let review =
+            apply_review(&source, question, &mut answered, review, context, &mut calls, start);
         source = Box::pin(review).await?;
     }
+    let by_model = answered.reasoner != builtin::NAME;
     let (parsed, mut grounding) = (answered.parsed.clone(), answered.grounding);
     answered.grounding = source
         .compute(move |source| {
-            let scene = scene_view(source, appearance.as_ref());
-            answer_kinds::complete(scene, &asked, &parsed, &mut grounding);
+            let scene = scene_view(source, appearance.as_ref().as_ref());
+            answer_kinds::complete(scene, &asked, &parsed, by_model, &mut grounding);
             if let Some(seen) = source.coverage() {
                 coverage::add_coverage(seen, asked.within.as_ref(), &mut grounding);
             }
@@ -217,6 +227,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
 /// with the instances that were added.
 async fn apply_review<S: SceneSource>(
     source: &Arc<S>,
+    (asked, appearance): (&Question, &Arc<Option<Appearance>>),
     answered: &mut Answered,
     Review { model, budgets, options, without_model }: Review,
     context: vlm::PromptContext,
@@ -234,15 +245,22 @@ async fn apply_review<S: SceneSource>(
     } else {
         context.without_building_anchors(source.instances())
     };
-    let is_sure = answered.grounding.status == Status::Grounded
-        && answered.grounding.confidence >= SURE_WITHOUT_LOOKING;
+    let of_geometry = &answered.grounding;
+    let is_sure =
+        of_geometry.status == Status::Grounded && of_geometry.confidence >= SURE_WITHOUT_LOOKING;
     let untouched = |context| Searched::without_looking(source.clone(), context);
     let searched = match options.evidence {
         EvidenceMode::TwoStep => {
             untouched(narrow_candidates(source, context, options.limits, &mut session).await?)
         }
         EvidenceMode::Photographs if !is_sure => {
-            match find_in_photographs(source, context, options, &mut session).await? {
+            let by_geometry = ByGeometry {
+                question: asked,
+                parsed: &answered.parsed,
+                appearance,
+                grounding: &mut answered.grounding,
+            };
+            match find_in_photographs(source, context, by_geometry, options, &mut session).await? {
                 Ok(found) => found,
                 Err(error) => {
                     calls.extend(session.into_records());
@@ -255,10 +273,16 @@ async fn apply_review<S: SceneSource>(
         }
         _ => untouched(context),
     };
-    let Searched { source, context, notes, drawing } = searched;
+    let Searched { source, context, notes, drawing, agreed, left_out } = searched;
+    answered.left_out = left_out;
     let source = &source;
-    if context.candidates.is_empty() {
-        // Neither the geometry nor the model has found anything to decide about.
+    // The model has confirmed the geometry's choice, or neither has found anything to decide about.
+    if agreed.is_some() || context.candidates.is_empty() {
+        if let Some(id) = agreed {
+            let decision = Decision::confirmed(id, &answered.grounding.answer.explanation);
+            decision.apply(&mut answered.grounding, &context, source.instances());
+            answered.reasoner = vlm::reasoner_name(model.name(), options.prompt);
+        }
         calls.extend(session.into_records());
         let total = start.elapsed();
         answered.record_times(total.saturating_sub(before), drawing, total);

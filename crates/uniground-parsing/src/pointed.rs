@@ -5,12 +5,20 @@
 //! shows under it. The segmenter is then prompted at the middle of these points in other frames
 //! that see them. The mask on which the frames agree best is chosen. Then the frames vote on
 //! points, and the connected piece around the place is the object.
+//!
+//! If the area of the object in the photograph is known too, the segmenter is also prompted with it,
+//! and the built-in masks that lie in it are joined. Masks count by how well they fill it.
+
+mod area;
+
+pub use area::PixelArea;
 
 use super::masks::IdImage;
 use super::masks::rgbd::RgbdMasks;
 use super::outline::Outline;
 use super::visibility::{FramePoint, Visibility};
 use super::{ParseError, frame_sampling, instances};
+use area::masks_inside;
 use std::collections::HashSet;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{
@@ -40,6 +48,8 @@ pub struct PhotographPoint {
     pub frame: FrameIndex,
     /// Column and row in its color picture, pixels.
     pub at: (f32, f32),
+    /// The area of the object in its color picture, if it is known.
+    pub area: Option<PixelArea>,
 }
 
 /// Minimum number of points of an object.
@@ -61,8 +71,15 @@ const LEAST_GAP_M: f32 = 0.03;
 /// Radius in pixels in which the nearest mask is searched if the place itself has none.
 const AROUND_PX: i32 = 6;
 /// A mask shows a known instance if the points under the mask and those in the instance's box have
-/// this IoU.
+/// this IoU. An area shows one if it has this IoU with the area in which the instance is seen.
 const SHOWN: f32 = 0.6;
+/// Shares of a built-in mask's pixels that must be in the object's area for it to belong to the
+/// object. The masks along its outline belong to both.
+const IN_AREA: [f32; 2] = [0.8, 0.5];
+/// A mask shows the object if the IoU of its area and the object's is at least this.
+const FILLS_AREA: f32 = 0.5;
+/// Margin of an object's area in other frames, as a share of its width and height.
+const AREA_MARGIN: f32 = 0.1;
 /// Boxes with this IoU are one thing.
 const SAME_THING: f32 = 0.5;
 /// Number of views of an instance (paper: 3).
@@ -97,20 +114,26 @@ impl PointedObjectFinder<'_> {
         let is_other =
             |i: &Instance| i.structure.is_some() || i.dismissed || is_not.contains(&i.id);
         let mut options = Vec::new();
-        for (mask, quality) in self.masks_at(&first, place.at)? {
-            let seed = first.points_under(&mask);
+        for (mask, quality) in self.masks_at(&first, place.at, place.area.as_ref())? {
+            let (seed, pixels) = first.points_under(&mask);
             if seed.len() < LEAST_POINTS {
                 continue;
             }
             let quick =
                 instances::build_from_points(self.cloud, &seed, known, &self.settings.instances);
             if !find_identical(known, &quick).is_some_and(is_other) {
-                options.push(MaskHypothesis { mask, quality, seed });
+                let fills = |area: PixelArea| {
+                    PixelArea::of_most(&pixels).map_or(0.0, |covered| covered.iou(&area))
+                };
+                let fit = place.area.map_or(1.0, fills);
+                options.push(MaskHypothesis { mask, quality, fit, seed });
             }
         }
-        if let Some(shown) =
-            self.best_shown_instance(&first, &options, known.iter().filter(|i| !is_other(i)))
-        {
+        let others = || known.iter().filter(|i| !is_other(i));
+        let shown = self
+            .best_shown_instance(&first, &options, others())
+            .or_else(|| self.best_filling_instance(&first, &place.area?, others()));
+        if let Some(shown) = shown {
             return Ok(Some(shown.clone()));
         }
         let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len())
@@ -125,7 +148,9 @@ impl PointedObjectFinder<'_> {
             let mut votes =
                 MaskVotes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
             votes.add(&first, &option.mask);
-            let worth = option.quality * self.mean_agreement(&option.seed, &further, &mut votes)?;
+            let agreement =
+                self.mean_agreement(&option.seed, place.area.is_some(), &further, &mut votes)?;
+            let worth = option.quality * option.fit * agreement;
             if best.as_ref().is_none_or(|(so_far, ..)| worth > *so_far) {
                 best = Some((worth, votes, option));
             }
@@ -145,6 +170,41 @@ impl PointedObjectFinder<'_> {
         }))
     }
 
+    /// Returns the known instance that fills an area of a frame best, if any: by its view there, or
+    /// by the points that the frame sees in its box.
+    fn best_filling_instance<'i>(
+        &self,
+        looked: &FrameLookup,
+        area: &PixelArea,
+        known: impl Iterator<Item = &'i Instance>,
+    ) -> Option<&'i Instance> {
+        let seen: Vec<(Point3<f32>, (f32, f32))> = looked
+            .seen
+            .iter()
+            .filter_map(|point| {
+                let position = self.cloud.positions[point.point as usize];
+                Some((position, color_pixel(&looked.frame, point)?))
+            })
+            .collect();
+        let fills = |instance: &Instance| {
+            let view = instance.views.iter().find(|view| view.frame == looked.frame.index);
+            let shown = match view {
+                Some(view) => Some(PixelArea::from(view.box_px)),
+                None => {
+                    let in_box = seen.iter().filter(|(at, _)| instance.aabb.contains(at));
+                    let pixels: Vec<(f32, f32)> = in_box.map(|(_, pixel)| *pixel).collect();
+                    PixelArea::of_most(&pixels)
+                }
+            };
+            shown.map_or(0.0, |shown| shown.iou(area))
+        };
+        known
+            .map(|instance| (fills(instance), instance))
+            .filter(|(share, _)| *share >= SHOWN)
+            .max_by(|(a, i), (b, j)| a.total_cmp(b).then(j.id.cmp(&i.id)))
+            .map(|(_, instance)| instance)
+    }
+
     /// Returns the known instance that a mask shows best, if any. Compares the points that the
     /// frame sees in the instance's box with those under the mask.
     fn best_shown_instance<'i>(
@@ -155,6 +215,7 @@ impl PointedObjectFinder<'_> {
     ) -> Option<&'i Instance> {
         let under: Vec<Vec<bool>> = options
             .iter()
+            .filter(|option| option.fit >= FILLS_AREA)
             .map(|option| {
                 looked.seen.iter().map(|point| option.mask.covers(looked, point)).collect()
             })
@@ -196,20 +257,25 @@ impl PointedObjectFinder<'_> {
         Ok(FrameLookup { frame, seen, cut })
     }
 
-    /// Returns the candidate masks at a place in a frame's color picture, each with the confidence
-    /// of its source, `0..=1`.
+    /// Returns the candidate masks at a place in a frame's color picture, and of its area, each with
+    /// the confidence of its source, `0..=1`.
     fn masks_at(
         &self,
         looked: &FrameLookup,
         at: (f32, f32),
+        area: Option<&PixelArea>,
     ) -> Result<Vec<(Mask, f32)>, ParseError> {
         match (&looked.cut, self.segmenter) {
             (FrameSegmentation::Encoded(encoded), Some(segmenter)) => {
                 let (scale, threshold) = (segmenter.low_scale(encoded), segmenter.threshold());
-                let masks = segmenter
-                    .decode(encoded, &[Prompt::from_inside_points([at])])?
-                    .into_iter()
-                    .flatten();
+                let of_area = area.filter(|_| segmenter.takes_boxes()).map(
+                    |&PixelArea { left, top, right, bottom }| {
+                        Prompt::from_box((left, top), (right, bottom))
+                    },
+                );
+                let prompts: Vec<Prompt> =
+                    std::iter::once(Prompt::from_inside_points([at])).chain(of_area).collect();
+                let masks = segmenter.decode(encoded, &prompts)?.into_iter().flatten();
                 Ok(masks
                     .map(|mask| (mask.predicted_iou.clamp(0.0, 1.0), mask))
                     .map(|(q, mask)| (Mask::Decoded { mask, scale, threshold }, q))
@@ -217,9 +283,17 @@ impl PointedObjectFinder<'_> {
             }
             (FrameSegmentation::Images(images), _) => {
                 let masks = images.iter().enumerate().filter_map(|(level, ids)| {
-                    Some(Mask::Cut { level, id: nearest_mask(ids, &looked.frame, at)? })
+                    let ids = vec![nearest_mask(ids, &looked.frame, at)?];
+                    Some(Mask::Cut { level, ids })
                 });
-                Ok(masks.map(|mask| (mask, 1.0)).collect())
+                let joined = images.iter().enumerate().flat_map(|(level, ids)| {
+                    let inside = move |area: &PixelArea| {
+                        IN_AREA.map(|share| masks_inside(ids, &looked.frame, area, share))
+                    };
+                    let joined = area.map(inside).into_iter().flatten();
+                    joined.map(move |ids| Mask::Cut { level, ids })
+                });
+                Ok(masks.chain(joined).map(|mask| (mask, 1.0)).collect())
             }
             (FrameSegmentation::Encoded(_), None) => Ok(Vec::new()),
         }
@@ -276,6 +350,7 @@ impl PointedObjectFinder<'_> {
     fn mean_agreement(
         &self,
         seed: &[u32],
+        has_area: bool,
         further: &[FrameLookup],
         votes: &mut MaskVotes,
     ) -> Result<f32, ParseError> {
@@ -297,7 +372,8 @@ impl PointedObjectFinder<'_> {
                 own.iter().filter_map(|point| color_pixel(&looked.frame, point)).collect();
             let Some(middle) = medoid(&pixels) else { continue };
             let mut best: Option<(f32, Mask)> = None;
-            for (mask, _) in self.masks_at(looked, middle)? {
+            let area = PixelArea::of_most(&pixels).map(|area| area.grown(AREA_MARGIN));
+            for (mask, _) in self.masks_at(looked, middle, area.as_ref().filter(|_| has_area))? {
                 let held = own.iter().filter(|point| mask.covers(looked, point)).count();
                 let wrong = looked
                     .seen
@@ -391,9 +467,12 @@ enum FrameSegmentation {
 }
 
 impl FrameLookup {
-    /// Returns the points of the cloud under a mask.
-    fn points_under(&self, mask: &Mask) -> Vec<u32> {
-        self.seen.iter().filter(|point| mask.covers(self, point)).map(|point| point.point).collect()
+    /// Returns the points of the cloud under a mask, and their positions in the color picture.
+    fn points_under(&self, mask: &Mask) -> (Vec<u32>, Vec<(f32, f32)>) {
+        let under: Vec<&FramePoint> =
+            self.seen.iter().filter(|point| mask.covers(self, point)).collect();
+        let pixels = under.iter().filter_map(|point| color_pixel(&self.frame, point)).collect();
+        (under.into_iter().map(|point| point.point).collect(), pixels)
     }
 }
 
@@ -401,14 +480,16 @@ impl FrameLookup {
 struct MaskHypothesis {
     mask: Mask,
     quality: f32,
+    /// IoU of its area and the object's; 1 if that is not known.
+    fit: f32,
     /// The points under the mask.
     seed: Vec<u32>,
 }
 
 /// A mask of a frame.
 enum Mask {
-    /// A built-in mask, on the frame's depth image.
-    Cut { level: usize, id: u16 },
+    /// Built-in masks, ascending, on the frame's depth image.
+    Cut { level: usize, ids: Vec<u16> },
     /// A segmenter's mask, over the color picture.
     Decoded { mask: LowMask, scale: (f32, f32), threshold: f32 },
 }
@@ -417,8 +498,8 @@ impl Mask {
     /// Returns whether it covers a point that its frame shows.
     fn covers(&self, looked: &FrameLookup, point: &FramePoint) -> bool {
         match (self, &looked.cut) {
-            (Self::Cut { level, id }, FrameSegmentation::Images(images)) => {
-                images[*level].at(point.cell) == *id
+            (Self::Cut { level, ids }, FrameSegmentation::Images(images)) => {
+                ids.binary_search(&images[*level].at(point.cell)).is_ok()
             }
             (Self::Cut { .. }, FrameSegmentation::Encoded(_)) => false,
             (Self::Decoded { mask, scale, threshold }, _) => {

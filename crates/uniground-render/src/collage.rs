@@ -50,12 +50,27 @@ impl Tile {
     /// Converts a position of the composed picture to column and row of the frame's color picture;
     /// `None` outside of the tile.
     #[must_use]
-    pub fn to_photograph(&self, (x, y): (f32, f32)) -> Option<(f32, f32)> {
-        let (left, top, width, height) = self.area;
-        let share = ((x - left as f32) / width as f32, (y - top as f32) / height as f32);
-        let [l, t, r, b] = self.shows.map(|v| v as f32);
+    pub fn to_photograph(&self, at: (f32, f32)) -> Option<(f32, f32)> {
+        let share = self.share(at);
         let inside = (0.0..=1.0).contains(&share.0) && (0.0..=1.0).contains(&share.1);
-        inside.then_some((l + share.0 * (r - l), t + share.1 * (b - t)))
+        inside.then(|| self.at_share(share))
+    }
+
+    /// Converts the nearest position of the tile in the same way.
+    #[must_use]
+    pub fn nearest_in_photograph(&self, at: (f32, f32)) -> (f32, f32) {
+        let (x, y) = self.share(at);
+        self.at_share((x.clamp(0.0, 1.0), y.clamp(0.0, 1.0)))
+    }
+
+    fn share(&self, (x, y): (f32, f32)) -> (f32, f32) {
+        let (left, top, width, height) = self.area;
+        ((x - left as f32) / width as f32, (y - top as f32) / height as f32)
+    }
+
+    fn at_share(&self, (x, y): (f32, f32)) -> (f32, f32) {
+        let [l, t, r, b] = self.shows.map(|v| v as f32);
+        (l + x * (r - l), t + y * (b - t))
     }
 }
 

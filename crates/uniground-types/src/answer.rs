@@ -143,6 +143,11 @@ pub struct Seen {
     pub picture: String,
     /// Position from the left and the top, as fractions of the picture's width and height, `0..=1`.
     pub at: [f32; 2],
+    /// Left, upper, right and lower rim of the object, as fractions of the picture's width and
+    /// height. Absent if the model gave only a point.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<Vec<f32>>))]
+    pub area: Option<[f32; 4]>,
     /// Name that the model gives the object.
     pub name: String,
 }
@@ -328,6 +333,25 @@ pub struct Trace {
     pub calls: Vec<Call>,
     /// Problems and how they were handled, one sentence each, in order.
     pub corrections: Vec<String>,
+    /// Objects that had no number in the photographs that the model searched first. Absent unless
+    /// it searched photographs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub left_out: Option<LeftOut>,
+}
+
+/// Numbers of objects that a model was not offered in photographs, by reason. It may still point at
+/// them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct LeftOut {
+    /// Walls, floors and ceilings, unless the question asks for one.
+    pub structure: u32,
+    /// Objects that are hidden or too small to be recognized in every frame.
+    pub too_small: u32,
+    /// Objects that only other frames show.
+    pub not_shown: u32,
+    /// Objects that somebody has dismissed.
+    pub dismissed: u32,
 }
 
 /// Usage of vision-language models. All values are 0 if none was called.
@@ -401,6 +425,11 @@ pub struct Answer {
     /// the reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
+    /// What the question says of the object and is not so, in a vision-language model's words: "it
+    /// is black, not white". The answer is then the closest object, and `uncertain`. Absent if
+    /// nothing differs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub differs: Option<String>,
     /// Which part of the room was seen: whether the object is not there, or may be where no camera
     /// looked. `null` unless the status is `no_match` or `target_name_matches` is `false`, for scans
     /// without frames, and for parses from older versions.

@@ -120,6 +120,9 @@ pub(super) struct Grounded {
     pub alternatives: Vec<Alternative>,
     /// Location where a model sees an object that is not an instance.
     pub seen: Option<Seen>,
+    /// What the question says of the object and is not so: "it is black, not white". The answer is
+    /// then the closest object. `null` if nothing differs.
+    pub differs: Option<String>,
     /// Words that were ignored because they were not understood.
     pub not_understood: Vec<String>,
     /// Boxes of `targets` in the requested frame.
@@ -139,6 +142,7 @@ impl From<Answer> for Grounded {
             no_match_reason,
             coverage,
             seen,
+            differs,
             answer,
             confidence,
             alternatives,
@@ -161,6 +165,7 @@ impl From<Answer> for Grounded {
             count,
             alternatives,
             seen,
+            differs,
             not_understood: parsed_query.not_understood,
             in_frame,
             answer_id: id,

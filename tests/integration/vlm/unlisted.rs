@@ -2,8 +2,8 @@
 //! the model is asked again.
 
 use super::{
-    Script, call_purposes, corrections, count_images, sample_scan, six_field_reply, start_server,
-    user_text, vlm_config,
+    Script, builtin_answer, call_purposes, corrections, count_images, request_by, sample_scan,
+    six_field_reply, start_server, user_text, vlm_config,
 };
 use crate::neural::tiny_models;
 use crate::scripted_model::{Scripted, says};
@@ -12,7 +12,7 @@ use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_core::grounding::{NoMatchReason, Status};
 use uniground_types::answer::Answer;
 use uniground_types::instances::{InstanceView, Levels};
-use uniground_types::question::{GroundRequest, PromptVersion};
+use uniground_types::question::{GroundRequest, PromptVersion, ReasonerChoice};
 
 const QUERY: &str = "the porcelain teapot";
 const NAME: &str = "white porcelain teapot";
@@ -24,6 +24,28 @@ fn unlisted_reply(image: usize, (x, y): (u32, u32)) -> Scripted {
         "Predicted ID: not listed\nExplanation: it stands there\nCandidate Names: none\nTarget name matches?: false\nAnchor ID: unknown\n\
          Relation used: none\nSeen at: {image}, {x}, {y}, {NAME}"
     ))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_object_that_differs_from_the_question_is_uncertain() {
+    let script = Script::default();
+    let (server, scene) = start_server(vlm_config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin_answer(&server, &scene).await;
+    let chosen = plain.candidates.as_ref().unwrap()[0].id;
+    script.next(vec![says(&format!(
+        "Predicted ID: {chosen}\nExplanation: the only mug\nCandidate Names: {chosen} -> blue mug\nTarget name matches?: true\n\
+         Anchor ID: unknown\nRelation used: none\nDiffers: it is blue, not red"
+    ))]);
+    let answer = server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await.unwrap();
+    assert_eq!(
+        (answer.status, answer.answer.predicted_id, answer.differs.as_deref()),
+        (Status::Uncertain, Some(chosen), Some("it is blue, not red"))
+    );
+    for text in [&answer.text, &answer.answer.explanation] {
+        assert!(text.contains("it is blue, not red"), "{text}");
+    }
+    assert!(answer.confidence <= 0.5 && answer.aabb.is_some(), "{}", answer.confidence);
+    server.stop().await;
 }
 
 /// Returns the id of the new instance, from the trace.

@@ -1183,6 +1183,12 @@ export interface components {
              */
             degraded?: boolean;
             /**
+             * @description What the question says of the object and is not so, in a vision-language model's words: "it
+             *     is black, not white". The answer is then the closest object, and `uncertain`. Absent if
+             *     nothing differs.
+             */
+            differs?: string | null;
+            /**
              * @description Convention for left, right, front and back: `paper`, `viewer` or `observer`. An orientation
              *     in the question, like "facing the door", takes precedence.
              */
@@ -2745,6 +2751,32 @@ export interface components {
             next_cursor?: string | null;
         };
         /**
+         * @description Numbers of objects that a model was not offered in photographs, by reason. It may still point at
+         *     them.
+         */
+        LeftOut: {
+            /**
+             * Format: int32
+             * @description Objects that somebody has dismissed.
+             */
+            dismissed: number;
+            /**
+             * Format: int32
+             * @description Objects that only other frames show.
+             */
+            not_shown: number;
+            /**
+             * Format: int32
+             * @description Walls, floors and ceilings, unless the question asks for one.
+             */
+            structure: number;
+            /**
+             * Format: int32
+             * @description Objects that are hidden or too small to be recognized in every frame.
+             */
+            too_small: number;
+        };
+        /**
          * @description Level of an instance. Each point belongs to at most one object. Parts and wholes overlap
          *     objects.
          * @enum {string}
@@ -4230,6 +4262,11 @@ export interface components {
         Scope: "read" | "write" | "admin";
         /** @description Location in a picture where a vision-language model sees an object that is not an instance. */
         Seen: {
+            /**
+             * @description Left, upper, right and lower rim of the object, as fractions of the picture's width and
+             *     height. Absent if the model gave only a point.
+             */
+            area?: number[] | null;
             /** @description Position from the left and the top, as fractions of the picture's width and height, `0..=1`. */
             at: number[];
             /** @description Name that the model gives the object. */
@@ -4646,6 +4683,7 @@ export interface components {
             calls: components["schemas"]["Call"][];
             /** @description Problems and how they were handled, one sentence each, in order. */
             corrections: string[];
+            left_out?: components["schemas"]["LeftOut"] | null;
         };
         /** @description An object. Meters, world frame of the scene (Z up). */
         TrueObject: {

@@ -168,6 +168,10 @@ class Answer(AnswerMethods):
     coverage: Optional[Coverage] = None
     degraded: Optional[bool] = None
     """Whether a built-in component replaced a model that failed or returned no valid candidate. `trace.corrections` gives the reason."""
+    differs: Optional[str] = None
+    """What the question says of the object and is not so, in a vision-language model's words: "it is black, not white". The answer is then
+    the closest object, and `uncertain`. Absent if nothing differs.
+    """
     evidence: Optional[list[str]] = None
     """Paths of the pictures used as evidence."""
     follows: Optional[str] = None
@@ -1255,6 +1259,19 @@ class KeyList:
 
 
 @dataclass
+class LeftOut:
+    """Numbers of objects that a model was not offered in photographs, by reason. It may still point at them."""
+    structure: int
+    """Walls, floors and ceilings, unless the question asks for one."""
+    too_small: int
+    """Objects that are hidden or too small to be recognized in every frame."""
+    not_shown: int
+    """Objects that only other frames show."""
+    dismissed: int
+    """Objects that somebody has dismissed."""
+
+
+@dataclass
 class Levelling:
     """Tilt of a scan's world and its correction."""
     tilt_deg: float
@@ -2041,6 +2058,10 @@ class Seen:
     """Position from the left and the top, as fractions of the picture's width and height, `0..=1`."""
     name: str
     """Name that the model gives the object."""
+    area: Optional[Vector] = None
+    """Left, upper, right and lower rim of the object, as fractions of the picture's width and height. Absent if the model gave only a
+    point.
+    """
 
 
 class ShortlistOptions(TypedDict, total=False):
@@ -2295,6 +2316,7 @@ class Trace:
     """Calls in order, including the one that parses the question. At most three."""
     corrections: list[str]
     """Problems and how they were handled, one sentence each, in order."""
+    left_out: Optional[LeftOut] = None
 
 
 @dataclass

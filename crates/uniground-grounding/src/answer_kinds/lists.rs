@@ -240,11 +240,14 @@ impl Writer<'_> {
     fn listing(&mut self, grounding: &Grounding) -> Listing {
         let target = self.parsed.target.clone();
         let about_anything = is_about_anything(&target);
+        // What a model has decided stays.
+        let chosen = self.chosen_by_model.filter(|_| !about_anything);
         if !about_anything && grounding.status == Status::NoMatch {
             return Listing::Found(Vec::new(), 1.0);
         }
         let (resolved, anchor_confidence) = match self.resolve_anchors(&target, Anchors::Best) {
             Ok(resolved) => resolved,
+            Err(_) if chosen.is_some() => (target.clone(), 1.0),
             Err(missing) => return Listing::NoAnchor(missing),
         };
         // "what is next to it", where nothing tells what "it" is.
@@ -310,12 +313,13 @@ impl Writer<'_> {
                 .iter()
                 .map(|target| (target.id.0 as usize - 1, target.confidence))
                 .filter(|&(i, _)| {
-                    i < self.instances().len()
-                        && (asks_for_building || self.instances()[i].structure.is_none())
-                        && (compares || score(i) > 0.0)
-                        && (assessed.nouns[i] >= OF_THE_KIND * best_noun
-                            || self.assessor.scene.names.get(i).is_none())
-                        && (compares || assessed.own[i] >= DESCRIBED * assessed.nouns[i])
+                    chosen.is_some_and(|id| id.0 as usize == i + 1)
+                        || i < self.instances().len()
+                            && (asks_for_building || self.instances()[i].structure.is_none())
+                            && (compares || score(i) > 0.0)
+                            && (assessed.nouns[i] >= OF_THE_KIND * best_noun
+                                || self.assessor.scene.names.get(i).is_none())
+                            && (compares || assessed.own[i] >= DESCRIBED * assessed.nouns[i])
                 })
                 .map(|(index, confidence)| Listed { index, confidence, distance_m: None })
                 .collect()
@@ -326,7 +330,7 @@ impl Writer<'_> {
             .flat_map(|listed| assessed.bonds.iter().filter_map(|bonds| bonds[listed.index].anchor))
             .filter(|id| tied.contains(&(id.0 as usize - 1)))
             .collect();
-        if of_anchors.len() > 1 {
+        if of_anchors.len() > 1 && chosen.is_none() {
             return Listing::Tied(tied);
         }
         for except in self.parsed.except.clone() {

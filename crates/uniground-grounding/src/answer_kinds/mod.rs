@@ -6,6 +6,7 @@
 //! the TV of "how far is the stool from the TV", are decided here by geometry.
 
 mod checks;
+mod differences;
 mod fits;
 mod limits;
 mod lists;
@@ -20,44 +21,38 @@ use super::reasoner::{NamesFrom, Verdict, builtin};
 use super::{
     AnswerKind, AnswerValue, Grounding, NoMatchReason, Question, SceneView, Status, assessor_of,
 };
+use differences::asks_for_number;
 use sentences::{Names, joined};
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_language::{Form, ME, Meaning, ParsedQuery, Phrase, Quantity};
 use uniground_models::attributes::Lexicon;
 
-/// Fills in the kind, the sentence and the value of an answer, and the targets of a list.
+/// Fills in the kind, the sentence and the value of an answer, and the targets of a list. `by_model`:
+/// a vision-language model chose the object.
 pub(super) fn complete(
     scene: SceneView,
     question: &Question,
     parsed: &ParsedQuery,
+    by_model: bool,
     grounding: &mut Grounding,
 ) {
     let decided = (grounding.status, grounding.answer.predicted_id);
-    let mut writer = Writer { assessor: assessor_of(scene, question), parsed };
+    let differs = grounding.differs.clone();
+    let mut writer = Writer {
+        assessor: assessor_of(scene, question),
+        parsed,
+        is_as_asked: differs.is_none(),
+        chosen_by_model: grounding.answer.predicted_id.filter(|_| by_model),
+    };
     grounding.kind = kind_of(&parsed.form);
-    match &parsed.form {
-        Form::Object => grounding.text = writer.object(grounding),
-        Form::List => writer.list(grounding),
-        Form::Count => writer.count(grounding),
-        Form::Exists => writer.exists(grounding),
-        Form::Number(range) => writer.number(range, grounding),
-        Form::Holds(claim) => writer.holds(claim, grounding),
-        Form::Limit(limit) => writer.limit(limit, grounding),
-        Form::Size(dimension) => writer.size(*dimension, grounding),
-        Form::Distance(reference) => writer.distance(reference, grounding),
-        Form::Comparison(comparison) => writer.comparison(comparison, grounding),
-        Form::Choice(comparison) => writer.choice(comparison, grounding),
-        Form::Fit(passage) => writer.fit(passage, grounding),
-        Form::Description(aspect) => {
-            if let Some(index) =
-                writer.chosen(grounding).filter(|_| *aspect == uniground_language::Aspect::All)
-            {
-                let named = NamesFrom::name_confidence(scene, index);
-                grounding.confidence = grounding.confidence.min(named);
-            }
-            grounding.text = writer.description(*aspect, grounding);
+    match &differs {
+        Some(differs) if asks_for_number(&parsed.form) => {
+            writer.none_as_asked(differs, grounding);
         }
-        Form::Place => grounding.text = writer.place(grounding),
+        _ => writer.fill_in(grounding),
+    }
+    if let Some(differs) = differs.filter(|_| grounding.status != Status::NoMatch) {
+        writer.add_difference(&differs, grounding);
     }
     if let Some(note) = writer.unchecked_words(grounding) {
         grounding.text = format!("{} {note}", grounding.text);
@@ -130,6 +125,10 @@ fn is_about_anything(phrase: &Phrase) -> bool {
 struct Writer<'a> {
     assessor: Assessor<'a>,
     parsed: &'a ParsedQuery,
+    /// Whether the chosen object is what the question says, as far as a model has looked at it.
+    is_as_asked: bool,
+    /// The object that a vision-language model chose.
+    chosen_by_model: Option<InstanceId>,
 }
 
 /// An object of a question other than its target, as decided by geometry.
@@ -176,6 +175,35 @@ impl Resolved {
 }
 
 impl<'a> Writer<'a> {
+    /// Fills in what the form of the question asks for.
+    fn fill_in(&mut self, grounding: &mut Grounding) {
+        let parsed = self.parsed;
+        match &parsed.form {
+            Form::Object => grounding.text = self.object(grounding),
+            Form::List => self.list(grounding),
+            Form::Count => self.count(grounding),
+            Form::Exists => self.exists(grounding),
+            Form::Number(range) => self.number(range, grounding),
+            Form::Holds(claim) => self.holds(claim, grounding),
+            Form::Limit(limit) => self.limit(limit, grounding),
+            Form::Size(dimension) => self.size(*dimension, grounding),
+            Form::Distance(reference) => self.distance(reference, grounding),
+            Form::Comparison(comparison) => self.comparison(comparison, grounding),
+            Form::Choice(comparison) => self.choice(comparison, grounding),
+            Form::Fit(passage) => self.fit(passage, grounding),
+            Form::Description(aspect) => {
+                if let Some(index) =
+                    self.chosen(grounding).filter(|_| *aspect == uniground_language::Aspect::All)
+                {
+                    let named = NamesFrom::name_confidence(self.assessor.scene, index);
+                    grounding.confidence = grounding.confidence.min(named);
+                }
+                grounding.text = self.description(*aspect, grounding);
+            }
+            Form::Place => grounding.text = self.place(grounding),
+        }
+    }
+
     fn instances(&self) -> &'a [Instance] {
         self.assessor.scene.instances
     }
@@ -293,7 +321,7 @@ impl<'a> Writer<'a> {
 
     /// Returns how the answer calls the target: by the question's own words where they name it.
     fn target_name(&self, index: usize) -> String {
-        if self.parsed.quantity == Quantity::One {
+        if self.parsed.quantity == Quantity::One && self.is_as_asked {
             self.spoken_name(&self.parsed.target, index)
         } else {
             self.names().the(index)

@@ -504,3 +504,73 @@ fn every_answer_has_a_sentence() {
         assert!(answer.text.len() > 5 && answer.text.ends_with(['.', '?']), "{query}: {answer:?}");
     }
 }
+
+/// Asks, and completes the answer again as if a model had chosen this instance and said what
+/// differs.
+fn ask_with_difference(query: &str, chosen: usize, differs: &str) -> Grounding {
+    ask_by_model(query, chosen, Some(differs))
+}
+
+/// Asks, and completes the answer again as if a model had chosen this instance.
+fn ask_by_model(query: &str, chosen: usize, differs: Option<&str>) -> Grounding {
+    let instances = room();
+    let question = Question { min_confidence: 0.7, ..Question::of(query) };
+    let names = NameIndex::of(&instances);
+    let extent = Aabb { center: Point3::new(0.0, 0.0, 1.2), size: Vector3::new(6.0, 5.0, 2.5) };
+    let scene = SceneView { instances: &instances, extent, names: &names, appearance: None };
+    let parsed = uniground_language::parse(query);
+    let mut answer = ground(scene, &question);
+    let writer = Writer {
+        assessor: assessor_of(scene, &question),
+        parsed: &parsed,
+        is_as_asked: true,
+        chosen_by_model: None,
+    };
+    writer.choose(chosen, &parsed.target, 0.5, &mut answer);
+    answer.differs = differs.map(str::to_owned);
+    complete(scene, &question, &parsed, true, &mut answer);
+    answer.require_confidence(question.min_confidence);
+    answer
+}
+
+#[test]
+fn an_object_that_differs_is_uncertain_and_the_sentence_says_how() {
+    let answer = ask_with_difference("the red laptop", 1, "it is grey, not red");
+    assert_eq!((answer.status, targets(&answer)), (Status::Uncertain, vec![2]));
+    for part in ["I found nothing that is clearly a red laptop", "it is grey, not red"] {
+        assert!(answer.text.to_lowercase().contains(&part.to_lowercase()), "{}", answer.text);
+    }
+    let answer = ask_with_difference("the mug on the sofa", 2, "it is on the desk");
+    assert_eq!((answer.status, targets(&answer)), (Status::Uncertain, vec![3]));
+    assert_eq!(
+        answer.text,
+        "I found nothing that is clearly a mug on the sofa. The closest one differs: it is on the desk. The red mug is on the grey desk, next to the grey laptop."
+    );
+}
+
+#[test]
+fn an_object_that_differs_does_not_exist_and_is_not_counted() {
+    let differs = "it is grey, not red";
+    let answer = ask_with_difference("is there a red laptop", 1, differs);
+    assert_eq!((answer.status, answer.value.unwrap().yes), (Status::NoMatch, Some(false)));
+    assert_eq!(
+        answer.text,
+        "No. I found no red laptop. The closest is the grey laptop: it is grey, not red."
+    );
+    assert_eq!(answer.alternatives.iter().map(|other| other.id.0).collect::<Vec<_>>(), [2]);
+    let answer = ask_with_difference("how many red laptops are there", 1, differs);
+    assert_eq!((answer.count, answer.value.unwrap().number), (Some(0), Some(0.0)));
+    let answer = ask_with_difference("are there more than two red laptops", 1, differs);
+    assert_eq!(answer.value.unwrap().yes, Some(false));
+    let answer = ask_with_difference("all red laptops", 1, differs);
+    assert_eq!((answer.status, targets(&answer)), (Status::Uncertain, vec![2]), "{}", answer.text);
+}
+
+#[test]
+fn a_list_keeps_what_a_model_has_chosen() {
+    // The geometry knows the stool by another name, and no slippers.
+    for query in ["the shoes next to the sofa", "the shoes next to the slippers"] {
+        let answer = ask_by_model(query, 5, None);
+        assert_eq!((answer.status, targets(&answer)), (Status::Uncertain, vec![6]), "{query}");
+    }
+}

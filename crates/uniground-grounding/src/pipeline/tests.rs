@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::Status;
+use crate::found_anchors::SURE_IF_CONFIRMED;
 use crate::memory_scene::{MemoryScene, SceneAlbum};
 use camino::Utf8Path;
 use futures::FutureExt;
@@ -16,6 +17,7 @@ use uniground_geometry::scene::{
 use uniground_geometry::{Isometry3, Point3, Vector3};
 use uniground_language::{AutoParser, VlmParser};
 use uniground_models::chat::{ChatError, ChatFailure, ChatReply, ChatRequest, Part, Prices};
+use uniground_parsing::pointed::PixelArea;
 use uniground_render::RenderScene;
 use uniground_testing::thing;
 use uniground_testing::tiny_encoder;
@@ -395,6 +397,18 @@ fn model_finds_candidates_and_anchors_in_marked_photographs() {
     let (answered, shown) = asked(QUERY, &[Some(nothing), Some(CHOOSES_THREE)]);
     assert_eq!(answered.grounding.answer.predicted_id, Some(InstanceId(3)));
     assert!(shown.contains(&"candidate-2".to_owned()), "{shown:?}");
+    // The model sees the geometry's choice and nothing else that may be meant.
+    let by_geometry = block_on(answer(&scene, Ask::of(Question::of(QUERY)))).unwrap().grounding;
+    let sure = SURE_IF_CONFIRMED..SURE_WITHOUT_LOOKING;
+    assert!(sure.contains(&by_geometry.confidence), "{}", by_geometry.confidence);
+    let (answered, shown) = asked(QUERY, &[Some("Could be: 2\nAnchors: 1\nSeen at: none")]);
+    assert_eq!(
+        (answered.grounding.answer.predicted_id, &shown[..]),
+        (Some(InstanceId(2)), &["marked-1".into()][..])
+    );
+    assert!(answered.grounding.confidence > by_geometry.confidence && !answered.degraded);
+    assert_eq!(answered.grounding.answer.anchor_id, by_geometry.answer.anchor_id);
+    assert_eq!((answered.calls.len(), answered.left_out), (1, Some(LeftOut::default())));
     // An unavailable model.
     let (answered, _) = asked(QUERY, &[None]);
     assert_eq!(
@@ -422,10 +436,19 @@ fn position_in_an_offered_photograph_maps_to_its_frame() {
         (offered.frame, offered.taken_px, offered.picture.width, offered.picture.height),
         (FrameIndex(7), (1600, 1200), 768, 576)
     );
-    let seen =
-        crate::Seen { picture: "photograph-1".into(), at: [0.25, 0.5], name: "accordion".into() };
+    let seen = crate::Seen {
+        picture: "photograph-1".into(),
+        at: [0.25, 0.5],
+        area: None,
+        name: "accordion".into(),
+    };
     let evidence = vlm::VisualEvidence { photographs, ..vlm::VisualEvidence::default() };
     let place =
         evidence.place(&*scene, &seen, &PictureSettings::of(Options::default())).unwrap().unwrap();
-    assert_eq!((place.frame, place.at), (FrameIndex(7), (400.0, 600.0)));
+    assert_eq!((place.frame, place.at, place.area), (FrameIndex(7), (400.0, 600.0), None));
+    let seen = crate::Seen { area: Some([0.25, 0.5, 0.5, 1.0]), ..seen };
+    let place =
+        evidence.place(&*scene, &seen, &PictureSettings::of(Options::default())).unwrap().unwrap();
+    let area = PixelArea { left: 400.0, top: 600.0, right: 800.0, bottom: 1200.0 };
+    assert_eq!(place.area, Some(area));
 }

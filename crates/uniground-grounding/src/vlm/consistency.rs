@@ -9,7 +9,7 @@ use uniground_language::{Meaning, Phrase};
 
 /// Returns whether a given name matches the object that a phrase asks for: "window with an air
 /// conditioner" is a window.
-pub(super) fn matches(name: &str, target: &Phrase) -> bool {
+pub(crate) fn matches(name: &str, target: &Phrase) -> bool {
     target.meaning() == Meaning::Anything
         || GivenName::read(name).is_some_and(|name| Readings::of(target).called(&name) > 0.0)
 }

@@ -48,6 +48,8 @@ pub struct Decision {
 /// was consistent, and after a correction.
 const SURE: f32 = 0.7;
 const CORRECTED: f32 = 0.4;
+/// Maximum confidence in an object that differs from what the question says.
+const DIFFERENT: f32 = 0.5;
 /// Boxes with at least this overlap are the same object.
 const SAME_THING: f32 = 0.25;
 
@@ -67,8 +69,7 @@ impl Decision {
             Choice::Id(_) | Choice::Contradiction(..) | Choice::Missing => Outcome::Unknown,
         };
         if outcome != Outcome::Unknown || self.outcome == Outcome::Unknown {
-            let seen =
-                |seen: &SeenAt| sent.sighting(seen.image, seen.at, points, seen.name.clone());
+            let seen = |seen: &SeenAt| sent.sighting(seen, points);
             self.seen = reply.seen_at.as_ref().and_then(seen);
             (self.outcome, self.reply) = (outcome, reply);
         }
@@ -78,6 +79,20 @@ impl Decision {
     #[must_use]
     pub fn found(self, id: InstanceId, why: String) -> Self {
         Self { outcome: Outcome::Chosen(id), seen: None, ..self.with_note(why) }
+    }
+
+    /// Returns the decision of a model that sees the geometry's choice in photographs, and nothing
+    /// else that may be meant. What the geometry says about anchor and relation stays.
+    #[must_use]
+    pub fn confirmed(id: InstanceId, explanation: &str) -> Self {
+        let reply = Reply {
+            predicted: Choice::Id(id.0),
+            explanation: Some(format!("It is the only one in the photographs. {explanation}")),
+            target_name_matches: Some(true),
+            not_read: vec![Field::AnchorId.title(), Field::RelationUsed.title()],
+            ..Reply::default()
+        };
+        Self { outcome: Outcome::Chosen(id), reply, ..Self::default() }
     }
 
     /// Adds a note on what happened.
@@ -182,6 +197,10 @@ impl Decision {
             (Some(explanation), _) => explanation.clone(),
             (None, _) => "The model gave no explanation.".into(),
         };
+        grounding.differs = self.reply.differs.clone().filter(|_| chosen.is_some());
+        if let Some(differs) = &grounding.differs {
+            answer.explanation = format!("{} Difference: {differs}.", answer.explanation);
+        }
         let weight = match (projected, self.corrections.is_empty()) {
             (true, _) => 0.0,
             (false, true) => SURE,
@@ -207,10 +226,19 @@ impl Decision {
             Some(instance) => weight + (1.0 - weight) * belief(instance.id),
             None => weight.max(1.0 - grounding.candidates.first().map_or(0.0, |best| best.score)),
         };
-        // Several targets stay as they were found; the model chose the first of them.
+        if grounding.differs.is_some() {
+            grounding.confidence = grounding.confidence.min(DIFFERENT);
+        }
+        // Several targets stay as they were found, except those that the model calls something else.
+        // The model chose the first of them.
+        let is_called_otherwise = |id: InstanceId| {
+            self.names.get(&id.0).is_some_and(|name| !matches(name, &context.target))
+        };
         let own = chosen.map(|instance| to_target(instance, grounding.confidence));
         grounding.targets.retain(|target| {
-            grounding.count.is_some() && own.as_ref().is_some_and(|own| own.id != target.id)
+            grounding.count.is_some()
+                && own.as_ref().is_some_and(|own| own.id != target.id)
+                && !is_called_otherwise(target.id)
         });
         grounding.targets.splice(0..0, own);
         grounding.count = grounding.count.map(|_| grounding.targets.len() as u32);
@@ -295,6 +323,7 @@ mod tests {
             status: Status::Ambiguous,
             no_match_reason: None,
             seen: None,
+            differs: None,
             coverage: None,
             answer: SixFields {
                 predicted_id: None,
@@ -392,7 +421,8 @@ mod tests {
         let sent = ["global", "candidate-1"].map(super::super::tests::picture_named);
         let sent = SentPictures::of(sent.to_vec());
         let seen = |image| {
-            let seen_at = Some(reply::SeenAt { image, at: [250.0, 500.0], name: "clock".into() });
+            let seen_at =
+                Some(reply::SeenAt { image, at: [250.0, 500.0], area: None, name: "clock".into() });
             let mut decision = Decision::default();
             decision.take(
                 Reply { seen_at, ..reply_with(Choice::NotListed) },
@@ -403,7 +433,12 @@ mod tests {
             decision.seen.map(|seen| seen.shown)
         };
         let at = |picture: &str| {
-            Some(Seen { picture: picture.into(), at: [0.25, 0.5], name: "clock".into() })
+            Some(Seen {
+                picture: picture.into(),
+                at: [0.25, 0.5],
+                area: None,
+                name: "clock".into(),
+            })
         };
         assert_eq!([1, 2, 3].map(seen), [at("global"), at("candidate-1"), None]);
     }
@@ -411,8 +446,12 @@ mod tests {
     #[test]
     fn corrections_are_kept_in_order() {
         let names = BTreeMap::from([(1, "chair".to_owned())]);
-        let seen =
-            Some(sighting(Seen { picture: "global".into(), at: [0.0; 2], name: "chair".into() }));
+        let seen = Some(sighting(Seen {
+            picture: "global".into(),
+            at: [0.0; 2],
+            area: None,
+            name: "chair".into(),
+        }));
         let first = Decision {
             outcome: Outcome::NotListed,
             new_names: names.clone(),
@@ -575,7 +614,12 @@ mod tests {
 
     #[test]
     fn only_not_listed_decisions_have_a_picture_position() {
-        let seen = Some(Seen { picture: "global".into(), at: [0.1, 0.2], name: "clock".into() });
+        let seen = Some(Seen {
+            picture: "global".into(),
+            at: [0.1, 0.2],
+            area: None,
+            name: "clock".into(),
+        });
         let of = |outcome| {
             let seen = seen.clone().map(sighting);
             let decision = Decision { outcome, seen, ..Decision::default() };

@@ -58,13 +58,13 @@ pub(super) fn request(
     let format = if options.json {
         "Answer with one JSON object with the fields \"Could be\" (list of numbers), \"Anchors\" \
              (list of \"number -> what it is\"), \"Seen at\" (\"image number, \
-         x, y, short name\", or null)."
+         left, top, right, bottom, short name\", or null)."
             .to_owned()
     } else {
         "Answer with exactly these three lines:\n\
          Could be: <number, number, ... or none>\n\
          Anchors: <number -> what it is, ... or none>\n\
-         Seen at: <image number, x, y, short name; or none>"
+         Seen at: <image number, left, top, right, bottom, short name; or none>"
             .to_owned()
     };
     let text = format!(
@@ -72,11 +72,11 @@ pub(super) fn request(
          every photograph. Some things have no number.\n\n\
          Find what the query asks for.\n\
          1. \"Could be\": the numbers of the things that it may mean, the likeliest first, at most {MOST_IDS}. Give all of the same kind that \
-         are in question, except those of plainly another colour; what decides between them comes later. Leave out things that it only \
-         stands on or next to.\n\
+         are in question, except those of plainly another colour; what decides between them comes later. If none is as the query says, give \
+         those of the same kind all the same. Leave out things that it only stands on or next to.\n\
          2. \"Anchors\": the numbers of the things that the query mentions to say where it is. Not walls, floors and ceilings.\n\
          3. \"Seen at\": only if what it asks for is visible and has no number of its own, or shares one with another thing: the number of the \
-         image and the place in its middle; {}.\n\n\
+         image and the box around it; {}.\n\n\
          {format}\n\n\
          Query: {}",
         options.points.describe(options.limits.describe_whole(count, "that image")),
@@ -107,8 +107,7 @@ fn read(text: &str, marked: &MarkedPhotographs, sent: &SentPictures, points: Poi
     };
     let mut names = reply::names_in(value(1));
     let name = |id: InstanceId| (id, names.remove(&id.0).unwrap_or_else(|| ANCHOR.into()));
-    let seen =
-        |SeenAt { image, at, name }: SeenAt| sent.sighting(image, at, points, name)?.original;
+    let seen = |seen: SeenAt| sent.sighting(&seen, points)?.original;
     Finding {
         ids: ids(value(0)),
         anchors: ids(value(1)).into_iter().map(name).collect(),
@@ -122,6 +121,7 @@ mod tests {
     use crate::vlm::Photograph;
     use uniground_geometry::scene::FrameIndex;
     use uniground_models::chat::Picture;
+    use uniground_types::answer::LeftOut;
 
     fn marked() -> MarkedPhotographs {
         let photograph = |number: u32| Photograph {
@@ -137,6 +137,7 @@ mod tests {
         MarkedPhotographs {
             photographs: (1..=3).map(photograph).collect(),
             marked: [3, 7, 12, 20, 21, 22, 23].map(InstanceId).into(),
+            left_out: LeftOut::default(),
         }
     }
 

@@ -5,10 +5,12 @@ use super::prompt_context::PromptContext;
 use super::visual_evidence::{Photograph, encoded, shrink};
 use crate::pipeline::QuestionError;
 use crate::scene_source::SceneSource;
+use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
-use uniground_geometry::scene::{CellMask, FrameIndex, Instance, InstanceId};
+use uniground_geometry::scene::{CellMask, FrameIndex, Instance, InstanceId, Level};
 use uniground_language::Meaning;
 use uniground_render::{FrameContents, Mark, VisibleInstance, draw_marks, middle_of_mask};
+use uniground_types::answer::LeftOut;
 
 /// Maximum number of photographs.
 const MOST: usize = 8;
@@ -38,6 +40,8 @@ pub struct MarkedPhotographs {
     pub photographs: Vec<Photograph>,
     /// Instances that are marked in at least one of them.
     pub marked: BTreeSet<InstanceId>,
+    /// Things that are marked in none of them.
+    pub left_out: LeftOut,
 }
 
 /// Returns photographs that show the scene's instances, with their ids as tags. Walls, floors and
@@ -55,25 +59,46 @@ pub fn marked_photographs<S: SceneSource>(
     let likely: BTreeSet<InstanceId> =
         context.shown().chain(context.anchors.iter().map(|anchor| anchor.id)).collect();
     let chosen = views.choose(&first, |id| if likely.contains(&id) { LIKELY } else { 1.0 });
+    let (cache, scene) = source.pictures();
+    let draw = |&frame: &FrameIndex| {
+        let shown = views.marked_in(frame, &chosen);
+        let key = format!("{scene} {frame:?} {shown:?}");
+        let drawn = cache.marked.get(&key).or_else(|| {
+            let drawn = draw_marked(source, frame, &shown)?;
+            cache.marked.put(key, drawn.clone(), drawn.picture.jpeg.len());
+            Some(drawn)
+        })?;
+        Some((drawn, shown))
+    };
+    let drawn: Vec<_> = chosen.par_iter().filter_map(draw).collect();
     let mut marked = BTreeSet::new();
     let mut photographs = Vec::new();
-    for &frame in &chosen {
-        let Some(photograph) = source.photograph(frame) else { continue };
-        let taken_px = photograph.dimensions();
-        let mut picture = shrink(photograph, MOST_PX);
-        let shown = views.marked_in(frame, &chosen);
-        let mark = |seen: &VisibleInstance| {
-            let instance = &source.instances()[seen.id.0 as usize - 1];
-            let (at, margin) =
-                place_in_view(instance, frame, taken_px).unwrap_or((seen.middle, seen.margin));
-            Mark { label: seen.id.to_string(), at, margin }
-        };
-        draw_marks(&mut picture, &shown.iter().map(mark).collect::<Vec<_>>());
+    for ((mut photograph, shown), number) in drawn.into_iter().zip(1..) {
         marked.extend(shown.iter().map(|seen| seen.id));
-        let name = format!("marked-{}", photographs.len() + 1);
-        photographs.push(Photograph { frame, taken_px, picture: encoded(name, &picture) });
+        photograph.picture.name = format!("marked-{number}");
+        photographs.push(photograph);
     }
-    Ok(MarkedPhotographs { photographs, marked })
+    let left_out = views.left_out(source.instances(), &marked);
+    Ok(MarkedPhotographs { photographs, marked, left_out })
+}
+
+/// Draws a frame's photograph with a tag on each of these instances; `None` without a photograph.
+fn draw_marked<S: SceneSource>(
+    source: &S,
+    frame: FrameIndex,
+    shown: &[VisibleInstance],
+) -> Option<Photograph> {
+    let photograph = source.photograph(frame)?;
+    let taken_px = photograph.dimensions();
+    let mut picture = shrink(photograph, MOST_PX);
+    let mark = |seen: &VisibleInstance| {
+        let instance = &source.instances()[seen.id.0 as usize - 1];
+        let (at, margin) =
+            place_in_view(instance, frame, taken_px).unwrap_or((seen.middle, seen.margin));
+        Mark { label: seen.id.to_string(), at, margin }
+    };
+    draw_marks(&mut picture, &shown.iter().map(mark).collect::<Vec<_>>());
+    Some(Photograph { frame, taken_px, picture: encoded("marked".into(), &picture) })
 }
 
 /// Returns where an instance's own mask is, if the frame is one of its views: shares of the
@@ -181,6 +206,24 @@ impl<'a> Views<'a> {
         chosen.into_iter().map(|at| self.frames[at].0).collect()
     }
 
+    /// Counts the things that are not marked.
+    fn left_out(&self, instances: &[Instance], marked: &BTreeSet<InstanceId>) -> LeftOut {
+        let visible: BTreeSet<InstanceId> =
+            self.frames.iter().flat_map(|(_, seen)| seen).map(|(seen, _)| seen.id).collect();
+        let mut left_out = LeftOut::default();
+        let is_thing = |i: &&Instance| i.level == Level::Thing && !marked.contains(&i.id);
+        for instance in instances.iter().filter(is_thing) {
+            let count = match instance {
+                Instance { dismissed: true, .. } => &mut left_out.dismissed,
+                Instance { id, .. } if visible.contains(id) => &mut left_out.not_shown,
+                Instance { structure: Some(_), .. } => &mut left_out.structure,
+                _ => &mut left_out.too_small,
+            };
+            *count += 1;
+        }
+        left_out
+    }
+
     /// Returns the instances to mark in one of the chosen frames.
     fn marked_in(&self, frame: FrameIndex, chosen: &[FrameIndex]) -> Vec<VisibleInstance> {
         let shown = || self.frames.iter().filter(|(index, _)| chosen.contains(index));
@@ -283,5 +326,18 @@ mod tests {
         assert_eq!(marked(Meaning::Anything), [2]);
         assert_eq!(marked(Meaning::Structure(Structure::Wall)), [1, 2]);
         assert_eq!(marked(Meaning::Structure(Structure::Floor)), [2]);
+    }
+
+    #[test]
+    fn things_without_a_number_are_counted_by_reason() {
+        let contents = contents(&[&[(1, 0.3), (2, 0.1), (3, 0.1), (4, 0.0001)], &[(5, 0.1)]]);
+        let mut instances = things(6);
+        instances[0].structure = Some(Structure::Wall);
+        instances[2].dismissed = true;
+        let views = Views::of(&contents, &instances, &Meaning::Anything);
+        let left_out = views.left_out(&instances, &[InstanceId(2)].into());
+        // 6 is in no frame.
+        let expected = LeftOut { structure: 1, too_small: 2, not_shown: 1, dismissed: 1 };
+        assert_eq!(left_out, expected);
     }
 }

@@ -22,6 +22,7 @@ mod prompt_context;
 pub mod reply;
 mod visual_evidence;
 
+pub(crate) use consistency::matches as matches_phrase;
 pub use decision::{Decision, Outcome};
 pub use finding::{Finding, find};
 pub use marked_photographs::{MarkedPhotographs, marked_photographs};

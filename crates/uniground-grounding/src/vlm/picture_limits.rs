@@ -3,6 +3,7 @@
 //! to the pictures they lie in.
 
 use super::PointForm;
+use super::reply::SeenAt;
 use super::visual_evidence::{encoded, shrink};
 use crate::Seen;
 use futures::channel::oneshot;
@@ -164,27 +165,34 @@ impl SentPictures {
         Some(ImagePart { area, picture_px: (picture.width, picture.height) })
     }
 
-    /// Returns the place that a model gave as x and y in an image, counted from 1. `None` for an
-    /// image that was not sent, and for a place outside of its picture.
-    pub(super) fn sighting(
-        &self,
-        image: usize,
-        at: [f32; 2],
-        points: PointForm,
-        name: String,
-    ) -> Option<Sighting> {
+    /// Returns the place that a model gave in an image. `None` for an image that was not sent, and
+    /// for a place outside of its picture.
+    pub(super) fn sighting(&self, told: &SeenAt, points: PointForm) -> Option<Sighting> {
+        let SeenAt { image, at, area, name } = told;
         let sent_in = self.images.get(image.checked_sub(1)?)?.sent_in;
         let picture = &self.sent[sent_in];
-        let at = points.to_shares(at, (picture.width, picture.height))?;
-        let px = [at[0] * picture.width as f32, at[1] * picture.height as f32];
+        let size = (picture.width, picture.height);
+        let at = points.to_shares(*at, size)?;
+        let area = area.and_then(|area| points.area_to_shares(area, size));
+        let (width, height) = (picture.width as f32, picture.height as f32);
+        let px = [at[0] * width, at[1] * height];
         // Models give places more reliably than numbers of images.
         let original = self
             .images
             .iter()
             .filter(|image| image.sent_in == sent_in)
             .find_map(|image| Some((image, shares_of(image.area, px)?)))
-            .map(|(image, at)| Seen { picture: image.name.clone(), at, name: name.clone() });
-        Some(Sighting { shown: Seen { picture: picture.name.clone(), at, name }, original })
+            .map(|(image, at)| {
+                let corner =
+                    |x: f32, y: f32| clamped_shares_of(image.area, [x * width, y * height]);
+                let area = area.map(|[left, top, right, bottom]| {
+                    let ([left, top], [right, bottom]) = (corner(left, top), corner(right, bottom));
+                    [left, top, right, bottom]
+                });
+                Seen { picture: image.name.clone(), at, area, name: name.clone() }
+            });
+        let shown = Seen { picture: picture.name.clone(), at, area, name: name.clone() };
+        Some(Sighting { shown, original })
     }
 
     /// Tells the model which images each picture holds.
@@ -255,14 +263,27 @@ fn decoded(picture: &Picture) -> RgbImage {
 }
 
 /// Returns a place in a picture as shares of a part of it; `None` outside of the part.
-fn shares_of((left, top, width, height): Area, px: [f32; 2]) -> Option<[f32; 2]> {
-    let shares = [(px[0] - left as f32) / width as f32, (px[1] - top as f32) / height as f32];
+fn shares_of(area: Area, px: [f32; 2]) -> Option<[f32; 2]> {
+    let shares = unlimited_shares_of(area, px);
     shares.iter().all(|share| (0.0..=1.0).contains(share)).then_some(shares)
+}
+
+/// Returns the same of the nearest place in the area.
+fn clamped_shares_of(area: Area, px: [f32; 2]) -> [f32; 2] {
+    unlimited_shares_of(area, px).map(|share| share.clamp(0.0, 1.0))
+}
+
+fn unlimited_shares_of((left, top, width, height): Area, px: [f32; 2]) -> [f32; 2] {
+    [(px[0] - left as f32) / width as f32, (px[1] - top as f32) / height as f32]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn seen(image: usize, at: [f32; 2]) -> SeenAt {
+        SeenAt { image, at, area: None, name: "mug".into() }
+    }
 
     fn request(images: u32) -> ChatRequest {
         let picture = |number: u32| {
@@ -290,7 +311,7 @@ mod tests {
             let (sent, pictures) = limits.apply(1, request(3));
             assert_eq!(sent, request(3));
             let place =
-                pictures.sighting(2, [500.0, 250.0], PointForm::Thousandths, "mug".into()).unwrap();
+                pictures.sighting(&seen(2, [500.0, 250.0]), PointForm::Thousandths).unwrap();
             assert_eq!(
                 (place.shown.picture.as_str(), place.shown.at),
                 ("candidate-2", [0.5, 0.25])
@@ -307,7 +328,7 @@ mod tests {
             assert_eq!(decoded(&picture).dimensions(), (512, 256));
         }
         // Pixels are those of the picture that was sent.
-        let place = pictures.sighting(1, [256.0, 64.0], PointForm::Pixels, String::new()).unwrap();
+        let place = pictures.sighting(&seen(1, [256.0, 64.0]), PointForm::Pixels).unwrap();
         assert_eq!(place.shown.at, [0.5, 0.25]);
     }
 
@@ -342,7 +363,7 @@ mod tests {
             assert!(red.abs_diff(20 * number) < 8, "{red}");
             // Also where the model gives the number of another image.
             for told in [usize::from(number), 1, 6] {
-                let place = pictures.sighting(told, px, PointForm::Pixels, "mug".into()).unwrap();
+                let place = pictures.sighting(&seen(told, px), PointForm::Pixels).unwrap();
                 let original = place.original.unwrap();
                 assert_eq!(
                     (place.shown.picture.as_str(), original.picture),
@@ -354,9 +375,9 @@ mod tests {
             }
         }
         // A tag is no place in an image.
-        let on_tag = pictures.sighting(1, [3.0, 3.0], PointForm::Pixels, String::new()).unwrap();
+        let on_tag = pictures.sighting(&seen(1, [3.0, 3.0]), PointForm::Pixels).unwrap();
         assert_eq!(on_tag.original, None);
-        assert_eq!(pictures.sighting(7, [3.0, 3.0], PointForm::Pixels, String::new()), None);
-        assert_eq!(pictures.sighting(0, [3.0, 3.0], PointForm::Pixels, String::new()), None);
+        assert_eq!(pictures.sighting(&seen(7, [3.0, 3.0]), PointForm::Pixels), None);
+        assert_eq!(pictures.sighting(&seen(0, [3.0, 3.0]), PointForm::Pixels), None);
     }
 }

@@ -17,7 +17,7 @@ use uniground_models::chat::{ChatRequest, Part};
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
         PromptVersion::Paper => 2,
-        PromptVersion::Revised => 7,
+        PromptVersion::Revised => 8,
     };
     format!("{model} (prompt {number})")
 }
@@ -281,10 +281,13 @@ fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
             PromptVersion::Paper =>
                 "4. Choose one candidate. Only if it is certain that no candidate can be meant, answer none.",
             PromptVersion::Revised => {
-                "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant. Where several \
-                 are pieces of the object, choose the one that holds most of it.\n\
+                "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant, and neither is \
+                 one that mostly shows something else. Where several are pieces of the object, choose the one that holds most of it.\n\
                  5. If no candidate is meant, look for the object in the images: where you see it, answer not listed and say where, in any \
-                 image, rather in a photograph than in the render. Else answer none."
+                 image, rather in a photograph than in the render.\n\
+                 6. If it is nowhere, but something of its kind is there that only differs in what else the query says of it (its colour, its \
+                 place, what it is next to), choose that, or answer not listed and say where, and in both cases say what differs. Else answer \
+                 none."
             }
         }
     )
@@ -295,14 +298,14 @@ fn format(options: Options, images: usize) -> String {
     let revised = prompt == PromptVersion::Revised;
     let place = points.describe(limits.describe_whole(images, "that whole image"));
     if json {
-        let seen = if revised { seen_as_json(&place) } else { String::new() };
+        let optional = if revised { optional_as_json(&place) } else { String::new() };
         let told = "Answer with one JSON object with the fields \"Predicted ID\" (a candidate's ID or null), \"Explanation\", \"Candidate Names\" \
                 (list of \"ID -> short name\"), \"Target name matches?\" (true or false: does the chosen candidate's name mean what the query asks \
                 for), \"Anchor ID\" (an ID or null), \"Relation used\" (words of the query or null).";
-        return format!("{told}{seen}");
+        return format!("{told}{optional}");
     }
-    let (or_not_listed, seen) =
-        if revised { (", or not listed", seen_as_line(&place)) } else { ("", String::new()) };
+    let (or_not_listed, optional) =
+        if revised { (", or not listed", optional_as_lines(&place)) } else { ("", String::new()) };
     format!(
         "Answer with exactly these six lines:\n\
      Predicted ID: <a candidate's ID, or none{or_not_listed}>\n\
@@ -310,21 +313,25 @@ fn format(options: Options, images: usize) -> String {
      Candidate Names: <ID -> short name, ID -> short name, ...>\n\
      Target name matches?: <true or false: does the chosen candidate's name mean what the query asks for>\n\
      Anchor ID: <ID or unknown>\n\
-     Relation used: <the relation in the words of the query, or none>{seen}"
+     Relation used: <the relation in the words of the query, or none>{optional}"
     )
 }
 
-/// Returns the instruction for a model that sees the object, but not among the candidates.
-fn seen_as_line(place: &str) -> String {
+/// Returns the instructions for a model that sees the object, but not among the candidates, and for
+/// one that sees a candidate which is not quite what the query says.
+fn optional_as_lines(place: &str) -> String {
     format!(
-        "\nOnly if it is not listed, a seventh line:\nSeen at: <image number, x, y, short name; {place}>"
+        "\nOnly if it is not listed, a seventh line:\nSeen at: <image number, left, top, right and bottom of the box around it, short name; {place}>\n\
+         Only if something that the query says of the object is not so, one more line:\n\
+         Differs: <what it is instead, as in: it is black, not white>"
     )
 }
 
-fn seen_as_json(place: &str) -> String {
+fn optional_as_json(place: &str) -> String {
     format!(
-        " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\" and \"Seen at\" is \"image number, x, y, \
-         short name\" ({place}); else \"Seen at\" is null."
+        " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\" and \"Seen at\" is \"image number, left, top, \
+         right, bottom, short name\" (of the box around it; {place}); else \"Seen at\" is null. Where something that the query says of the object is not so, \
+         \"Differs\" is what it is instead, as in \"it is black, not white\"; else \"Differs\" is null."
     )
 }
 
@@ -337,8 +344,10 @@ fn schema(prompt: PromptVersion) -> Value {
     let (mut properties, mut required) = (properties, Field::ALL.map(Field::title).to_vec());
     if prompt == PromptVersion::Revised {
         properties[Field::PredictedId.title()] = json!({"type": ["integer", "string", "null"]});
-        properties[Field::SeenAt.title()] = json!({"type": ["string", "null"]});
-        required.push(Field::SeenAt.title());
+        for optional in [Field::SeenAt, Field::Differs] {
+            properties[optional.title()] = json!({"type": ["string", "null"]});
+            required.push(optional.title());
+        }
     }
     json!({"type": "object", "additionalProperties": false, "required": required, "properties": properties})
 }

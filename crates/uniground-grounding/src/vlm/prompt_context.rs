@@ -237,6 +237,14 @@ impl PromptContext {
         Self { candidates, anchors, shown_anchors, ..self.clone() }
     }
 
+    /// Returns the context with the candidates and the directions of a later decision, which knew
+    /// the anchors.
+    #[must_use]
+    pub(crate) fn decided_again(self, later: Self) -> Self {
+        let Self { candidates, directions, .. } = later;
+        Self { candidates, directions, ..self }
+    }
+
     /// Adds a box, of an instance that was found: the last of the scene's instances.
     pub(crate) fn add_box_of(&mut self, found: &Instance) {
         self.boxes.truncate(found.id.0 as usize - 1);

@@ -29,7 +29,7 @@ pub enum Choice {
     Missing,
 }
 
-/// The six fields of a model's reply. Fields that could not be read are empty and listed in
+/// The six fields of a model's reply, and two optional ones. Fields that could not be read are empty and listed in
 /// `not_read`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reply {
@@ -47,6 +47,8 @@ pub struct Reply {
     pub relation_used: Option<String>,
     /// "Seen at": where the model sees the object that is not listed.
     pub seen_at: Option<SeenAt>,
+    /// "Differs": what the question says of the chosen object and is not so.
+    pub differs: Option<String>,
     /// Fields that could not be read.
     pub not_read: Vec<&'static str>,
 }
@@ -59,11 +61,15 @@ pub struct SeenAt {
     /// Distance from the left and the upper edge as the model wrote it, in its
     /// [`PointForm`](super::PointForm).
     pub at: [f32; 2],
+    /// Left, upper, right and lower rim of the object, in the same form. `None` if the model gave
+    /// only a point.
+    pub area: Option<[f32; 4]>,
     /// Name of the object seen there.
     pub name: String,
 }
 
-/// One of the six fields, or the place that accompanies "not listed".
+/// One of the six fields, the place that accompanies "not listed", or what differs from the
+/// question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(in crate::vlm) enum Field {
     PredictedId,
@@ -73,6 +79,7 @@ pub(in crate::vlm) enum Field {
     AnchorId,
     RelationUsed,
     SeenAt,
+    Differs,
 }
 
 impl Field {
@@ -96,6 +103,7 @@ impl Field {
             Self::AnchorId => "Anchor ID",
             Self::RelationUsed => "Relation used",
             Self::SeenAt => "Seen at",
+            Self::Differs => "Differs",
         }
     }
 }
@@ -175,6 +183,7 @@ fn read_labels(text: &str) -> Reply {
                     reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w)));
             }
             Field::SeenAt => reply.seen_at = reply.seen_at.or_else(|| read_seen_at(value)),
+            Field::Differs => reply.differs = reply.differs.or_else(|| difference(value)),
         }
     }
     let told = |field: Field| fields.iter().any(|(f, _)| *f == field);
@@ -194,8 +203,8 @@ impl Reply {
             Field::TargetNameMatches => self.target_name_matches.is_some(),
             // "unknown" is an answer.
             Field::AnchorId | Field::RelationUsed => told(field),
-            // Most replies have no such field.
-            Field::SeenAt => true,
+            // Most replies have no such fields.
+            Field::SeenAt | Field::Differs => true,
         };
         self.not_read =
             Field::ALL.into_iter().filter(|field| !read(*field)).map(Field::title).collect();
@@ -242,6 +251,9 @@ fn join_choices(before: Choice, now: Choice) -> Choice {
         (before, _) => before,
     }
 }
+
+/// Maximum length of what differs, characters.
+const MAX_DIFFERENCE: usize = 200;
 
 const DECORATION: [char; 15] =
     ['*', '_', '`', '#', '<', '>', '[', ']', '(', ')', '{', '}', '"', '\'', '|'];
@@ -379,22 +391,67 @@ fn is_not_listed(value: &str) -> bool {
         .any(|words| value.starts_with(words))
 }
 
-/// Reads three numbers and a name: "Image 3, 512, 640, black alarm clock".
+/// Reads a picture, a place in it and a name: "Image 3, 512, 640, black alarm clock", or with the
+/// corners of a box: "Image 3, 480, 600, 540, 680, black alarm clock".
 pub(super) fn read_seen_at(value: &str) -> Option<SeenAt> {
     let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
-    let mut numbers = Vec::new();
-    let mut rest = line;
+    let (mut numbers, mut rest) = (Vec::new(), line);
     while numbers.len() < 3 {
-        let start = rest.find(|c: char| c.is_ascii_digit())?;
-        let end = rest[start..]
-            .find(|c: char| !c.is_ascii_digit() && c != '.')
-            .map_or(rest.len(), |length| start + length);
-        numbers.push(rest[start..end].trim_end_matches('.').parse::<f32>().ok()?);
-        rest = &rest[end..];
+        let (number, after) = next_number(rest)?;
+        numbers.push(number.ok()?);
+        rest = after;
     }
-    let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
     let is_image = numbers[0] >= 1.0 && numbers[0].fract() == 0.0;
-    is_image.then(|| SeenAt { image: numbers[0] as usize, at: [numbers[1], numbers[2]], name })
+    let (image, from) = (numbers[0] as usize, [numbers[1], numbers[2]]);
+    let (at, area) = match lower_corner(rest) {
+        Some((to, after)) if to[0] > from[0] && to[1] > from[1] => {
+            rest = after;
+            let middle = [(from[0] + to[0]) / 2.0, (from[1] + to[1]) / 2.0];
+            (middle, Some([from[0], from[1], to[0], to[1]]))
+        }
+        _ => (from, None),
+    };
+    let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
+    is_image.then_some(SeenAt { image, at, area, name })
+}
+
+/// Returns the next digits of a text as a number, and the text after them.
+fn next_number(text: &str) -> Option<(Result<f32, std::num::ParseFloatError>, &str)> {
+    let start = text.find(|c: char| c.is_ascii_digit())?;
+    let end = text[start..]
+        .find(|c: char| !c.is_ascii_digit() && c != '.')
+        .map_or(text.len(), |length| start + length);
+    Some((text[start..end].trim_end_matches('.').parse(), &text[end..]))
+}
+
+/// Reads two more numbers and returns the text after them. A number that belongs to a name is none:
+/// "8.03 door".
+fn lower_corner(text: &str) -> Option<([f32; 2], &str)> {
+    let number = |text| {
+        let before_name = |c: char| !c.is_alphabetic();
+        next_number(text).filter(|(_, after)| {
+            text.len() > after.len()
+                && text
+                    .find(|c: char| c.is_ascii_digit())
+                    .is_some_and(|at| text[..at].chars().all(before_name))
+                && !after.trim_start_matches(' ').starts_with(char::is_alphabetic)
+        })
+    };
+    let (x, rest) = number(text)?;
+    let (y, rest) = number(rest)?;
+    Some(([x.ok()?, y.ok()?], rest))
+}
+
+/// Reads what differs: at most [`MAX_DIFFERENCE`] characters, without a period at the end. `None`
+/// where the value says that nothing differs.
+pub(super) fn difference(value: &str) -> Option<String> {
+    let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
+    let told = words(strip_decoration(line))?;
+    let told = told.trim_end_matches(['.', '"', ')', '>']);
+    // "not white but black" is a difference, "no difference" is none.
+    let is_none = is_nothing(told) && !strip_word(told, "not").is_some_and(|_| told.contains(' '));
+    (!is_none && told.contains(char::is_alphabetic))
+        .then(|| told.chars().take(MAX_DIFFERENCE).collect())
 }
 
 /// Returns words without the Markdown around them; `None` when there are none.

@@ -303,6 +303,28 @@ fn not_listed_object_has_a_picture_position() {
 }
 
 #[test]
+fn object_that_differs_from_the_question_has_a_low_confidence() {
+    let (mut grounding, context) = asked(QUERY, None);
+    let id = context.candidates[0].id;
+    let text = format!(
+        "Predicted ID: {id}\nExplanation: on the wall\nTarget name matches?: true\nDiffers: **It is black, not white.**"
+    );
+    let decision = decided(&text, &context);
+    decision.apply(&mut grounding, &context, &room());
+    assert_eq!(grounding.differs.as_deref(), Some("It is black, not white"));
+    assert_eq!(grounding.answer.explanation, "on the wall Difference: It is black, not white.");
+    assert_eq!((grounding.answer.predicted_id, grounding.confidence), (Some(id), 0.5));
+    // An answer without an object differs from nothing.
+    let (mut grounding, context) = asked(QUERY, None);
+    decided("Predicted ID: none\nDiffers: it is black", &context).apply(
+        &mut grounding,
+        &context,
+        &room(),
+    );
+    assert_eq!(grounding.differs, None);
+}
+
+#[test]
 fn shown_anchors_can_be_chosen_except_with_the_paper_prompt() {
     let (_, context) = asked("the red sofa next to the table", None);
     let anchor = context.anchors[0].id.0;

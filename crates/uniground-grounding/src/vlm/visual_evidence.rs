@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{FrameIndex, InstanceId};
 use uniground_models::chat::Picture;
-use uniground_parsing::pointed::PhotographPoint;
+use uniground_parsing::pointed::{PhotographPoint, PixelArea};
 use uniground_render::{
     Collage, GlobalView, ROOM_VIEW, RenderScene, Shot, draw_scene, encode_jpeg,
 };
@@ -180,7 +180,14 @@ impl VisualEvidence {
         if let Some(Photograph { frame, taken_px, .. }) =
             self.photographs.iter().find(|offered| offered.picture.name == seen.picture)
         {
-            return Ok(Some(PhotographPoint { frame: *frame, at: share(*taken_px) }));
+            let (width, height) = (taken_px.0 as f32, taken_px.1 as f32);
+            let area = seen.area.map(|[left, top, right, bottom]| PixelArea {
+                left: left * width,
+                top: top * height,
+                right: right * width,
+                bottom: bottom * height,
+            });
+            return Ok(Some(PhotographPoint { frame: *frame, at: share(*taken_px), area }));
         }
         let of_candidate = self.collages.iter().find(|(_, picture)| picture.name == seen.picture);
         let of_sheet = self.sheets.iter().find(|(picture, _)| picture.name == seen.picture);
@@ -196,9 +203,15 @@ impl VisualEvidence {
             }
             _ => return Ok(None),
         };
+        let (width, height) = (picture.width as f32, picture.height as f32);
         let at = share((picture.width, picture.height));
         Ok(tiles.iter().find_map(|tile| {
-            Some(PhotographPoint { frame: tile.frame, at: tile.to_photograph(at)? })
+            let area = seen.area.map(|[left, top, right, bottom]| {
+                let corner = |x: f32, y: f32| tile.nearest_in_photograph((x * width, y * height));
+                let ((left, top), (right, bottom)) = (corner(left, top), corner(right, bottom));
+                PixelArea { left, top, right, bottom }
+            });
+            Some(PhotographPoint { frame: tile.frame, at: tile.to_photograph(at)?, area })
         }))
     }
 }

@@ -86,6 +86,14 @@ impl Prompt {
     pub fn from_inside_points(points: impl IntoIterator<Item = (f32, f32)>) -> Self {
         Self { points: points.into_iter().map(|p| (p, PointLabel::Inside)).collect() }
     }
+
+    /// Creates a prompt of the object's box, in picture pixels (column, row).
+    #[must_use]
+    pub fn from_box(top_left: (f32, f32), bottom_right: (f32, f32)) -> Self {
+        let corners =
+            [(top_left, PointLabel::BoxTopLeft), (bottom_right, PointLabel::BoxBottomRight)];
+        Self { points: corners.to_vec() }
+    }
 }
 
 /// A candidate mask for a prompt, at the decoder's resolution.
@@ -402,6 +410,12 @@ impl Segmenter {
 
     fn decoder_error(&self, why: String) -> ModelError {
         ModelError::Run { network: self.manifest.decoder.file.clone(), why }
+    }
+
+    /// Returns whether prompts may be boxes.
+    #[must_use]
+    pub fn takes_boxes(&self) -> bool {
+        self.manifest.decoder.inputs.box_corners
     }
 
     /// Returns low-resolution mask pixels per picture pixel, along x and y.

@@ -371,6 +371,7 @@ impl GroundingService {
             reasoner,
             degraded,
             corrections,
+            left_out,
             calls,
         } = answered.clone();
         let Grounding {
@@ -381,6 +382,7 @@ impl GroundingService {
             status,
             no_match_reason,
             seen,
+            differs,
             coverage,
             answer,
             aabb,
@@ -427,6 +429,7 @@ impl GroundingService {
             status,
             no_match_reason,
             seen,
+            differs,
             coverage,
             answer,
             aabb,
@@ -450,7 +453,11 @@ impl GroundingService {
             direction_convention,
             frame: CoordinateFrame::default(),
             in_frame: None,
-            trace: Some(Trace { calls: calls.iter().map(to_call).collect(), corrections }),
+            trace: Some(Trace {
+                calls: calls.iter().map(to_call).collect(),
+                corrections,
+                left_out,
+            }),
             usage: total_usage(&calls),
             timings_ms,
         }

@@ -1,8 +1,8 @@
 //! Reads replies in JSON: bare, fenced, or among words.
 
 use super::{
-    Choice, Field, Reply, anchor, choice, is_nothing, join_choices, names, read_seen_at,
-    read_truth, words,
+    Choice, Field, Reply, anchor, choice, difference, is_nothing, join_choices, names,
+    read_seen_at, read_truth, words,
 };
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -53,6 +53,7 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
                 }
             }
             Field::SeenAt => reply.seen_at = value.as_str().and_then(read_seen_at),
+            Field::Differs => reply.differs = value.as_str().and_then(difference),
             Field::RelationUsed => {
                 reply.relation_used = value.as_str().and_then(words).filter(|w| !is_nothing(w));
             }
@@ -80,6 +81,7 @@ fn field(key: &str) -> Option<Field> {
         "anchorid" => Some(Field::AnchorId),
         "relationused" => Some(Field::RelationUsed),
         "seenat" => Some(Field::SeenAt),
+        "differs" => Some(Field::Differs),
         _ => None,
     }
 }

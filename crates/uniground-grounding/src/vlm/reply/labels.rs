@@ -1,4 +1,4 @@
-//! Finds the six fields in a reply.
+//! Finds the fields in a reply.
 
 use super::Field;
 use std::collections::BTreeSet;
@@ -25,6 +25,7 @@ pub(super) const LABELS: &[(Field, &str)] = &[
     (Field::RelationUsed, "relation_used"),
     (Field::SeenAt, "seen at"),
     (Field::SeenAt, "seen_at"),
+    (Field::Differs, "differs"),
 ];
 
 struct Found {

@@ -44,7 +44,8 @@ fn every_reply_format_of_the_corpus_is_read() {
 
 #[test]
 fn picture_position_is_read_in_every_format() {
-    let expected = Some(SeenAt { image: 3, at: [250.0, 500.0], name: "black alarm clock".into() });
+    let name = "black alarm clock".into();
+    let expected = Some(SeenAt { image: 3, at: [250.0, 500.0], area: None, name });
     for text in [
         "Predicted ID: not listed\nExplanation: it stands there\nSeen at: image 3, x 250, y 500, black alarm clock",
         "**Predicted ID:** not listed (visible)\n**Seen at:** Image 3, at 250,500, black alarm clock",
@@ -511,12 +512,16 @@ fn not_listed_must_begin_the_value() {
 
 #[test]
 fn position_is_a_picture_number_and_two_numbers() {
-    let place = |image, x, y, name: &str| Some(SeenAt { image, at: [x, y], name: name.into() });
+    let place =
+        |image, x, y, name: &str| Some(SeenAt { image, at: [x, y], area: None, name: name.into() });
     for (value, expected) in [
         ("Image 3, 512, 640, black alarm clock", place(3, 512.0, 640.0, "black alarm clock")),
         ("\n 3; 0; 1000; lamp\nmore", place(3, 0.0, 1000.0, "lamp")),
         ("image 1, 12.5, 20., lamp", place(1, 12.5, 20.0, "lamp")),
         ("image 1, 20, 30", place(1, 20.0, 30.0, "")),
+        ("image 1, 20, 30, 8.03 door", place(1, 20.0, 30.0, "8.03 door")),
+        ("image 1, 20, 30, 2 mugs, 3 forks", place(1, 20.0, 30.0, "2 mugs, 3 forks")),
+        ("image 1, 20, 30, 10, 40, lamp", place(1, 20.0, 30.0, "10, 40, lamp")),
         ("image 0, 20, 30, lamp", None),
         ("image 3, 20, lamp", None),
         ("image 3, 1.2.3, 20, lamp", None),
@@ -700,9 +705,46 @@ proptest! {
 }
 
 #[test]
+fn position_may_be_a_box() {
+    let read = |value: &str| read_seen_at(value).map(|seen| (seen.at, seen.area, seen.name));
+    let expected =
+        |name: &str| Some(([30.0, 50.0], Some([20.0, 30.0, 40.0, 70.0]), name.to_owned()));
+    for (value, name) in [
+        ("image 1, 20, 30, 40, 70, lamp", "lamp"),
+        ("1, (20, 30), (40, 70), lamp", "lamp"),
+        ("Image 1: [20, 30, 40, 70] lamp", "lamp"),
+        ("image 1, 20, 30, 40, 70, 8.03 door", "8.03 door"),
+        ("image 1, 20 30 40 70, lamp", "lamp"),
+        ("image 1, 20, 30, 40, 70", ""),
+    ] {
+        assert_eq!(read(value), expected(name), "{value}");
+    }
+}
+
+#[test]
 fn a_fractional_image_number_is_rejected() {
     let seen_at = |text: &str| read(&format!("Seen at: {text}")).seen_at.map(|at| at.image);
     assert_eq!(seen_at("image 2, 512, 640, mug"), Some(2));
     assert_eq!(seen_at("image 2.7, 512, 640, mug"), None);
     assert_eq!(seen_at("image 0, 512, 640, mug"), None);
+}
+
+#[test]
+fn difference_is_read_unless_the_reply_says_that_there_is_none() {
+    let differs = |text: &str| read(&format!("Predicted ID: 4\nDiffers: {text}")).differs;
+    let black = Some("it is black, not white".to_owned());
+    assert_eq!(differs("it is black, not white"), black);
+    assert_eq!(differs("<it is black, not white.>"), black);
+    assert_eq!(differs("not white but black").as_deref(), Some("not white but black"));
+    for none in ["none", "None.", "nothing differs", "no", "null", "n/a", "-", "", "no difference"]
+    {
+        assert_eq!(differs(none), None, "{none:?}");
+    }
+    assert_eq!(differs(&"é".repeat(500)).map(|told| told.chars().count()), Some(MAX_DIFFERENCE));
+    let json = r#"{"Predicted ID": 4, "Explanation": "x", "Differs": "it is black, not white"}"#;
+    assert_eq!(read(json).differs, black);
+    assert_eq!(read(r#"{"Predicted ID": 4, "Differs": null}"#).differs, None);
+    // The word alone is no label.
+    let line = "Predicted ID: 4\nExplanation: the color differs: it is dark\nAnchor ID: 3\nRelation used: on";
+    assert_eq!(read(line).differs, None);
 }

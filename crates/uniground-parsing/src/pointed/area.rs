@@ -1,0 +1,130 @@
+//! Areas of a color picture, and the masks in them.
+
+use crate::masks::IdImage;
+use std::collections::BTreeMap;
+use uniground_geometry::scene::Frame;
+
+/// Share of the positions that lie outside of the area of most of them, on each side.
+const OUTSIDE: f32 = 0.02;
+
+/// A rectangle in a color picture, pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelArea {
+    /// Column of the left rim.
+    pub left: f32,
+    /// Row of the upper rim.
+    pub top: f32,
+    /// Column of the right rim.
+    pub right: f32,
+    /// Row of the lower rim.
+    pub bottom: f32,
+}
+
+impl From<[u32; 4]> for PixelArea {
+    /// Converts left, top, right and bottom.
+    fn from(rims: [u32; 4]) -> Self {
+        let [left, top, right, bottom] = rims.map(|px| px as f32);
+        Self { left, top, right, bottom }
+    }
+}
+
+impl PixelArea {
+    /// Returns the area of most of these positions. `None` if there is none.
+    pub(super) fn of_most(pixels: &[(f32, f32)]) -> Option<Self> {
+        let span = |of: fn(&(f32, f32)) -> f32| {
+            let mut along: Vec<f32> = pixels.iter().map(of).collect();
+            along.sort_by(f32::total_cmp);
+            let out = (along.len() as f32 * OUTSIDE) as usize;
+            Some((*along.get(out)?, along[along.len() - 1 - out]))
+        };
+        let ((left, right), (top, bottom)) = (span(|p| p.0)?, span(|p| p.1)?);
+        Some(Self { left, top, right, bottom })
+    }
+
+    /// Returns the area with a margin on each side: a share of its width and height.
+    pub(super) fn grown(&self, share: f32) -> Self {
+        let (x, y) = ((self.right - self.left) * share, (self.bottom - self.top) * share);
+        Self {
+            left: self.left - x,
+            top: self.top - y,
+            right: self.right + x,
+            bottom: self.bottom + y,
+        }
+    }
+
+    pub(super) fn contains(&self, (x, y): (f32, f32)) -> bool {
+        (self.left..=self.right).contains(&x) && (self.top..=self.bottom).contains(&y)
+    }
+
+    /// Returns the IoU of two areas.
+    pub(super) fn iou(&self, other: &Self) -> f32 {
+        let size = |width: f32, height: f32| width.max(0.0) * height.max(0.0);
+        let both = size(
+            self.right.min(other.right) - self.left.max(other.left),
+            self.bottom.min(other.bottom) - self.top.max(other.top),
+        );
+        let own = |area: &Self| size(area.right - area.left, area.bottom - area.top);
+        both / (own(self) + own(other) - both).max(f32::EPSILON)
+    }
+}
+
+/// Returns the masks, ascending, that have at least this share of their pixels in an area of the
+/// frame's color picture.
+pub(super) fn masks_inside(
+    ids: &IdImage,
+    frame: &Frame,
+    area: &PixelArea,
+    least_share: f32,
+) -> Vec<u16> {
+    let mut counts: BTreeMap<u16, (u32, u32)> = BTreeMap::new();
+    for row in 0..ids.height {
+        for column in 0..ids.width {
+            let (all, inside) = counts.entry(ids.at((column, row))).or_default();
+            *all += 1;
+            *inside += u32::from(area.contains(frame.color_position(column as f32, row as f32)));
+        }
+    }
+    counts.remove(&0);
+    let is_inside =
+        |(all, inside): &(u32, u32)| *inside > 0 && *inside as f32 >= least_share * *all as f32;
+    counts.into_iter().filter(|(_, count)| is_inside(count)).map(|(id, _)| id).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn area(left: f32, top: f32, right: f32, bottom: f32) -> PixelArea {
+        PixelArea { left, top, right, bottom }
+    }
+
+    #[test]
+    fn overlap_of_areas() {
+        let whole = area(0.0, 0.0, 10.0, 10.0);
+        assert_eq!(whole.iou(&whole), 1.0);
+        assert_eq!(whole.iou(&area(0.0, 0.0, 5.0, 10.0)), 0.5);
+        assert_eq!(whole.iou(&area(20.0, 0.0, 25.0, 10.0)), 0.0);
+        assert_eq!(area(1.0, 1.0, 1.0, 1.0).iou(&area(1.0, 1.0, 1.0, 1.0)), 0.0, "empty areas");
+        assert_eq!(area(10.0, 20.0, 20.0, 40.0).grown(0.1), area(9.0, 18.0, 21.0, 42.0));
+    }
+
+    #[test]
+    fn few_outer_positions_do_not_extend_an_area() {
+        let mut pixels: Vec<(f32, f32)> = (0..100).map(|i| (i as f32, 50.0 - i as f32)).collect();
+        pixels.push((900.0, 900.0));
+        let most = PixelArea::of_most(&pixels).unwrap();
+        assert_eq!((most.left, most.right), (2.0, 98.0));
+        assert_eq!(PixelArea::of_most(&[]), None);
+    }
+
+    proptest! {
+        #[test]
+        fn overlap_is_symmetric_and_a_share(a in prop::array::uniform4(0.0_f32..100.0), b in prop::array::uniform4(0.0_f32..100.0)) {
+            let of = |[x, y, width, height]: [f32; 4]| area(x, y, x + width, y + height);
+            let (a, b) = (of(a), of(b));
+            prop_assert!((0.0..=1.0001).contains(&a.iou(&b)));
+            prop_assert_eq!(a.iou(&b), b.iou(&a));
+        }
+    }
+}
