@@ -274,7 +274,8 @@ def describe(title, rows):
         told = sum(bool(row["differs"]) and row["iou"] >= 0.25 for row in wrong_of_it)
         unnoticed = sum(row["status"] == "grounded" for row in wrong_of_it)
         print(f"    false premises {len(wrong_of_it)}, told {told}, not noticed {unnoticed}")
-    print(f"    evidence p95 {sorted(row['evidence_ms'] or 0 for row in rows)[len(rows) * 95 // 100]:.0f} ms")
+    if rows:
+        print(f"    evidence p95 {sorted(row['evidence_ms'] or 0 for row in rows)[len(rows) * 95 // 100]:.0f} ms")
 
 
 def run(args):

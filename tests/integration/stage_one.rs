@@ -451,6 +451,6 @@ fn an_instance_is_segmented_from_a_point() {
     println!("points: {found} of {asked} instances segmented again");
     assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
     // A point outside of the room yields nothing.
-    let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0) };
+    let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0), area: None };
     assert_eq!(pointing.find_at(nowhere, &parsed.instances, &[]).unwrap(), None);
 }

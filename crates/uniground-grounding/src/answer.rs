@@ -51,8 +51,8 @@ pub struct Grounding {
     /// reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
-    /// What the question says of the object and is not so, by a vision-language model: "it is
-    /// black, not white".
+    /// How the object differs from the question, by a vision-language model: "it is black, not
+    /// white".
     #[serde(default)]
     pub differs: Option<String>,
     /// Which part of the room was seen; `None` unless the object was not found, and for scans

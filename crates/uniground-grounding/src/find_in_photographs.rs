@@ -58,7 +58,6 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
     if marked.photographs.is_empty() {
         return Ok(Ok(searched));
     }
-    searched.left_out = Some(marked.left_out);
     session.allow_one_more();
     let found = match vlm::find(&searched.context, &marked, options, session).await {
         Ok(found) => found,
@@ -66,10 +65,11 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
         Err(_) if !searched.context.candidates.is_empty() => return Ok(Ok(searched)),
         Err(error) => return Ok(Err(error)),
     };
+    searched.left_out = Some(marked.left_out);
     searched.context = by_geometry.decide_with(source, &found.anchors, searched.context).await?;
     let mut ids = found.ids;
     searched.agreed =
-        by_geometry.choice().filter(|choice| ids == [*choice] && found.seen.is_none());
+        by_geometry.choice(&**source).filter(|choice| ids == [*choice] && found.seen.is_none());
     if searched.agreed.is_some() {
         return Ok(Ok(searched));
     }

@@ -1,13 +1,16 @@
 //! Decides again with the anchors that a model found in photographs. Relations and directions then
 //! come from these (docs/METHOD.md, section 4, "Photographs first").
 
+use super::fit::colors_fit;
+use super::reasoner::builtin::MIN_COLOR;
 use super::scene_source::SceneSource;
 use super::vlm::{PromptContext, matches_phrase};
 use super::{Appearance, Grounding, Question, SceneView, Status, ground_with_context};
 use std::sync::Arc;
 use std::time::Duration;
 use uniground_geometry::scene::InstanceId;
-use uniground_language::{ME, Meaning, ParsedQuery, Phrase};
+use uniground_language::{Form, ME, Meaning, ParsedQuery, Phrase};
+use uniground_models::attributes::Lexicon;
 
 /// Confidence of the geometry from which a model does not decide if it finds the same object in
 /// photographs, and no other.
@@ -20,6 +23,8 @@ pub(super) struct ByGeometry<'a> {
     pub appearance: &'a Arc<Option<Appearance>>,
     /// The decision.
     pub grounding: &'a mut Grounding,
+    /// The question with the anchors of the later decision; `None` without one.
+    pub decided_with: &'a mut Option<ParsedQuery>,
 }
 
 impl ByGeometry<'_> {
@@ -36,27 +41,48 @@ impl ByGeometry<'_> {
     ) -> Result<PromptContext, S::Error> {
         let Some(parsed) = with_anchors(self.parsed, anchors) else { return Ok(context) };
         let (question, appearance) = (self.question.clone(), self.appearance.clone());
+        let asked = parsed.clone();
         let (grounding, again) = source
             .compute(move |source| {
-                let scene = SceneView {
-                    instances: source.instances(),
-                    extent: source.extent(),
-                    names: source.name_index(),
-                    appearance: appearance.as_ref().as_ref(),
-                };
-                Ok(ground_with_context(scene, &question, parsed, Duration::ZERO))
+                let scene = view(source, (*appearance).as_ref());
+                Ok(ground_with_context(scene, &question, asked, Duration::ZERO))
             })
             .await?;
         let Grounding { parsed_query, timings_ms, .. } = self.grounding.clone();
         *self.grounding = Grounding { parsed_query, timings_ms, ..grounding };
-        Ok(context.decided_again(again))
+        *self.decided_with = Some(parsed);
+        Ok(context.decided_again(again, self.parsed))
     }
 
-    /// Returns the instance that the geometry chose, if it is sure enough to be confirmed.
-    pub fn choice(&self) -> Option<InstanceId> {
+    /// Returns the instance that the geometry chose, if a model that finds the same need not look
+    /// again. The question must name a kind, or a kind and a color that the instance has: whether
+    /// anything else is as the question says, only the second look tells.
+    pub fn choice<S: SceneSource>(&self, source: &S) -> Option<InstanceId> {
         let Grounding { status, count, confidence, answer, .. } = &*self.grounding;
         let is_sure = *status == Status::Grounded && *confidence >= SURE_IF_CONFIRMED;
-        answer.predicted_id.filter(|_| is_sure && count.is_none())
+        let target = &self.parsed.target;
+        let kind = Phrase {
+            head: target.head.clone(),
+            could_be: target.could_be.clone(),
+            colors: target.colors.clone(),
+            ..Phrase::default()
+        };
+        let has_colors = |id: &InstanceId| {
+            let scene = view(source, (**self.appearance).as_ref());
+            colors_fit(scene, &kind, id.0 as usize - 1) >= MIN_COLOR
+        };
+        let asks_for_one = matches!(self.parsed.form, Form::Object | Form::Place);
+        let is_plain = *target == kind && count.is_none() && asks_for_one;
+        answer.predicted_id.filter(|id| is_sure && is_plain && has_colors(id))
+    }
+}
+
+fn view<'a, S: SceneSource>(source: &'a S, appearance: Option<&'a Appearance>) -> SceneView<'a> {
+    SceneView {
+        instances: source.instances(),
+        extent: source.extent(),
+        names: source.name_index(),
+        appearance,
     }
 }
 
@@ -94,6 +120,7 @@ fn is_single_object(phrase: &Phrase) -> bool {
     );
     !of_room
         && !phrase.indefinite
+        && !Lexicon::get().is_plural(&phrase.head)
         && phrase.head != ME
         && uniground_language::zones::nouns_of_zone(&phrase.head).is_none()
 }
@@ -133,6 +160,7 @@ mod tests {
     fn an_anchor_that_may_be_either_stays() {
         let two = [(7, "sofa"), (8, "grey sofa")];
         assert_eq!(anchors_of("the mug next to the sofa", &two), None);
+        assert_eq!(anchors_of("the lamp between the sofas", &two[..1]), None);
         // A name that the model did not give.
         assert_eq!(anchors_of("the mug next to the sofa", &[(7, "anchor")]), None);
     }

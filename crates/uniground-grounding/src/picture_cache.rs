@@ -27,9 +27,11 @@ impl PictureCache {
     /// Returns the number of cache hits and of cache misses.
     #[must_use]
     pub fn hits_and_misses(&self) -> (u64, u64) {
-        let ((hits, misses), (more_hits, more_misses)) =
-            (self.globals.hits_and_misses(), self.collages.hits_and_misses());
-        (hits + more_hits, misses + more_misses)
+        [&self.globals, &self.collages]
+            .map(LruCache::hits_and_misses)
+            .into_iter()
+            .chain([self.marked.hits_and_misses()])
+            .fold((0, 0), |(hits, misses), (more, missed)| (hits + more, misses + missed))
     }
 }
 

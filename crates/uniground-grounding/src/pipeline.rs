@@ -197,17 +197,19 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let may_decide = |(review, context): &(Review, vlm::PromptContext)| {
         !context.candidates.is_empty() || review.options.evidence == EvidenceMode::Photographs
     };
+    let mut review_state = ReviewState::default();
     // A review may add instances that the model saw.
     let mut source = source.clone();
     if let Some((review, context)) = review.zip(context).filter(may_decide) {
         // On the heap: most questions have no review, and its future is by far the largest.
-        let question = (&asked, &appearance);
+        let question = (&asked, &appearance, &mut review_state);
         let review =
             apply_review(&source, question, &mut answered, review, context, &mut calls, start);
         source = Box::pin(review).await?;
     }
-    let by_model = answered.reasoner != builtin::NAME;
-    let (parsed, mut grounding) = (answered.parsed.clone(), answered.grounding);
+    let ReviewState { by_model, decided_with } = review_state;
+    let (parsed, mut grounding) =
+        (decided_with.unwrap_or_else(|| answered.parsed.clone()), answered.grounding);
     answered.grounding = source
         .compute(move |source| {
             let scene = scene_view(source, appearance.as_ref().as_ref());
@@ -223,11 +225,20 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     Ok(answered)
 }
 
+/// What a review has changed, for the kinds of answers.
+#[derive(Default)]
+struct ReviewState {
+    /// Whether the model chose the object.
+    by_model: bool,
+    /// The question with the anchors that the model found.
+    decided_with: Option<ParsedQuery>,
+}
+
 /// Shows the candidates to the model, and applies its decision to the answer. Returns the source
 /// with the instances that were added.
 async fn apply_review<S: SceneSource>(
     source: &Arc<S>,
-    (asked, appearance): (&Question, &Arc<Option<Appearance>>),
+    (asked, appearance, state): (&Question, &Arc<Option<Appearance>>, &mut ReviewState),
     answered: &mut Answered,
     Review { model, budgets, options, without_model }: Review,
     context: vlm::PromptContext,
@@ -245,6 +256,7 @@ async fn apply_review<S: SceneSource>(
     } else {
         context.without_building_anchors(source.instances())
     };
+    let by_geometry_alone = answered.grounding.clone();
     let of_geometry = &answered.grounding;
     let is_sure =
         of_geometry.status == Status::Grounded && of_geometry.confidence >= SURE_WITHOUT_LOOKING;
@@ -259,6 +271,7 @@ async fn apply_review<S: SceneSource>(
                 parsed: &answered.parsed,
                 appearance,
                 grounding: &mut answered.grounding,
+                decided_with: &mut state.decided_with,
             };
             match find_in_photographs(source, context, by_geometry, options, &mut session).await? {
                 Ok(found) => found,
@@ -281,6 +294,7 @@ async fn apply_review<S: SceneSource>(
         if let Some(id) = agreed {
             let decision = Decision::confirmed(id, &answered.grounding.answer.explanation);
             decision.apply(&mut answered.grounding, &context, source.instances());
+            state.by_model = true;
             answered.reasoner = vlm::reasoner_name(model.name(), options.prompt);
         }
         calls.extend(session.into_records());
@@ -327,6 +341,7 @@ async fn apply_review<S: SceneSource>(
         Ok(decision) => {
             answered.grounding.add_shown(&context, source.instances());
             decision.apply(&mut answered.grounding, &context, source.instances());
+            state.by_model = matches!(decision.outcome, Outcome::Chosen(_));
             // The geometry had to choose, because the model did not.
             answered.degraded |=
                 matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
@@ -336,7 +351,12 @@ async fn apply_review<S: SceneSource>(
             answered.corrections.extend(notes);
             answered.corrections.extend(decision.corrections);
         }
-        Err(undecided) => answered.keep_geometry(undecided.error, without_model)?,
+        Err(undecided) => {
+            // Without what the model found before.
+            answered.grounding = by_geometry_alone;
+            state.decided_with = None;
+            answered.keep_geometry(undecided.error, without_model)?;
+        }
     }
     let total = start.elapsed();
     answered.record_times(total.saturating_sub(before), evidence_took, total);

@@ -73,8 +73,8 @@ const AROUND_PX: i32 = 6;
 /// A mask shows a known instance if the points under the mask and those in the instance's box have
 /// this IoU. An area shows one if it has this IoU with the area in which the instance is seen.
 const SHOWN: f32 = 0.6;
-/// Shares of a built-in mask's pixels that must be in the object's area for it to belong to the
-/// object. The masks along its outline belong to both.
+/// Built-in masks are joined if they have this share of their pixels in the object's area. Both
+/// shares are tried.
 const IN_AREA: [f32; 2] = [0.8, 0.5];
 /// A mask shows the object if the IoU of its area and the object's is at least this.
 const FILLS_AREA: f32 = 0.5;
@@ -135,6 +135,10 @@ impl PointedObjectFinder<'_> {
             .or_else(|| self.best_filling_instance(&first, &place.area?, others()));
         if let Some(shown) = shown {
             return Ok(Some(shown.clone()));
+        }
+        // An area that misses every mask tells nothing.
+        if options.iter().all(|option| option.fit == 0.0) {
+            options.iter_mut().for_each(|option| option.fit = 1.0);
         }
         let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len())
         else {
@@ -287,11 +291,9 @@ impl PointedObjectFinder<'_> {
                     Some(Mask::Cut { level, ids })
                 });
                 let joined = images.iter().enumerate().flat_map(|(level, ids)| {
-                    let inside = move |area: &PixelArea| {
-                        IN_AREA.map(|share| masks_inside(ids, &looked.frame, area, share))
-                    };
-                    let joined = area.map(inside).into_iter().flatten();
-                    joined.map(move |ids| Mask::Cut { level, ids })
+                    let inside = |area| masks_inside(ids, &looked.frame, area, &IN_AREA);
+                    let lists = area.map(inside).into_iter().flatten();
+                    lists.map(move |ids| Mask::Cut { level, ids })
                 });
                 Ok(masks.chain(joined).map(|mask| (mask, 1.0)).collect())
             }
@@ -372,7 +374,8 @@ impl PointedObjectFinder<'_> {
                 own.iter().filter_map(|point| color_pixel(&looked.frame, point)).collect();
             let Some(middle) = medoid(&pixels) else { continue };
             let mut best: Option<(f32, Mask)> = None;
-            let area = PixelArea::of_most(&pixels).map(|area| area.grown(AREA_MARGIN));
+            let size = looked.frame.color.dimensions();
+            let area = PixelArea::of_most(&pixels).map(|area| area.grown(AREA_MARGIN).within(size));
             for (mask, _) in self.masks_at(looked, middle, area.as_ref().filter(|_| has_area))? {
                 let held = own.iter().filter(|point| mask.covers(looked, point)).count();
                 let wrong = looked

@@ -425,9 +425,10 @@ pub struct Answer {
     /// the reason is `not_listed`.
     #[serde(default)]
     pub seen: Option<Seen>,
-    /// What the question says of the object and is not so, in a vision-language model's words: "it
-    /// is black, not white". The answer is then the closest object, and `uncertain`. Absent if
-    /// nothing differs.
+    /// How the object differs from the question, in a vision-language model's words: "it is black,
+    /// not white". The answer is then the closest object, with a confidence of at most 0.5. Questions
+    /// about number or existence answer that there is none; `alternatives` has the closest object.
+    /// Absent if nothing differs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub differs: Option<String>,
     /// Which part of the room was seen: whether the object is not there, or may be where no camera

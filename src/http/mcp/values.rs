@@ -120,8 +120,8 @@ pub(super) struct Grounded {
     pub alternatives: Vec<Alternative>,
     /// Location where a model sees an object that is not an instance.
     pub seen: Option<Seen>,
-    /// What the question says of the object and is not so: "it is black, not white". The answer is
-    /// then the closest object. `null` if nothing differs.
+    /// How the object differs from the question: "it is black, not white". The answer is then the
+    /// closest object. `null` if nothing differs.
     pub differs: Option<String>,
     /// Words that were ignored because they were not understood.
     pub not_understood: Vec<String>,

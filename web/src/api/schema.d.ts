@@ -1183,9 +1183,10 @@ export interface components {
              */
             degraded?: boolean;
             /**
-             * @description What the question says of the object and is not so, in a vision-language model's words: "it
-             *     is black, not white". The answer is then the closest object, and `uncertain`. Absent if
-             *     nothing differs.
+             * @description How the object differs from the question, in a vision-language model's words: "it is black,
+             *     not white". The answer is then the closest object, with a confidence of at most 0.5. Questions
+             *     about number or existence answer that there is none; `alternatives` has the closest object.
+             *     Absent if nothing differs.
              */
             differs?: string | null;
             /**

@@ -169,8 +169,9 @@ class Answer(AnswerMethods):
     degraded: Optional[bool] = None
     """Whether a built-in component replaced a model that failed or returned no valid candidate. `trace.corrections` gives the reason."""
     differs: Optional[str] = None
-    """What the question says of the object and is not so, in a vision-language model's words: "it is black, not white". The answer is then
-    the closest object, and `uncertain`. Absent if nothing differs.
+    """How the object differs from the question, in a vision-language model's words: "it is black, not white". The answer is then the
+    closest object, with a confidence of at most 0.5. Questions about number or existence answer that there is none; `alternatives` has the
+    closest object. Absent if nothing differs.
     """
     evidence: Optional[list[str]] = None
     """Paths of the pictures used as evidence."""

@@ -2,12 +2,28 @@
 //! is black. A vision-language model says what differs.
 
 use super::sentences::{capitalized, spoken, with_article};
-use super::{AnswerValue, Grounding, NoMatchReason, Writer, value_of};
+use super::{AnswerValue, Grounding, NoMatchReason, Target, Writer, value_of};
 use crate::answer::{NOTHING_CLEARLY, to_alternative};
 use crate::reasoner::relation_words;
 use uniground_language::{Form, Phrase};
 
 impl Writer<'_> {
+    /// Leaves the chosen object, which differs, out of several that are counted. Returns `false` if
+    /// none would be left, or nothing is counted.
+    pub(super) fn leave_out_chosen(&mut self, grounding: &mut Grounding) -> bool {
+        let chosen = grounding.answer.predicted_id;
+        let others = grounding.targets.iter().filter(|target| Some(target.id) != chosen);
+        let others: Vec<Target> = others.cloned().collect();
+        let is_counted = matches!(self.parsed.form, Form::Count | Form::Number(_));
+        let Some(first) = others.first().filter(|_| is_counted) else { return false };
+        let confidence = grounding.confidence;
+        self.choose(first.id.0 as usize - 1, &self.parsed.target, confidence, grounding);
+        grounding.targets = others;
+        grounding.differs = None;
+        self.chosen_by_model = None;
+        true
+    }
+
     /// Answers a question about number or existence: nothing is as the question says. The object
     /// that differs becomes an alternative.
     pub(super) fn none_as_asked(&self, differs: &str, grounding: &mut Grounding) {

@@ -19,7 +19,8 @@ use super::fit::{can_check_word, colors_fit};
 use super::reasoner::builtin::MIN_COLOR;
 use super::reasoner::{NamesFrom, Verdict, builtin};
 use super::{
-    AnswerKind, AnswerValue, Grounding, NoMatchReason, Question, SceneView, Status, assessor_of,
+    AnswerKind, AnswerValue, Grounding, NoMatchReason, Question, SceneView, Status, Target,
+    assessor_of,
 };
 use differences::asks_for_number;
 use sentences::{Names, joined};
@@ -27,8 +28,8 @@ use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_language::{Form, ME, Meaning, ParsedQuery, Phrase, Quantity};
 use uniground_models::attributes::Lexicon;
 
-/// Fills in the kind, the sentence and the value of an answer, and the targets of a list. `by_model`:
-/// a vision-language model chose the object.
+/// Fills in the kind, the sentence and the value of an answer, and the targets of a list.
+/// `by_model`: a vision-language model chose the object.
 pub(super) fn complete(
     scene: SceneView,
     question: &Question,
@@ -46,12 +47,14 @@ pub(super) fn complete(
     };
     grounding.kind = kind_of(&parsed.form);
     match &differs {
+        Some(_) if writer.leave_out_chosen(grounding) => writer.fill_in(grounding),
         Some(differs) if asks_for_number(&parsed.form) => {
             writer.none_as_asked(differs, grounding);
         }
         _ => writer.fill_in(grounding),
     }
-    if let Some(differs) = differs.filter(|_| grounding.status != Status::NoMatch) {
+    if let Some(differs) = grounding.differs.clone().filter(|_| grounding.status != Status::NoMatch)
+    {
         writer.add_difference(&differs, grounding);
     }
     if let Some(note) = writer.unchecked_words(grounding) {

@@ -4,7 +4,7 @@ use super::consistency::matches;
 use super::reply::{Choice, Field, Reply, SeenAt};
 use super::{PointForm, PromptCandidate, PromptContext, SentPictures, Sighting};
 use crate::answer::{to_alternative, to_target};
-use crate::{Alternative, Grounding, NoMatchReason, Status};
+use crate::{Alternative, GivenName, Grounding, NoMatchReason, Status};
 use std::collections::BTreeMap;
 use uniground_geometry::scene::{Instance, InstanceId};
 use uniground_models::chat::AskError;
@@ -87,7 +87,9 @@ impl Decision {
     pub fn confirmed(id: InstanceId, explanation: &str) -> Self {
         let reply = Reply {
             predicted: Choice::Id(id.0),
-            explanation: Some(format!("It is the only one in the photographs. {explanation}")),
+            explanation: Some(
+                format!("The model sees no other in the photographs. {explanation}").trim().into(),
+            ),
             target_name_matches: Some(true),
             not_read: vec![Field::AnchorId.title(), Field::RelationUsed.title()],
             ..Reply::default()
@@ -229,16 +231,19 @@ impl Decision {
         if grounding.differs.is_some() {
             grounding.confidence = grounding.confidence.min(DIFFERENT);
         }
-        // Several targets stay as they were found, except those that the model calls something else.
-        // The model chose the first of them.
-        let is_called_otherwise = |id: InstanceId| {
-            self.names.get(&id.0).is_some_and(|name| !matches(name, &context.target))
+        // Several targets stay as they were found; the model chose the first of them. Where its name
+        // for that is the question's, those that it calls something else are none.
+        let is_called = |id: InstanceId| {
+            let name = self.names.get(&id.0).filter(|name| GivenName::read(name).is_some())?;
+            Some(matches(name, &context.target))
         };
+        let chosen_is_called_so = chosen.and_then(|i| is_called(i.id)) == Some(true);
+        let is_other = |id: InstanceId| chosen_is_called_so && is_called(id) == Some(false);
         let own = chosen.map(|instance| to_target(instance, grounding.confidence));
         grounding.targets.retain(|target| {
             grounding.count.is_some()
                 && own.as_ref().is_some_and(|own| own.id != target.id)
-                && !is_called_otherwise(target.id)
+                && !is_other(target.id)
         });
         grounding.targets.splice(0..0, own);
         grounding.count = grounding.count.map(|_| grounding.targets.len() as u32);

@@ -172,8 +172,13 @@ impl SentPictures {
         let sent_in = self.images.get(image.checked_sub(1)?)?.sent_in;
         let picture = &self.sent[sent_in];
         let size = (picture.width, picture.height);
-        let at = points.to_shares(*at, size)?;
         let area = area.and_then(|area| points.area_to_shares(area, size));
+        let at = match area {
+            Some([left, top, right, bottom]) => {
+                [f32::midpoint(left, right), f32::midpoint(top, bottom)]
+            }
+            None => points.to_shares(*at, size)?,
+        };
         let (width, height) = (picture.width as f32, picture.height as f32);
         let px = [at[0] * width, at[1] * height];
         // Models give places more reliably than numbers of images.
@@ -268,7 +273,7 @@ fn shares_of(area: Area, px: [f32; 2]) -> Option<[f32; 2]> {
     shares.iter().all(|share| (0.0..=1.0).contains(share)).then_some(shares)
 }
 
-/// Returns the same of the nearest place in the area.
+/// Returns the shares of the nearest place within the area.
 fn clamped_shares_of(area: Area, px: [f32; 2]) -> [f32; 2] {
     unlimited_shares_of(area, px).map(|share| share.clamp(0.0, 1.0))
 }
@@ -374,6 +379,13 @@ mod tests {
                 );
             }
         }
+        // A box beyond the picture is cut off, also where it reaches into another image.
+        let area = Some([-50.0, -50.0, 5000.0, 5000.0]);
+        let beyond = SeenAt { area, ..seen(1, [9000.0, 0.0]) };
+        let place = pictures.sighting(&beyond, PointForm::Pixels).unwrap();
+        assert_eq!((place.shown.area, place.shown.at), (Some([0.0, 0.0, 1.0, 1.0]), [0.5, 0.5]));
+        let inner = place.original.map(|original| original.area);
+        assert!(inner.is_none_or(|area| area == Some([0.0, 0.0, 1.0, 1.0])), "{inner:?}");
         // A tag is no place in an image.
         let on_tag = pictures.sighting(&seen(1, [3.0, 3.0]), PointForm::Pixels).unwrap();
         assert_eq!(on_tag.original, None);

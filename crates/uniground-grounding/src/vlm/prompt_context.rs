@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use uniground_geometry::Vector3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{Instance, InstanceId};
-use uniground_language::{ParsedQuery, Phrase};
+use uniground_language::{ParsedQuery, Phrase, Viewpoint};
 use uniground_render::{BoxStyle, DirectionWord, LabeledBox, Subjects};
 
 /// A question, and what is known before a model is asked.
@@ -102,11 +102,7 @@ impl PromptContext {
             Some(viewpoint)
                 if directions.of_somebody && assessor.best(&viewpoint.anchor).is_some() =>
             {
-                format!(
-                    "as seen by somebody {} the {}",
-                    viewpoint.look.phrase(),
-                    viewpoint.anchor.text()
-                )
+                seen_by_somebody(viewpoint)
             }
             _ if directions.of_somebody => "as seen by the observer who asks".into(),
             _ => format!("by the convention \"{}\"", grounding.direction_convention),
@@ -240,9 +236,13 @@ impl PromptContext {
     /// Returns the context with the candidates and the directions of a later decision, which knew
     /// the anchors.
     #[must_use]
-    pub(crate) fn decided_again(self, later: Self) -> Self {
+    pub(crate) fn decided_again(self, later: Self, parsed: &ParsedQuery) -> Self {
         let Self { candidates, directions, .. } = later;
-        Self { candidates, directions, ..self }
+        let seen_by = match &parsed.viewpoint {
+            Some(viewpoint) if directions.of_somebody => seen_by_somebody(viewpoint),
+            _ => self.seen_by.clone(),
+        };
+        Self { candidates, directions, seen_by, ..self }
     }
 
     /// Adds a box, of an instance that was found: the last of the scene's instances.
@@ -302,6 +302,11 @@ impl PromptContext {
             .map(|(word, direction)| DirectionWord { word: named(word, direction), direction });
         Subjects { boxes, words: words.collect(), target: centers.into() }
     }
+}
+
+/// Returns whose left and right those of a viewpoint are.
+fn seen_by_somebody(viewpoint: &Viewpoint) -> String {
+    format!("as seen by somebody {} the {}", viewpoint.look.phrase(), viewpoint.anchor.text())
 }
 
 /// Returns "left (+X)", or the word alone where it lies along no axis.

@@ -29,8 +29,8 @@ pub enum Choice {
     Missing,
 }
 
-/// The six fields of a model's reply, and two optional ones. Fields that could not be read are empty and listed in
-/// `not_read`.
+/// The six fields of a model's reply, and two optional ones. Fields that could not be read are empty
+/// and listed in `not_read`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reply {
     /// "Predicted ID".
@@ -403,55 +403,91 @@ pub(super) fn read_seen_at(value: &str) -> Option<SeenAt> {
     }
     let is_image = numbers[0] >= 1.0 && numbers[0].fract() == 0.0;
     let (image, from) = (numbers[0] as usize, [numbers[1], numbers[2]]);
-    let (at, area) = match lower_corner(rest) {
-        Some((to, after)) if to[0] > from[0] && to[1] > from[1] => {
-            rest = after;
-            let middle = [(from[0] + to[0]) / 2.0, (from[1] + to[1]) / 2.0];
-            (middle, Some([from[0], from[1], to[0], to[1]]))
-        }
-        _ => (from, None),
-    };
+    let (mut at, mut area) = (from, None);
+    if let Some((to, after)) = other_corner(rest) {
+        rest = after;
+        at = [f32::midpoint(from[0], to[0]), f32::midpoint(from[1], to[1])];
+        let (low, high) = ([0, 1].map(|i| from[i].min(to[i])), [0, 1].map(|i| from[i].max(to[i])));
+        area = (low[0] < high[0] && low[1] < high[1]).then_some([low[0], low[1], high[0], high[1]]);
+    }
     let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
     is_image.then_some(SeenAt { image, at, area, name })
 }
 
-/// Returns the next digits of a text as a number, and the text after them.
+/// Returns the next number of a text, and the text after it. A minus is a sign unless it follows a
+/// letter or a digit.
 fn next_number(text: &str) -> Option<(Result<f32, std::num::ParseFloatError>, &str)> {
     let start = text.find(|c: char| c.is_ascii_digit())?;
     let end = text[start..]
         .find(|c: char| !c.is_ascii_digit() && c != '.')
         .map_or(text.len(), |length| start + length);
-    Some((text[start..end].trim_end_matches('.').parse(), &text[end..]))
+    let is_negative = text[..start]
+        .strip_suffix('-')
+        .is_some_and(|before| !before.ends_with(|c: char| c.is_alphanumeric()));
+    let number = text[start..end].trim_end_matches('.').parse::<f32>();
+    Some((number.map(|n| if is_negative { -n } else { n }), &text[end..]))
 }
 
-/// Reads two more numbers and returns the text after them. A number that belongs to a name is none:
-/// "8.03 door".
-fn lower_corner(text: &str) -> Option<([f32; 2], &str)> {
-    let number = |text| {
-        let before_name = |c: char| !c.is_alphabetic();
-        next_number(text).filter(|(_, after)| {
-            text.len() > after.len()
-                && text
-                    .find(|c: char| c.is_ascii_digit())
-                    .is_some_and(|at| text[..at].chars().all(before_name))
-                && !after.trim_start_matches(' ').starts_with(char::is_alphabetic)
-        })
-    };
-    let (x, rest) = number(text)?;
-    let (y, rest) = number(rest)?;
+/// Reads the second corner of a box and returns the text after it. `None` if the text goes on with a
+/// name: "8.03 door", "2 mugs".
+fn other_corner(text: &str) -> Option<([f32; 2], &str)> {
+    let before =
+        |text: &str| text.chars().take_while(|c| !c.is_ascii_digit()).any(char::is_alphabetic);
+    let (x, rest) = next_number(text)?;
+    if before(text) || before(rest) || rest.trim_start().starts_with(char::is_alphabetic) {
+        return None;
+    }
+    let (y, rest) = next_number(rest)?;
     Some(([x.ok()?, y.ok()?], rest))
 }
 
-/// Reads what differs: at most [`MAX_DIFFERENCE`] characters, without a period at the end. `None`
-/// where the value says that nothing differs.
+/// Values that say that nothing differs, without the period at their end.
+const NO_DIFFERENCE: [&str; 16] = [
+    "none",
+    "nothing",
+    "nothing differs",
+    "no",
+    "no difference",
+    "no differences",
+    "null",
+    "nil",
+    "n/a",
+    "na",
+    "not applicable",
+    "false",
+    "same",
+    "the same",
+    "not different",
+    "unknown",
+];
+
+/// Reads what differs: at most [`MAX_DIFFERENCE`] characters, as the end of a sentence, without a
+/// period. `None` where the value says that nothing differs.
 pub(super) fn difference(value: &str) -> Option<String> {
     let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
-    let told = words(strip_decoration(line))?;
-    let told = told.trim_end_matches(['.', '"', ')', '>']);
-    // "not white but black" is a difference, "no difference" is none.
-    let is_none = is_nothing(told) && !strip_word(told, "not").is_some_and(|_| told.contains(' '));
-    (!is_none && told.contains(char::is_alphabetic))
-        .then(|| told.chars().take(MAX_DIFFERENCE).collect())
+    let value = words(strip_decoration(line))?;
+    let value = value.trim_end_matches(['.', '"', ')', '>', ' ']);
+    let lower = value.to_lowercase();
+    let is_none = NO_DIFFERENCE.contains(&lower.as_str())
+        || [
+            "does not differ",
+            "doesn't differ",
+            "matches the query",
+            "it matches",
+            "no difference ",
+        ]
+        .iter()
+        .any(|start| {
+            lower.trim_start_matches("it ").starts_with(start) || lower.starts_with(start)
+        });
+    if is_none || !value.contains(char::is_alphabetic) {
+        return None;
+    }
+    let mut letters = value.chars();
+    let first = letters.next()?;
+    let is_abbreviation = letters.clone().next().is_some_and(char::is_uppercase);
+    let first = if is_abbreviation { first.to_string() } else { first.to_lowercase().to_string() };
+    Some(first.chars().chain(letters).take(MAX_DIFFERENCE).collect())
 }
 
 /// Returns words without the Markdown around them; `None` when there are none.

@@ -311,8 +311,8 @@ fn object_that_differs_from_the_question_has_a_low_confidence() {
     );
     let decision = decided(&text, &context);
     decision.apply(&mut grounding, &context, &room());
-    assert_eq!(grounding.differs.as_deref(), Some("It is black, not white"));
-    assert_eq!(grounding.answer.explanation, "on the wall Difference: It is black, not white.");
+    assert_eq!(grounding.differs.as_deref(), Some("it is black, not white"));
+    assert_eq!(grounding.answer.explanation, "on the wall Difference: it is black, not white.");
     assert_eq!((grounding.answer.predicted_id, grounding.confidence), (Some(id), 0.5));
     // An answer without an object differs from nothing.
     let (mut grounding, context) = asked(QUERY, None);

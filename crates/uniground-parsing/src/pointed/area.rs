@@ -1,7 +1,6 @@
 //! Areas of a color picture, and the masks in them.
 
 use crate::masks::IdImage;
-use std::collections::BTreeMap;
 use uniground_geometry::scene::Frame;
 
 /// Share of the positions that lie outside of the area of most of them, on each side.
@@ -29,7 +28,8 @@ impl From<[u32; 4]> for PixelArea {
 }
 
 impl PixelArea {
-    /// Returns the area of most of these positions. `None` if there is none.
+    /// Returns the area of these positions, without the outermost 2 % on each side. `None` if there
+    /// are none.
     pub(super) fn of_most(pixels: &[(f32, f32)]) -> Option<Self> {
         let span = |of: fn(&(f32, f32)) -> f32| {
             let mut along: Vec<f32> = pixels.iter().map(of).collect();
@@ -52,6 +52,17 @@ impl PixelArea {
         }
     }
 
+    /// Returns the part of the area that is in a picture of this size.
+    pub(super) fn within(&self, (width, height): (u32, u32)) -> Self {
+        let (width, height) = (width as f32, height as f32);
+        Self {
+            left: self.left.clamp(0.0, width),
+            top: self.top.clamp(0.0, height),
+            right: self.right.clamp(0.0, width),
+            bottom: self.bottom.clamp(0.0, height),
+        }
+    }
+
     pub(super) fn contains(&self, (x, y): (f32, f32)) -> bool {
         (self.left..=self.right).contains(&x) && (self.top..=self.bottom).contains(&y)
     }
@@ -68,26 +79,34 @@ impl PixelArea {
     }
 }
 
-/// Returns the masks, ascending, that have at least this share of their pixels in an area of the
-/// frame's color picture.
+/// Returns the masks, ascending, that have at least these shares of their pixels in an area of the
+/// frame's color picture: a list for each share, without repeated and empty lists.
 pub(super) fn masks_inside(
     ids: &IdImage,
     frame: &Frame,
     area: &PixelArea,
-    least_share: f32,
-) -> Vec<u16> {
-    let mut counts: BTreeMap<u16, (u32, u32)> = BTreeMap::new();
+    least_shares: &[f32],
+) -> Vec<Vec<u16>> {
+    // Numbers of pixels of each mask: all, and those in the area.
+    let mut counts = vec![(0_u32, 0_u32); usize::from(u16::MAX) + 1];
     for row in 0..ids.height {
         for column in 0..ids.width {
-            let (all, inside) = counts.entry(ids.at((column, row))).or_default();
+            let (all, inside) = &mut counts[usize::from(ids.at((column, row)))];
             *all += 1;
             *inside += u32::from(area.contains(frame.color_position(column as f32, row as f32)));
         }
     }
-    counts.remove(&0);
-    let is_inside =
-        |(all, inside): &(u32, u32)| *inside > 0 && *inside as f32 >= least_share * *all as f32;
-    counts.into_iter().filter(|(_, count)| is_inside(count)).map(|(id, _)| id).collect()
+    let masks = |least_share: &f32| {
+        let is_inside = |id: &u16| {
+            let (all, inside) = counts[usize::from(*id)];
+            inside > 0 && inside as f32 >= least_share * all as f32
+        };
+        (1..=u16::MAX).filter(is_inside).collect::<Vec<u16>>()
+    };
+    let mut lists: Vec<Vec<u16>> =
+        least_shares.iter().map(masks).filter(|list| !list.is_empty()).collect();
+    lists.dedup();
+    lists
 }
 
 #[cfg(test)]
@@ -107,6 +126,7 @@ mod tests {
         assert_eq!(whole.iou(&area(20.0, 0.0, 25.0, 10.0)), 0.0);
         assert_eq!(area(1.0, 1.0, 1.0, 1.0).iou(&area(1.0, 1.0, 1.0, 1.0)), 0.0, "empty areas");
         assert_eq!(area(10.0, 20.0, 20.0, 40.0).grown(0.1), area(9.0, 18.0, 21.0, 42.0));
+        assert_eq!(area(-9.0, 18.0, 21.0, 42.0).within((20, 30)), area(0.0, 18.0, 20.0, 30.0));
     }
 
     #[test]
