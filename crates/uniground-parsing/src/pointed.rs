@@ -192,14 +192,12 @@ impl PointedObjectFinder<'_> {
             .collect();
         let fills = |instance: &Instance| {
             let view = instance.views.iter().find(|view| view.frame == looked.frame.index);
-            let shown = match view {
-                Some(view) => Some(PixelArea::from(view.box_px)),
-                None => {
-                    let in_box = seen.iter().filter(|(at, _)| instance.aabb.contains(at));
-                    let pixels: Vec<(f32, f32)> = in_box.map(|(_, pixel)| *pixel).collect();
-                    PixelArea::of_most(&pixels)
-                }
+            let in_box = || {
+                let in_box = seen.iter().filter(|(at, _)| instance.aabb.contains(at));
+                let pixels: Vec<(f32, f32)> = in_box.map(|(_, pixel)| *pixel).collect();
+                PixelArea::of_most(&pixels)
             };
+            let shown = view.map(|view| PixelArea::from(view.box_px)).or_else(in_box);
             shown.map_or(0.0, |shown| shown.iou(area))
         };
         known
