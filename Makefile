@@ -146,7 +146,7 @@ bench-isolation: ## Reading uploads in child processes beside the same within on
 bench-vlm: ## What a vision-language model is shown, what that costs in time and tokens, without a model
 	$(CARGO) bench --locked --quiet --bench vlm
 
-bench-pointed: ## Things stage 1 misses, pointed at in a photograph (MODELS=folder with a segmenter)
+bench-pointed: ## Things stage 1 misses, by a point or a box in a photograph (MODELS=folder with a segmenter)
 	$(CARGO) bench --locked --quiet --bench pointed -- $(if $(MODELS),--models $(MODELS)) $(ROOMS)
 
 bench-http: ## Questions per second over HTTP (needs Debian's wrk)
