@@ -3,9 +3,9 @@
 
 use super::fit::colors_fit;
 use super::reasoner::builtin::MIN_COLOR;
-use super::scene_source::SceneSource;
+use super::scene_source::{SceneSource, scene_view};
 use super::vlm::{PromptContext, matches_phrase};
-use super::{Appearance, Grounding, Question, SceneView, Status, ground_with_context};
+use super::{Appearance, Grounding, Question, Status, ground_with_context};
 use std::sync::Arc;
 use std::time::Duration;
 use uniground_geometry::scene::InstanceId;
@@ -44,7 +44,7 @@ impl ByGeometry<'_> {
         let asked = parsed.clone();
         let (grounding, again) = source
             .compute(move |source| {
-                let scene = view(source, (*appearance).as_ref());
+                let scene = scene_view(source, (*appearance).as_ref());
                 Ok(ground_with_context(scene, &question, asked, Duration::ZERO))
             })
             .await?;
@@ -68,21 +68,12 @@ impl ByGeometry<'_> {
             ..Phrase::default()
         };
         let has_colors = |id: &InstanceId| {
-            let scene = view(source, (**self.appearance).as_ref());
+            let scene = scene_view(source, (**self.appearance).as_ref());
             colors_fit(scene, &kind, id.0 as usize - 1) >= MIN_COLOR
         };
         let asks_for_one = matches!(self.parsed.form, Form::Object | Form::Place);
         let is_plain = *target == kind && count.is_none() && asks_for_one;
         answer.predicted_id.filter(|id| is_sure && is_plain && has_colors(id))
-    }
-}
-
-fn view<'a, S: SceneSource>(source: &'a S, appearance: Option<&'a Appearance>) -> SceneView<'a> {
-    SceneView {
-        instances: source.instances(),
-        extent: source.extent(),
-        names: source.name_index(),
-        appearance,
     }
 }
 

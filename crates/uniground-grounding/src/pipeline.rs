@@ -16,14 +16,15 @@ use super::find_in_photographs::{Searched, find_in_photographs};
 use super::found_anchors::ByGeometry;
 use super::reasoner::builtin;
 use super::recover_unlisted::{Found, look_up};
+use super::scene_source::scene_view;
 pub use super::scene_source::{QuestionError, SceneSource};
 use super::vlm::{
     self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings,
     PromptVersion, Undecided, naming,
 };
 use super::{
-    Candidate, Grounding, Question, SceneView, Status, answer_kinds, choose_reading, coverage,
-    decided, ground_with_context, rank_candidates,
+    Candidate, Grounding, Question, Status, answer_kinds, choose_reading, coverage, decided,
+    ground_with_context, rank_candidates,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -465,19 +466,6 @@ async fn narrow_candidates<S: SceneSource>(
         ids = context.candidates.iter().map(|c| c.id.0).take(vlm::REMAINING).collect();
     }
     Ok(context.narrowed_to(&ids))
-}
-
-/// Returns a scene as stage 2 needs it.
-fn scene_view<'a, S: SceneSource>(
-    source: &'a S,
-    appearance: Option<&'a Appearance>,
-) -> SceneView<'a> {
-    SceneView {
-        instances: source.instances(),
-        extent: source.extent(),
-        names: source.name_index(),
-        appearance,
-    }
 }
 
 /// The encoder or attributes that compared pictures and words.

@@ -3,6 +3,7 @@
 
 use super::names::NameIndex;
 use super::picture_cache::PictureCache;
+use super::{Appearance, SceneView};
 use image::RgbImage;
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -16,6 +17,19 @@ use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_parsing::ParseError;
 use uniground_parsing::pointed::PhotographPoint;
 use uniground_render::{FrameContents, RenderScene, Shot, close_ups};
+
+/// Returns a scene as stage 2 needs it.
+pub(super) fn scene_view<'a, S: SceneSource>(
+    source: &'a S,
+    appearance: Option<&'a Appearance>,
+) -> SceneView<'a> {
+    SceneView {
+        instances: source.instances(),
+        extent: source.extent(),
+        names: source.name_index(),
+        appearance,
+    }
+}
 
 /// The source of a question's scene: a stored parse of the service, the album of an evaluation, a
 /// scene in memory.
