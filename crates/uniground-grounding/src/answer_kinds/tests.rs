@@ -574,3 +574,19 @@ fn a_list_keeps_what_a_model_has_chosen() {
         assert_eq!((answer.status, targets(&answer)), (Status::Uncertain, vec![6]), "{query}");
     }
 }
+
+#[test]
+fn of_several_counted_objects_only_the_one_that_differs_is_left_out() {
+    let instances = room();
+    let question = Question::of("how many mugs are there");
+    let names = NameIndex::of(&instances);
+    let extent = Aabb { center: Point3::new(0.0, 0.0, 1.2), size: Vector3::new(6.0, 5.0, 2.5) };
+    let scene = SceneView { instances: &instances, extent, names: &names, appearance: None };
+    let parsed = uniground_language::parse(&question.query);
+    let mut answer = ground(scene, &question);
+    assert_eq!(answer.count, Some(2));
+    answer.answer.predicted_id = Some(InstanceId(3));
+    answer.differs = Some("it is a bowl".into());
+    complete(scene, &question, &parsed, true, &mut answer);
+    assert_eq!((targets(&answer), answer.count, answer.differs), (vec![4], Some(1), None));
+}

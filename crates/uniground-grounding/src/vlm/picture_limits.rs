@@ -379,13 +379,21 @@ mod tests {
                 );
             }
         }
-        // A box beyond the picture is cut off, also where it reaches into another image.
+        // A box that reaches into other images is cut off at the image in which its middle is.
+        for image in &pictures.images {
+            let (left, top, width, height) = image.area;
+            let [left, top] = [left as f32 - 9.0, top as f32 - 9.0];
+            let area = Some([left, top, left + width as f32 + 18.0, top + height as f32 + 18.0]);
+            let told = SeenAt { area, ..seen(1, [0.0, 0.0]) };
+            let original = pictures.sighting(&told, PointForm::Pixels).unwrap().original.unwrap();
+            let expected = (image.name.clone(), Some([0.0, 0.0, 1.0, 1.0]));
+            assert_eq!((original.picture, original.area), expected);
+        }
+        // So is a box beyond the picture.
         let area = Some([-50.0, -50.0, 5000.0, 5000.0]);
         let beyond = SeenAt { area, ..seen(1, [9000.0, 0.0]) };
         let place = pictures.sighting(&beyond, PointForm::Pixels).unwrap();
         assert_eq!((place.shown.area, place.shown.at), (Some([0.0, 0.0, 1.0, 1.0]), [0.5, 0.5]));
-        let inner = place.original.map(|original| original.area);
-        assert!(inner.is_none_or(|area| area == Some([0.0, 0.0, 1.0, 1.0])), "{inner:?}");
         // A tag is no place in an image.
         let on_tag = pictures.sighting(&seen(1, [3.0, 3.0]), PointForm::Pixels).unwrap();
         assert_eq!(on_tag.original, None);
