@@ -297,6 +297,7 @@ fn cloud_only_bundle(positions: Vec<Point3<f32>>) -> SceneBundle {
         frames_skipped: 0,
         cloud_points: None,
         reprojection_agreement: None,
+        viewing_distance_m: None,
         findings: vec![],
         warnings: Vec::new(),
     };
@@ -427,7 +428,7 @@ fn an_instance_is_segmented_from_a_point() {
             && i.point_count >= 1000
             && !i.views.is_empty()
     };
-    let (mut asked, mut found) = (0, 0);
+    let (mut asked, mut found, mut found_by_box, mut itself) = (0, 0, 0, 0);
     for thing in parsed.instances.iter().filter(shown).take(20) {
         let [left, top, right, bottom] = thing.views[0].box_px;
         let place = PhotographPoint {
@@ -439,7 +440,15 @@ fn an_instance_is_segmented_from_a_point() {
             parsed.instances.iter().filter(|i| i.structure.is_some()).cloned().collect();
         let again = pointing.find_at(place, &known, &[]).unwrap();
         asked += 1;
-        found += u32::from(again.as_ref().is_some_and(|again| again.aabb.iou(&thing.aabb) >= 0.25));
+        let is_it = |again: &Option<Instance>| {
+            u32::from(again.as_ref().is_some_and(|again| again.aabb.iou(&thing.aabb) >= 0.25))
+        };
+        found += is_it(&again);
+        let boxed = PhotographPoint { area: Some(thing.views[0].box_px.into()), ..place };
+        found_by_box += is_it(&pointing.find_at(boxed, &known, &[]).unwrap());
+        // A known instance that fills the box is returned itself.
+        let known_too = pointing.find_at(boxed, &parsed.instances, &[]).unwrap();
+        itself += u32::from(known_too.is_some_and(|found| found.id == thing.id));
         // The same point gives the same instance, with views that show it.
         if asked == 1 {
             assert_eq!(pointing.find_at(place, &known, &[]).unwrap(), again);
@@ -448,8 +457,13 @@ fn an_instance_is_segmented_from_a_point() {
             && again.point_count >= 20
             && !again.views.is_empty()));
     }
-    println!("points: {found} of {asked} instances segmented again");
+    println!(
+        "of {asked} instances, {found} are segmented again from a point, {found_by_box} from a box; \
+         {itself} known ones are recognized"
+    );
     assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
+    assert!(found_by_box >= found && found_by_box * 3 >= asked * 2, "{found_by_box} of {asked}");
+    assert!(itself * 2 >= asked, "{itself} of {asked}");
     // A point outside of the room yields nothing.
     let nowhere = PhotographPoint { frame: FrameIndex(4711), at: (10.0, 10.0), area: None };
     assert_eq!(pointing.find_at(nowhere, &parsed.instances, &[]).unwrap(), None);

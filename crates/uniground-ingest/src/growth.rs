@@ -5,10 +5,10 @@
 //! visibility in frames, and the instances built from them can stay unchanged as well.
 
 use super::IngestError;
-use super::fusion;
 use super::load::frame_refs;
 use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::Scan;
+use super::{fusion, viewing_distance};
 use nalgebra::{Rotation3, Translation3, UnitQuaternion};
 use rayon::prelude::*;
 use uniground_geometry::progress::Progress;
@@ -18,6 +18,7 @@ use uniground_geometry::scene::{
 use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
 use uniground_types::findings::Finding;
+use uniground_types::scene::detail_at;
 use uniground_types::settings::ImportSettings;
 
 /// A new surface this close to a known one counts as the same surface, meters. Pose drift and depth
@@ -111,8 +112,8 @@ pub fn add_scan(
 ) -> Result<Addition, IngestError> {
     let (skipped, all) = (scan.frames_skipped, scan.frames.len());
     let FitReport { mut frames, mut findings, .. } = check_fit(scan, to_scene, known, first)?;
-    let fused =
-        fusion::fuse(&mut frames, &settings.fusion, &mut findings, &progress.sub_range(0.2, 0.7))?;
+    let fusion = settings.fusion.in_detail(detail_at(viewing_distance::measure(&frames)));
+    let fused = fusion::fuse(&mut frames, &fusion, &mut findings, &progress.sub_range(0.2, 0.7))?;
     let looking = progress.sub_range(0.7, 1.0);
     let looks = count_free_space::<IngestError>(&known.positions, &frames, |i| {
         Ok(looking.report("look_through", i as f32 / all as f32)?)

@@ -4,7 +4,9 @@ use super::cloud_doubts::{self, Core};
 use super::levelling::{self, UpDirection, UpHint};
 use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::{RawFrame, Scan, Units};
-use super::{IngestError, UPLOADED, clouds, frame_agreement, fusion, guess_units};
+use super::{
+    IngestError, UPLOADED, clouds, frame_agreement, fusion, guess_units, viewing_distance,
+};
 use camino::Utf8Path;
 use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use uniground_geometry::progress::Progress;
@@ -43,7 +45,7 @@ pub fn load(
         let mut findings = Vec::new();
         let cloud = fusion::fuse(
             &mut frames,
-            &settings.fusion,
+            &settings.fusion.in_detail(report.detail()),
             &mut findings,
             &progress.sub_range(0.2, 1.0),
         )?;
@@ -162,9 +164,19 @@ pub fn inspect(
         frames_skipped: scan.frames_skipped,
         cloud_points: cloud.as_ref().map(|cloud| cloud.len() as u64),
         reprojection_agreement: agreement,
+        viewing_distance_m: viewing_distance::measure(&frames),
         warnings: Vec::new(),
         findings: Vec::new(),
     };
+    if let (Some(distance), detail) = (report.viewing_distance_m, report.detail())
+        && detail > 1.0
+    {
+        let text = format!(
+            "the frames show things from {distance:.1} m away: segmented {detail} times as fine as \
+             a room"
+        );
+        findings.push(Finding::assumed(FindingSubject::Frames, text).without_warning());
+    }
     report.add_findings(findings);
     Ok(InspectedScan { frames, cloud, report })
 }

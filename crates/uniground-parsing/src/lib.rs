@@ -16,6 +16,7 @@ pub mod affinity;
 pub mod appearance;
 pub mod changes;
 pub mod checkpoints;
+mod close_range;
 pub mod consensus;
 pub mod correction;
 pub mod evidence;
@@ -53,6 +54,7 @@ pub mod visibility;
 
 use appearance::Correction;
 use checkpoints::Checkpoints;
+use close_range::Enlargement;
 use consensus::{MaskedFrames, RegionsOfScan};
 use correction::Corrector;
 use hierarchy::Proposal;
@@ -132,9 +134,22 @@ pub fn parse(
     if bundle.cloud.is_empty() {
         return Err(ParseError::NoPoints);
     }
+    let enlargement = Enlargement::of(&bundle.report);
+    let bundle = enlargement.enlarge(bundle);
+    let checkpoints = &match enlargement.dependency() {
+        Some(more) => checkpoints.with_dependency(&more),
+        None => checkpoints.clone(),
+    };
     let mut watch = Stopwatch::default();
-    let LiftedFrames { cloud, frames, mut superpoints, lifted, checkpoints, ends, mut warnings } =
-        lift_frames::lift_scan(bundle, perception, settings, checkpoints, progress, &mut watch)?;
+    let LiftedFrames {
+        mut cloud,
+        frames,
+        mut superpoints,
+        lifted,
+        checkpoints,
+        ends,
+        mut warnings,
+    } = lift_frames::lift_scan(bundle, perception, settings, checkpoints, progress, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
     let (tables, masks_of, sharpness_of) = Lifted::split(lifted);
@@ -224,6 +239,7 @@ pub fn parse(
             Ok::<_, ParseError>(rows)
         })?,
     };
+    enlargement.reduce_instances(&mut instances);
     attributes::name_all(&mut instances);
     let embeddings = perception
         .encoder
@@ -258,6 +274,8 @@ pub fn parse(
         stages: watch.stages,
         warnings,
     };
+    drop(visibility);
+    enlargement.reduce_cloud(&mut cloud);
     Ok(ParsedScene {
         cloud,
         instance_of_point: labels.thing_of_point.into_owned(),
@@ -265,7 +283,7 @@ pub fn parse(
         instances,
         embeddings,
         frame_embeddings,
-        extent,
+        extent: enlargement.reduce(extent),
         report,
     })
 }

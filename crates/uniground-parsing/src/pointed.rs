@@ -13,6 +13,7 @@ mod area;
 
 pub use area::PixelArea;
 
+use super::close_range::Enlargement;
 use super::masks::IdImage;
 use super::masks::rgbd::RgbdMasks;
 use super::outline::Outline;
@@ -78,6 +79,9 @@ const SHOWN: f32 = 0.6;
 const IN_AREA: [f32; 2] = [0.8, 0.5];
 /// A mask shows the object if the IoU of its area and the object's is at least this.
 const FILLS_AREA: f32 = 0.5;
+/// An object that is wholly in a picture is at most this many times as long as what the picture
+/// shows of it: a desk of which one corner is seen is not the keyboard that fills the corner.
+const LONGER: f32 = 2.0;
 /// Margin of an object's area in other frames, as a share of its width and height.
 const AREA_MARGIN: f32 = 0.1;
 /// Boxes with this IoU are one thing.
@@ -100,6 +104,36 @@ impl PointedObjectFinder<'_> {
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
     pub fn find_at(
+        &self,
+        place: PhotographPoint,
+        known: &[Instance],
+        is_not: &[InstanceId],
+    ) -> Result<Option<Instance>, ParseError> {
+        let Some(frame) = self.frames.iter().find(|frame| frame.index == place.frame) else {
+            return Ok(None);
+        };
+        let spacing_m = typical_spacing_m(&self.cloud.positions);
+        let enlargement = Enlargement::of_frame(frame, spacing_m);
+        if !enlargement.is_used() {
+            return self.find_in_scale(place, known, is_not);
+        }
+        let (mut cloud, mut frames) = (self.cloud.clone(), self.frames.to_vec());
+        enlargement.enlarge_cloud(&mut cloud);
+        enlargement.enlarge_frames(&mut frames);
+        let mut enlarged = known.to_vec();
+        enlarged.iter_mut().for_each(|instance| enlargement.enlarge_instance(instance));
+        let finder = PointedObjectFinder { cloud: &cloud, frames: &frames, ..*self };
+        let found = finder.find_in_scale(place, &enlarged, is_not)?;
+        Ok(found.map(|mut found| match known.iter().find(|known| known.id == found.id) {
+            Some(known) => known.clone(),
+            None => {
+                enlargement.reduce_instance(&mut found);
+                found
+            }
+        }))
+    }
+
+    fn find_in_scale(
         &self,
         place: PhotographPoint,
         known: &[Instance],
@@ -129,7 +163,10 @@ impl PointedObjectFinder<'_> {
                 options.push(MaskHypothesis { mask, quality, fit, seed });
             }
         }
-        let others = || known.iter().filter(|i| !is_other(i));
+        let size = first.frame.color.dimensions();
+        let is_wholly_seen = place.area.is_some_and(|area| !area.reaches_rim(size));
+        let is_long = |i: &Instance| is_wholly_seen && self.reaches_beyond(&first, i);
+        let others = || known.iter().filter(|i| !is_other(i) && !is_long(i));
         let shown = self
             .best_shown_instance(&first, &options, others())
             .or_else(|| self.best_filling_instance(&first, &place.area?, others()));
@@ -172,6 +209,13 @@ impl PointedObjectFinder<'_> {
             views,
             ..instances::build_from_points(self.cloud, &points, known, &self.settings.instances)
         }))
+    }
+
+    /// Returns whether an instance is much longer than what a frame shows of it.
+    fn reaches_beyond(&self, looked: &FrameLookup, instance: &Instance) -> bool {
+        let seen = looked.seen.iter().map(|point| &self.cloud.positions[point.point as usize]);
+        Aabb::around(seen.filter(|at| instance.aabb.contains(at)))
+            .is_none_or(|seen| instance.aabb.size.max() > LONGER * seen.size.max())
     }
 
     /// Returns the known instance that fills an area of a frame best, if any: by its view there, or

@@ -277,6 +277,10 @@ pub struct ImportReport {
     /// Share of sampled points that agree with the depth pictures they project into, `0..=1`.
     /// `null` if it could not be measured.
     pub reprojection_agreement: Option<f32>,
+    /// Median distance of the surfaces that the depth pictures show, meters. `null` without frames,
+    /// and in records from older versions.
+    #[serde(default)]
+    pub viewing_distance_m: Option<f32>,
     /// The texts of the findings that can make results worse.
     pub warnings: Vec<String>,
     /// What was read, left out, assumed and changed. Empty in records from older versions.
@@ -284,7 +288,29 @@ pub struct ImportReport {
     pub findings: Vec<Finding>,
 }
 
+/// Closer than these, a scan is fused and segmented 2 and 3 times as fine as one of a room, meters.
+const CLOSE_M: f32 = 1.3;
+const VERY_CLOSE_M: f32 = 0.8;
+
+/// Returns how many times as fine as a room a scan is fused and segmented whose surfaces are this
+/// far away, meters.
+#[must_use]
+pub fn detail_at(viewing_distance_m: Option<f32>) -> f32 {
+    match viewing_distance_m {
+        Some(distance) if distance < VERY_CLOSE_M => 3.0,
+        Some(distance) if distance < CLOSE_M => 2.0,
+        _ => 1.0,
+    }
+}
+
 impl ImportReport {
+    /// Returns how many times as fine as a room the scan is fused and segmented: 1 for a room, more
+    /// for a desk that was scanned from close by.
+    #[must_use]
+    pub fn detail(&self) -> f32 {
+        detail_at(self.viewing_distance_m)
+    }
+
     /// Adds findings. Those that are warnings are added to the warnings too.
     pub fn add_findings(&mut self, findings: Vec<Finding>) {
         let warnings = findings.iter().filter(|finding| finding.warning);

@@ -5,6 +5,8 @@ use uniground_geometry::scene::Frame;
 
 /// Share of the positions that lie outside of the area of most of them, on each side.
 const OUTSIDE: f32 = 0.02;
+/// Width of the rim of a picture, as a share of its width and height.
+const RIM: f32 = 0.01;
 
 /// A rectangle in a color picture, pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,6 +52,16 @@ impl PixelArea {
             right: self.right + x,
             bottom: self.bottom + y,
         }
+    }
+
+    /// Returns whether it reaches the rim of a picture of this size, so that the object may go on
+    /// outside of it.
+    pub(super) fn reaches_rim(&self, (width, height): (u32, u32)) -> bool {
+        let (x, y) = (RIM * width as f32, RIM * height as f32);
+        self.left <= x
+            || self.top <= y
+            || self.right >= width as f32 - x
+            || self.bottom >= height as f32 - y
     }
 
     /// Returns the part of the area that is in a picture of this size.
