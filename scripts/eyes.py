@@ -12,8 +12,8 @@ The model's endpoint is part of `run`: every request becomes FOLDER/NNN with pro
 request that nobody has taken; several people may look side by side. They should know neither the code nor the annotations.
 
 Printed are, for each mode and room: how often some instance of the scene, a candidate that was shown, and the answer cover the target (IoU 0.25 and 0.5), how
-often the model pointed at the object, and how often that was right, absent objects told, present objects denied, calls, and prompt tokens (text by four
-characters, pictures by 28 x 28 pixels). Questions of the kind `false_premise` say something wrong of an object (another color or place); they count for
+often the model pointed at the object, and how often that was right, absent objects told (no match, or what the closest object differs in), present objects
+denied, calls, and prompt tokens (text by four characters, pictures by 28 x 28 pixels). Questions of the kind `false_premise` say something wrong of an object (another color or place); they count for
 themselves: told are those whose answer has the object and says what `differs`. Needs Python's standard library, and Pillow to write the pictures as PNG.
 """
 
@@ -265,7 +265,7 @@ def describe(title, rows):
     print(
         f"{title}: {len(present)} questions, in the scene {share('any')}, shown {share('shown')}, answer {share('iou')}; "
         f"pointed {len(pointed)}, right {sum(row['iou'] >= 0.25 for row in pointed)}; "
-        f"denied {sum(row['status'] == 'no_match' for row in present)}; absent told {sum(row['status'] == 'no_match' for row in absent)} of {len(absent)}; "
+        f"denied {sum(row['status'] == 'no_match' for row in present)}; absent told {sum(row['status'] == 'no_match' or bool(row['differs']) for row in absent)} of {len(absent)}; "
         f"calls {mean('calls'):.2f}, prompt tokens {mean('tokens'):.0f}; failed {sum(bool(row['failed']) for row in rows)}"
     )
     grounded = [row for row in rows if row["status"] == "grounded" and row["kind"] != "false_premise"]

@@ -30,19 +30,16 @@ pub fn boxes(outcome: &ScoredExpression) -> Vec<LabeledBox> {
             .filter(|c| reply.answer.predicted_id != Some(c.id))
         {
             let label = format!("{}{}", candidate.id, name(candidate.id.0));
-            boxes.push(LabeledBox { aabb: candidate.aabb, label, style: BoxStyle::Candidate });
+            boxes.push(LabeledBox::axis_aligned(candidate.aabb, label, BoxStyle::Candidate));
         }
         if let (Some(aabb), Some(id)) = (reply.aabb, reply.answer.predicted_id) {
-            boxes.push(LabeledBox {
-                aabb,
-                label: format!("answer {id}{}", name(id.0)),
-                style: BoxStyle::Anchor,
-            });
+            let label = format!("answer {id}{}", name(id.0));
+            boxes.push(LabeledBox::axis_aligned(aabb, label, BoxStyle::Anchor));
         }
     }
     if let Some(target) = &outcome.target {
         let label = format!("truth: {}", target.name.as_deref().unwrap_or("target"));
-        boxes.push(LabeledBox { aabb: target.aabb, label, style: BoxStyle::Answer });
+        boxes.push(LabeledBox::axis_aligned(target.aabb, label, BoxStyle::Answer));
     }
     boxes
 }

@@ -1,7 +1,7 @@
 //! Directions as data: what "left" and "in front" mean in the world.
 
 use super::solid::Solid;
-use uniground_geometry::{Point3, Vector3};
+use uniground_geometry::{Isometry3, Point3, Vector3};
 use uniground_language::Look;
 pub use uniground_types::question::{DirectionConvention, Observer};
 
@@ -81,6 +81,24 @@ impl Directions {
     }
 }
 
+/// Minimum length of the mean of the horizontal directions in which the frames of a scan look, if
+/// they all look one way. Walks through rooms have 0 to 0.5.
+const ONE_WAY: f32 = 0.8;
+
+/// Returns the horizontal direction in which all frames of a scan look, given their poses
+/// (camera-to-world), if there is one: that of a desk from the front, not of a walk through a room.
+pub(crate) fn common_look(
+    camera_to_world: impl IntoIterator<Item = Isometry3<f32>>,
+) -> Option<Vector3<f32>> {
+    let horizontal = |pose: Isometry3<f32>| {
+        let ahead = pose * Vector3::z();
+        Vector3::new(ahead.x, ahead.y, 0.0).try_normalize(1e-3)
+    };
+    let looks: Vec<Vector3<f32>> = camera_to_world.into_iter().filter_map(horizontal).collect();
+    let mean = looks.iter().sum::<Vector3<f32>>() / looks.len().max(1) as f32;
+    (mean.norm() >= ONE_WAY).then_some(mean)
+}
+
 /// Returns the direction across a long instance, on the side `towards` points to; `None` for an
 /// instance about as deep as long, or seen end on.
 fn squarely(anchor: &Solid, towards: &Vector3<f32>) -> Option<Vector3<f32>> {
@@ -100,6 +118,20 @@ fn squarely(anchor: &Solid, towards: &Vector3<f32>) -> Option<Vector3<f32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn frames_that_look_one_way_have_a_common_look() {
+        let pose = |yaw_deg: &f32| {
+            let (sin, cos) = yaw_deg.to_radians().sin_cos();
+            let ahead = Point3::new(cos, sin, -0.5);
+            Isometry3::face_towards(&Point3::origin(), &ahead, &-Vector3::z())
+        };
+        let looks = |yaws: &[f32]| common_look(yaws.iter().map(pose));
+        let desk = looks(&[60.0, 90.0, 120.0]).unwrap();
+        assert!(desk.y > 0.8 && desk.x.abs() < 1e-3, "{desk}");
+        assert_eq!(looks(&[0.0, 90.0, 180.0, 270.0]), None);
+        assert_eq!(looks(&[]), None);
+    }
 
     #[test]
     fn viewer_looking_along_y_has_x_on_the_right() {

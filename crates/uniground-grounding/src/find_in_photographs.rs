@@ -6,7 +6,8 @@ use super::found_anchors::ByGeometry;
 use super::recover_unlisted::{Found, look_up};
 use super::scene_source::SceneSource;
 use super::vlm::{
-    self, MarkedPhotographs, Options, PictureSettings, PromptContext, VisualEvidence,
+    self, Finding, MarkedPhotographs, Options, PictureSettings, PromptContext, VisualEvidence,
+    is_building,
 };
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -58,8 +59,7 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
     if marked.photographs.is_empty() {
         return Ok(Ok(searched));
     }
-    session.allow_one_more();
-    let found = match vlm::find(&searched.context, &marked, options, session).await {
+    let (found, marked) = match searched.find(marked, options, session).await? {
         Ok(found) => found,
         // The model may still be able to look at the geometry's candidates.
         Err(_) if !searched.context.candidates.is_empty() => return Ok(Ok(searched)),
@@ -84,7 +84,10 @@ pub(super) async fn find_in_photographs<S: SceneSource>(
     let others: Vec<InstanceId> = of_geometry.filter(|id| !ids.contains(id)).collect();
     let most = if ids.is_empty() { others.len() } else { BY_GEOMETRY };
     ids.extend(others.into_iter().take(most));
-    searched.context = searched.context.with_found_in_photographs(&ids, &found.anchors);
+    let mut anchors = found.anchors;
+    // Left and right come from a wall, but a picture of it tells little.
+    anchors.retain(|(id, _)| !is_building(searched.source.instances(), *id));
+    searched.context = searched.context.with_found_in_photographs(&ids, &anchors);
     Ok(Ok(searched))
 }
 
@@ -98,6 +101,45 @@ impl<S: SceneSource> Searched<S> {
             drawing: Duration::ZERO,
             agreed: None,
             left_out: None,
+        }
+    }
+
+    /// Asks where the object is. If the model sees nothing that may be it, it is asked once more with
+    /// the photographs that were not shown. Returns what it found, and in which photographs.
+    async fn find(
+        &mut self,
+        marked: MarkedPhotographs,
+        options: Options,
+        session: &mut Session<'_>,
+    ) -> Result<Result<(Finding, MarkedPhotographs), AskError>, S::Error> {
+        session.allow_one_more();
+        let found = match vlm::find(&self.context, &marked, options, session).await {
+            Ok(found) => found,
+            Err(error) => return Ok(Err(error)),
+        };
+        if !found.ids.is_empty() || found.seen.is_some() {
+            return Ok(Ok((found, marked)));
+        }
+        let begun = Instant::now();
+        let (context, shown) = (self.context.clone(), marked.clone());
+        let further = self
+            .source
+            .compute(move |source| vlm::further_photographs(source, &context, &shown))
+            .await?;
+        self.drawing += begun.elapsed();
+        if further.photographs.is_empty() {
+            return Ok(Ok((found, marked)));
+        }
+        session.allow_one_more();
+        match vlm::find(&self.context, &further, options, session).await {
+            Ok(mut again) => {
+                let is_new =
+                    |(id, _): &(InstanceId, String)| !again.anchors.iter().any(|a| a.0 == *id);
+                let before: Vec<_> = found.anchors.into_iter().filter(is_new).collect();
+                again.anchors.extend(before);
+                Ok(Ok((again, further)))
+            }
+            Err(_) => Ok(Ok((found, marked))),
         }
     }
 

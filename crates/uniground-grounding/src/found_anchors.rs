@@ -8,7 +8,7 @@ use super::vlm::{PromptContext, matches_phrase};
 use super::{Appearance, Grounding, Question, Status, ground_with_context};
 use std::sync::Arc;
 use std::time::Duration;
-use uniground_geometry::scene::InstanceId;
+use uniground_geometry::scene::{InstanceId, Structure};
 use uniground_language::{Form, ME, Meaning, ParsedQuery, Phrase};
 use uniground_models::attributes::Lexicon;
 
@@ -103,13 +103,14 @@ fn collect_anchors<'a>(phrase: &'a mut Phrase, found: &mut Vec<&'a mut Phrase>) 
     }
 }
 
-/// Returns whether a phrase means one object of the scene: no zone, no wall, and not the asker.
+/// Returns whether a phrase means one object of the scene, or one of its walls: no zone, and not the
+/// asker. Walls have numbers only if the question says which one it means.
 fn is_single_object(phrase: &Phrase) -> bool {
-    let of_room = matches!(
-        phrase.meaning(),
-        Meaning::Structure(_) | Meaning::Anything | Meaning::Instance(_)
-    );
-    !of_room
+    let is_other = match phrase.meaning() {
+        Meaning::Structure(structure) => structure != Structure::Wall,
+        meaning => matches!(meaning, Meaning::Anything | Meaning::Instance(_)),
+    };
+    !is_other
         && !phrase.indefinite
         && !Lexicon::get().is_plural(&phrase.head)
         && phrase.head != ME
@@ -140,6 +141,9 @@ mod tests {
             replaced("the mug between the sofa and the chair"),
             Some(vec!["#7".into(), "#12".into()])
         );
+        let wall = [(3, "brick wall")];
+        let facing = anchors_of("facing the brick wall, the lamp on the left", &wall);
+        assert_eq!(facing, Some(vec!["#3".into()]));
         for query in
             ["the mug", "the mug on the table", "the mug next to a sofa", "the mug by the wall"]
         {

@@ -245,7 +245,7 @@ fn main_words(name: &str) -> Vec<String> {
     words
 }
 
-fn singular(word: &str) -> &str {
+pub(crate) fn singular(word: &str) -> &str {
     word.strip_suffix('s').filter(|rest| rest.len() > 2 && !rest.ends_with('s')).unwrap_or(word)
 }
 

@@ -12,6 +12,7 @@
 //! computing.
 
 use super::appearance::{Appearance, ShortlistScoring};
+use super::direction::common_look;
 use super::find_in_photographs::{Searched, find_in_photographs};
 use super::found_anchors::ByGeometry;
 use super::reasoner::builtin;
@@ -36,6 +37,8 @@ use uniground_models::chat::{AskError, Budget, CallRecord, ChatModel, Session};
 use uniground_models::neural::DualEncoder;
 use uniground_types::answer::LeftOut;
 
+/// Name of the directions that photographs show, if all of them look one way.
+const PHOTOGRAPHS: &str = "photographs";
 /// Confidence of the geometry from which the photographs mode does not ask where the object is.
 const SURE_WITHOUT_LOOKING: f32 = 0.8;
 
@@ -107,7 +110,7 @@ pub struct Answered {
     /// none.
     pub left_out: Option<LeftOut>,
     /// Every call of a model, in order: at most [`MAX_CALLS`], one more where the model saw an
-    /// object that was not listed, and one more where it looked at photographs first.
+    /// object that was not listed, and one or two more where it looked at photographs first.
     pub calls: Vec<CallRecord>,
 }
 
@@ -253,9 +256,15 @@ async fn apply_review<S: SceneSource>(
     let mut session =
         Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
     let context = if options.prompt == PromptVersion::Paper {
-        context.without_shown_anchors()
+        context.as_in_the_paper()
     } else {
-        context.without_building_anchors(source.instances())
+        let context = context.without_building_anchors(source.instances());
+        source
+            .compute(|source| {
+                let poses = source.frames()?.into_iter().map(|frame| frame.camera_to_world);
+                Ok(context.as_photographed(common_look(poses)))
+            })
+            .await?
     };
     let by_geometry_alone = answered.grounding.clone();
     let of_geometry = &answered.grounding;
@@ -289,6 +298,9 @@ async fn apply_review<S: SceneSource>(
     };
     let Searched { source, context, notes, drawing, agreed, left_out } = searched;
     answered.left_out = left_out;
+    if context.is_as_photographed() {
+        answered.grounding.direction_convention = PHOTOGRAPHS.into();
+    }
     let source = &source;
     // The model has confirmed the geometry's choice, or neither has found anything to decide about.
     if agreed.is_some() || context.candidates.is_empty() {

@@ -16,7 +16,7 @@ use uniground_models::chat::AskError;
 use uniground_models::neural::{DualEncoder, ModelError};
 use uniground_parsing::ParseError;
 use uniground_parsing::pointed::PhotographPoint;
-use uniground_render::{FrameContents, RenderScene, Shot, close_ups};
+use uniground_render::{FrameContent, FrameContents, RenderScene, Shot, close_ups};
 
 /// Returns a scene as stage 2 needs it.
 pub(super) fn scene_view<'a, S: SceneSource>(
@@ -143,7 +143,10 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
         }
         let (frames, render_scene) = (self.frames()?, self.render_scene()?);
         let contents = Arc::new(FrameContents::of(&render_scene, self.instances(), &frames));
-        let bytes = contents.frames.iter().map(|(_, seen)| size_of_val(&seen[..])).sum();
+        let size = |frame: &FrameContent| {
+            size_of_val(&frame.instances[..]) + frame.cells.len() * size_of::<[i32; 3]>()
+        };
+        let bytes = contents.frames.iter().map(size).sum();
         cache.contents.put(key, contents.clone(), bytes);
         Ok(contents)
     }

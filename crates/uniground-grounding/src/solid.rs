@@ -29,8 +29,8 @@ impl From<&Instance> for Solid {
 }
 
 impl From<Aabb> for Solid {
-    fn from(Aabb { center, size }: Aabb) -> Self {
-        Self::from(OrientedBox { center, size, yaw_rad: 0.0 })
+    fn from(aabb: Aabb) -> Self {
+        Self::from(OrientedBox::from(aabb))
     }
 }
 

@@ -6,7 +6,6 @@
 //! those of things that hang on it. A plane between the camera and a subject is left out too,
 //! whichever way it faces.
 
-use nalgebra::Rotation3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use uniground_geometry::boxes::{Aabb, OrientedBox};
@@ -201,11 +200,7 @@ impl Building {
             .map(|aabb| {
                 let known =
                     self.boxes.iter().find(|(own, _)| own == aabb).map(|(_, turned)| *turned);
-                let within = known.unwrap_or(OrientedBox {
-                    center: aabb.center,
-                    size: aabb.size,
-                    yaw_rad: 0.0,
-                });
+                let within = known.unwrap_or((*aabb).into());
                 VisibleSubject {
                     flat: self.sheets.iter().map(|sheet| sheet.is_flat(&within, FLAT_M)).collect(),
                     within,
@@ -330,7 +325,7 @@ impl PlaneRect {
 
     /// Returns whether a box lies flat on the plane, as pictures do.
     fn is_flat(&self, of: &OrientedBox, depth_m: f32) -> bool {
-        corners(of).iter().all(|corner| self.distance(corner).abs() < depth_m)
+        of.corners().iter().all(|corner| self.distance(corner).abs() < depth_m)
     }
 
     fn faces_away(&self, eye: &Point3<f32>) -> bool {
@@ -339,7 +334,7 @@ impl PlaneRect {
 
     /// Returns whether the plane is between the eye and much of a box.
     fn is_hiding(&self, subject: &OrientedBox, eye: &Point3<f32>) -> bool {
-        let corners = corners(subject).map(|corner| corner + (subject.center - corner) * DRAWN_IN);
+        let corners = subject.corners().map(|corner| corner + (subject.center - corner) * DRAWN_IN);
         let before = self.distance(eye);
         let hidden = |p: &&Point3<f32>| {
             let behind = self.distance(p);
@@ -526,13 +521,6 @@ fn find_wall_of(sheets: &[PlaneRect], instance: &Instance) -> Option<(usize, Ori
         .iter()
         .position(|sheet| instance.structure.is_none() && is_wall(sheet) && hangs(sheet))?;
     Some((wall, of))
-}
-
-fn corners(of: &OrientedBox) -> [Point3<f32>; 8] {
-    let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), of.yaw_rad);
-    Aabb { center: Point3::origin(), size: of.size }
-        .corners()
-        .map(|corner| of.center + turn * corner.coords)
 }
 
 /// Returns whether a point is in a box grown by `growth_m` on all sides, meters.

@@ -11,7 +11,7 @@ use image::{Rgb, RgbImage, imageops};
 use rayon::prelude::*;
 use tiny_skia::Rect;
 use uniground_geometry::Point3;
-use uniground_geometry::boxes::Aabb;
+use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::scene::Camera;
 
 /// Settings for a picture of several candidates.
@@ -103,11 +103,11 @@ impl GlobalView {
         let pose = look_at(&eye, &subjects.target, azimuth_deg.to_radians());
         let wide = Camera::new(default_intrinsics(self.view_px, self.view_px), &pose);
         let corners: Vec<Point3<f32>> =
-            subjects.boxes.iter().flat_map(|b| b.aabb.corners()).collect();
+            subjects.boxes.iter().flat_map(|b| b.drawn.corners()).collect();
         let smallest = subjects
             .boxes
             .iter()
-            .filter_map(|b| longer_side(&wide, &b.aabb))
+            .filter_map(|b| longer_side(&wide, &b.drawn))
             .fold(f32::INFINITY, f32::min);
         let max_zoom = self.max_zoom.max(self.min_subject_px / smallest.max(LEAST_PX));
         Camera::new(calibrate(&wide, &corners, self.margin, max_zoom), &pose)
@@ -182,8 +182,8 @@ impl GlobalView {
 }
 
 /// Returns the longer side of a box in the picture, pixels; `None` behind the camera.
-pub(super) fn longer_side(camera: &Camera, aabb: &Aabb) -> Option<f32> {
-    projected_bounds(camera, aabb).map(|rect| rect.width().max(rect.height()))
+pub(super) fn longer_side(camera: &Camera, of: &OrientedBox) -> Option<f32> {
+    projected_bounds(camera, of).map(|rect| rect.width().max(rect.height()))
 }
 
 #[cfg(test)]
@@ -197,10 +197,9 @@ mod tests {
         Aabb { center: Point3::new(0.0, 0.0, 1.2), size: Vector3::new(6.0, 5.0, 2.4) };
 
     fn subjects() -> Subjects {
-        let at = |x: f32, y: f32, style| LabeledBox {
-            aabb: Aabb { center: Point3::new(x, y, 0.4), size: Vector3::new(0.6, 0.5, 0.8) },
-            label: "7".into(),
-            style,
+        let size = Vector3::new(0.6, 0.5, 0.8);
+        let at = |x: f32, y: f32, style| {
+            LabeledBox::axis_aligned(Aabb { center: Point3::new(x, y, 0.4), size }, "7", style)
         };
         let word =
             |word: &str, direction: Vector3<f32>| DirectionWord { word: word.into(), direction };
@@ -229,7 +228,7 @@ mod tests {
                 let pixel = camera.project(p).unwrap();
                 (90.0..590.0).contains(&pixel.u) && (90.0..590.0).contains(&pixel.v)
             };
-            assert!(subjects.boxes.iter().flat_map(|b| b.aabb.corners()).all(|c| inside(&c)));
+            assert!(subjects.boxes.iter().flat_map(|b| b.drawn.corners()).all(|c| inside(&c)));
         }
     }
 
@@ -264,7 +263,7 @@ mod tests {
         subjects
             .boxes
             .iter_mut()
-            .for_each(|b| b.aabb.center = Point3::from(b.aabb.center.coords * 0.5));
+            .for_each(|b| b.drawn.center = Point3::from(b.drawn.center.coords * 0.5));
         subjects.target = Point3::origin();
         let view = GlobalView { shading: 0.0, ..GlobalView::default() };
         for azimuth_deg in [0.0_f32, 30.0, 120.0, 200.0, 240.0] {

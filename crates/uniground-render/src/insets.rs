@@ -40,14 +40,14 @@ pub(super) fn place_insets(
     taken: &[Rect],
 ) -> Vec<Inset> {
     let size =
-        |camera: &Camera, i: usize| longer_side(camera, &boxes[i].aabb).unwrap_or(f32::INFINITY);
+        |camera: &Camera, i: usize| longer_side(camera, &boxes[i].drawn).unwrap_or(f32::INFINITY);
     let mut small: Vec<usize> = (0..boxes.len()).filter(|&i| size(camera, i) < min_px).collect();
     // The most important ones are last in the list and must come first here.
     small.reverse();
     let mut taken: Vec<Rect> = taken
         .iter()
         .copied()
-        .chain(boxes.iter().filter_map(|b| projected_bounds(camera, &b.aabb)))
+        .chain(boxes.iter().filter_map(|b| projected_bounds(camera, &b.drawn)))
         .collect();
     let mut insets = Vec::new();
     while !small.is_empty() && insets.len() < MOST {
@@ -80,7 +80,7 @@ pub(super) fn place_insets(
 /// Returns the view's camera, zoomed in on some boxes.
 fn zoom_camera(camera: &Camera, boxes: &[LabeledBox], which: &[usize], side: u32) -> Camera {
     let pose: Isometry3<f32> = camera.world_to_camera().inverse();
-    let corners: Vec<Point3<f32>> = which.iter().flat_map(|&i| boxes[i].aabb.corners()).collect();
+    let corners: Vec<Point3<f32>> = which.iter().flat_map(|&i| boxes[i].drawn.corners()).collect();
     let square = Camera::new(Intrinsics { width: side, height: side, ..camera.intrinsics }, &pose);
     Camera::new(
         calibrate(
@@ -134,10 +134,10 @@ mod tests {
     const MIN_PX: f32 = 40.0;
 
     fn subjects(at: &[[f32; 2]], side: f32) -> Subjects {
-        let small = |(i, at): (usize, &[f32; 2])| LabeledBox {
-            aabb: Aabb { center: Point3::new(at[0], at[1], 0.8), size: Vector3::repeat(side) },
-            label: i.to_string(),
-            style: BoxStyle::Candidate,
+        let small = |(i, at): (usize, &[f32; 2])| {
+            let center = Point3::new(at[0], at[1], 0.8);
+            let aabb = Aabb { center, size: Vector3::repeat(side) };
+            LabeledBox::axis_aligned(aabb, i.to_string(), BoxStyle::Candidate)
         };
         let boxes: Vec<LabeledBox> = at.iter().enumerate().map(small).collect();
         let target = Point3::from(
@@ -156,7 +156,7 @@ mod tests {
             for azimuth_deg in [0.0, 120.0, 240.0] {
                 let view = GlobalView { view_px, ..GlobalView::default() };
                 let camera = view.camera(&hall, &near, azimuth_deg);
-                assert!(longer_side(&camera, &near.boxes[0].aabb).unwrap() >= MIN_PX - 0.1);
+                assert!(longer_side(&camera, &near.boxes[0].drawn).unwrap() >= MIN_PX - 0.1);
                 assert!(
                     place_insets(&camera, &near.boxes, MIN_PX - 0.1, &[]).is_empty(),
                     "the view itself is close enough"
@@ -174,7 +174,7 @@ mod tests {
                     assert!(
                         inset.boxes.iter().all(|&i| longer_side(
                             &inset.camera,
-                            &apart.boxes[i].aabb
+                            &apart.boxes[i].drawn
                         )
                         .unwrap()
                             >= MIN_PX)
@@ -186,7 +186,7 @@ mod tests {
                     assert!(insets[..k].iter().all(|other| !overlap(&other.rect, &inset.rect)));
                     assert!(apart.boxes.iter().all(|b| !overlap(
                         &inset.rect,
-                        &projected_bounds(&camera, &b.aabb).unwrap()
+                        &projected_bounds(&camera, &b.drawn).unwrap()
                     )));
                 }
             }

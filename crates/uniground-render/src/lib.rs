@@ -36,7 +36,7 @@ pub use shot::{Shot, crop_area, cut_out_area, to_area_shares};
 use uniground_geometry::Point3;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::Camera;
-pub use visible_instances::{FrameContents, VisibleInstance, middle_of_mask};
+pub use visible_instances::{FrameContent, FrameContents, VisibleInstance, middle_of_mask};
 
 const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
 /// Default view of a whole room: from the south, well above. Left is -X, right is +X, the

@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use tiny_skia::{
     Color, LineCap, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, StrokeDash, Transform,
 };
-use uniground_geometry::boxes::Aabb;
+use uniground_geometry::boxes::{Aabb, OrientedBox};
 use uniground_geometry::scene::Camera;
 use uniground_geometry::{Point2, Point3};
 
@@ -25,12 +25,22 @@ pub enum BoxStyle {
 /// A box in the world with a tag.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LabeledBox {
-    /// Axis-aligned, meters, world frame (Z up).
+    /// Axis-aligned, meters, world frame (Z up). Selects what the render cuts away.
     pub aabb: Aabb,
+    /// The box that is drawn: along the object's own axes, or the same as `aabb`.
+    pub drawn: OrientedBox,
     /// One line of text on the tag: "22", "7 anchor".
     pub label: String,
     /// Selects color and width of its lines.
     pub style: BoxStyle,
+}
+
+impl LabeledBox {
+    /// Returns a box that is drawn along the axes of the world.
+    #[must_use]
+    pub fn axis_aligned(aabb: Aabb, label: impl Into<String>, style: BoxStyle) -> Self {
+        Self { aabb, drawn: aabb.into(), label: label.into(), style }
+    }
 }
 
 impl BoxStyle {
@@ -135,7 +145,7 @@ fn draw_footings(layer: &mut Pixmap, drawn: &Splats, camera: &Camera) {
 
 fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labeled: &LabeledBox) {
     let (mut seen, mut hidden) = (PathBuilder::new(), PathBuilder::new());
-    let corners = labeled.aabb.corners();
+    let corners = labeled.drawn.corners();
     for i in 0..8_usize {
         for bit in [1, 2, 4].into_iter().filter(|bit| i & bit == 0) {
             add_edge(drawn, camera, (&corners[i], &corners[i | bit]), &mut seen, &mut hidden);
@@ -253,10 +263,10 @@ pub(super) fn place_labels(
     mut taken: Vec<Rect>,
 ) -> Vec<Option<LabelSpot>> {
     let middles: Vec<Option<Point2<f32>>> =
-        boxes.iter().map(|b| position(camera, &b.aabb.center).map(|(at, _)| at)).collect();
+        boxes.iter().map(|b| position(camera, &b.drawn.center).map(|(at, _)| at)).collect();
     let mut places = vec![None; boxes.len()];
     for (i, labeled) in boxes.iter().enumerate().rev() {
-        let Some(home) = label_anchor(picture, camera, &labeled.aabb) else { continue };
+        let Some(home) = label_anchor(picture, camera, &labeled.drawn) else { continue };
         let others = || {
             middles.iter().enumerate().filter(|(j, _)| *j != i).filter_map(|(_, middle)| *middle)
         };
@@ -280,8 +290,8 @@ pub(super) fn place_labels(
 
 /// Returns the bounds of a box in the picture, possibly outside of it; `None` when it is behind the
 /// camera.
-pub(super) fn projected_bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
-    let corners = aabb.corners();
+pub(super) fn projected_bounds(camera: &Camera, of: &OrientedBox) -> Option<Rect> {
+    let corners = of.corners();
     let mut at = corners.iter().filter_map(|corner| position(camera, corner)).map(|(at, _)| at);
     let first = at.next()?;
     let (low, high) = at.fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
@@ -290,9 +300,13 @@ pub(super) fn projected_bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
 
 /// Returns the middle of a box's upper border, moved into the picture; `None` when the box is
 /// behind the camera.
-fn label_anchor((width, height): (u32, u32), camera: &Camera, aabb: &Aabb) -> Option<Point2<f32>> {
+fn label_anchor(
+    (width, height): (u32, u32),
+    camera: &Camera,
+    of: &OrientedBox,
+) -> Option<Point2<f32>> {
     let corners: Vec<Point2<f32>> =
-        aabb.corners().iter().filter_map(|c| position(camera, c)).map(|(at, _)| at).collect();
+        of.corners().iter().filter_map(|c| position(camera, c)).map(|(at, _)| at).collect();
     let count = corners.len() as f32;
     let top = corners.iter().map(|p| p.y).fold(f32::INFINITY, f32::min);
     let middle = corners.iter().map(|p| p.x).sum::<f32>() / count;
@@ -365,10 +379,9 @@ mod tests {
     fn boxes(count: usize, spread_m: f32) -> Vec<LabeledBox> {
         let at = |i: usize| Point3::new(i as f32 * spread_m - 0.5, (i % 7) as f32 * spread_m, 0.0);
         (0..count)
-            .map(|i| LabeledBox {
-                aabb: Aabb { center: at(i), size: Vector3::repeat(0.3) },
-                label: format!("{}", 100 + i),
-                style: BoxStyle::Candidate,
+            .map(|i| {
+                let aabb = Aabb { center: at(i), size: Vector3::repeat(0.3) };
+                LabeledBox::axis_aligned(aabb, format!("{}", 100 + i), BoxStyle::Candidate)
             })
             .collect()
     }
@@ -396,7 +409,7 @@ mod tests {
         for (i, place) in places.iter().enumerate() {
             let rect = place.as_ref().unwrap().rect;
             let hides = |j: usize| {
-                rect_contains(&rect, position(&camera, &boxes[j].aabb.center).unwrap().0)
+                rect_contains(&rect, position(&camera, &boxes[j].drawn.center).unwrap().0)
             };
             assert!((0..5).filter(|j| *j != i).all(|j| !hides(j)));
         }
@@ -422,7 +435,7 @@ mod tests {
             &mut picture,
             &drawn,
             &camera,
-            &[LabeledBox { aabb, label: "7".into(), style: BoxStyle::Candidate }],
+            &[LabeledBox::axis_aligned(aabb, "7", BoxStyle::Candidate)],
             Vec::new(),
         );
         let (a, b) = (Point3::new(-1.8, -0.1, -0.5), Point3::new(1.8, -0.1, -0.5));

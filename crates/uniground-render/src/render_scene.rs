@@ -89,8 +89,7 @@ impl RenderScene {
             return self.draw_points(camera, |_, p| p.z <= highest_m);
         };
         let Some(building) = &self.building else {
-            let of = |s: &Aabb| OrientedBox { center: s.center, size: s.size, yaw_rad: 0.0 };
-            let kept: Vec<OrientedBox> = subjects.iter().map(of).collect();
+            let kept: Vec<OrientedBox> = subjects.iter().map(|s| (*s).into()).collect();
             return self.draw_points(camera, |_, p| {
                 p.z <= highest_m || kept.iter().any(|b| box_contains(b, RIM_M, p))
             });

@@ -4,10 +4,10 @@
 use super::building::box_contains;
 use super::render_scene::{RenderScene, draw_splats};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use uniground_geometry::Point3;
 use uniground_geometry::scene::{
-    Camera, CellMask, FrameIndex, FrameRef, Instance, InstanceId, Level, PointCloud,
+    Camera, CellMask, FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, Level, PointCloud,
 };
 
 /// An instance in a frame's picture.
@@ -25,12 +25,29 @@ pub struct VisibleInstance {
     pub is_cut: bool,
 }
 
-/// The instances that the frames of a scan show.
+/// What the frames of a scan show.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameContents {
-    /// In order of the frames; each list in order of id.
-    pub frames: Vec<(FrameIndex, Vec<VisibleInstance>)>,
+    /// In order of the frames.
+    pub frames: Vec<FrameContent>,
 }
+
+/// What a frame shows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameContent {
+    /// The frame.
+    pub frame: FrameIndex,
+    /// In order of id.
+    pub instances: Vec<VisibleInstance>,
+    /// The places whose surface it shows, of instances or not: indices of cubes of [`CELL_M`] in
+    /// the world frame.
+    pub cells: BTreeSet<[i32; 3]>,
+}
+
+/// Side of the cubes in which the visible surface is counted, meters.
+const CELL_M: f32 = 0.4;
+/// A frame shows a cube if this many pixels of its small picture do.
+const CELL_PIXELS: usize = 12;
 
 /// Width of the pictures in which visibility is determined, pixels.
 const WIDTH_PX: u32 = 160;
@@ -56,10 +73,29 @@ impl FrameContents {
             let camera = Camera::new(taken.scaled_to(WIDTH_PX, height), &frame.camera_to_world);
             let drawn = draw_splats(&cloud, spacing_m, &camera, |_, _| true);
             let ids: Vec<u32> = drawn.picture.pixels().map(|pixel| id_of(pixel.0)).collect();
-            (frame.index, visible_in(&ids, WIDTH_PX as usize))
+            FrameContent {
+                frame: frame.index,
+                instances: visible_in(&ids, WIDTH_PX as usize),
+                cells: visible_cells(&drawn.depth_m, &camera),
+            }
         };
         Self { frames: frames.par_iter().map(seen).collect() }
     }
+}
+
+/// Returns the cubes of [`CELL_M`] that enough pixels show.
+fn visible_cells(depth_m: &[f32], camera: &Camera) -> BTreeSet<[i32; 3]> {
+    let Intrinsics { width, fx, fy, cx, cy, .. } = camera.intrinsics;
+    let camera_to_world = camera.world_to_camera().inverse();
+    let mut pixels: HashMap<[i32; 3], usize> = HashMap::new();
+    for (at, &z_m) in depth_m.iter().enumerate().filter(|(_, z_m)| z_m.is_finite()) {
+        let (u, v) = ((at as u32 % width) as f32, (at as u32 / width) as f32);
+        let seen = Point3::new((u - cx) * z_m / fx, (v - cy) * z_m / fy, z_m);
+        let place = camera_to_world * seen;
+        let cell = [place.x, place.y, place.z].map(|at| (at / CELL_M).floor() as i32);
+        *pixels.entry(cell).or_default() += 1;
+    }
+    pixels.into_iter().filter(|(_, count)| *count >= CELL_PIXELS).map(|(cell, _)| cell).collect()
 }
 
 /// Returns the cloud with ids as colors; 0 for points of no instance, which hide others as well.
@@ -173,7 +209,7 @@ fn distance_to_other(ids: &[u32], width: usize) -> Vec<u32> {
 mod tests {
     use super::*;
     use uniground_geometry::boxes::{Aabb, OrientedBox};
-    use uniground_geometry::scene::{Intrinsics, Structure};
+    use uniground_geometry::scene::Structure;
     use uniground_geometry::{Isometry3, Vector3};
 
     fn instance(id: u32, center: [f32; 3], size: [f32; 3]) -> Instance {
@@ -225,7 +261,16 @@ mod tests {
         let beside = instance(4, [9.0, 0.0, 1.5], [0.4, 0.4, 0.1]);
         let scene = RenderScene::new(wall_and_patch());
         let seen = FrameContents::of(&scene, &[wall, patch, hidden, beside], &[frame(7)]);
-        let [(FrameIndex(7), seen)] = &seen.frames[..] else { panic!("{seen:?}") };
+        let [FrameContent { frame: FrameIndex(7), instances: seen, cells }] = &seen.frames[..]
+        else {
+            panic!("{seen:?}")
+        };
+        // The wall is 4 x 4 m of the view at 2 m, the patch hides its middle.
+        let has = |x: i32, y: i32, deep: std::ops::Range<i32>| {
+            deep.into_iter().any(|z| cells.contains(&[x, y, z]))
+        };
+        assert!(has(4, 4, 4..6) && has(0, 0, 3..4), "{cells:?}");
+        assert!(!has(0, 0, 4..6) && !has(6, 0, 4..6), "{cells:?}");
         let ids: Vec<u32> = seen.iter().map(|visible| visible.id.0).collect();
         assert_eq!(ids, [1, 2], "what is hidden or outside is not visible");
         let patch = seen[1];

@@ -479,8 +479,9 @@ pub struct Answer {
     /// cannot be fetched again.
     #[serde(default = "default_stored")]
     pub stored: bool,
-    /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. An orientation
-    /// in the question, like "facing the door", takes precedence.
+    /// Convention for left, right, front and back: `paper`, `viewer` or `observer`; `photographs` if
+    /// a vision-language model decided about a scan whose photographs all look one way. An
+    /// orientation in the question, like "facing the door", takes precedence.
     pub direction_convention: String,
     /// The coordinate frame of all boxes except those in `in_frame`.
     pub frame: CoordinateFrame,

@@ -53,13 +53,12 @@ async fn the_model_finds_instances_in_numbered_photographs_and_then_decides() {
             image::load_from_memory(&server.client.bytes(href).await.unwrap()).unwrap();
         }
     }
-    // Nothing found: the geometry's candidates are shown.
-    script.next(vec![
-        says("Could be: none\nAnchors: none\nSeen at: none"),
-        six_field_reply(shortlist[1], "", true, 1),
-    ]);
+    // Nothing found, in the other photographs either: the geometry's candidates are shown.
+    let nothing = || says("Could be: none\nAnchors: none\nSeen at: none");
+    script.next(vec![nothing(), nothing(), six_field_reply(shortlist[1], "", true, 1)]);
     let answer = server.client.ground(&scene, &photographs_first()).await.unwrap();
     assert_eq!(answer.answer.predicted_id.map(|id| id.0), Some(shortlist[1]));
+    assert_eq!(call_purposes(&answer), ["find", "find", "spatial"]);
     server.stop().await;
 }
 

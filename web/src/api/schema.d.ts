@@ -1190,8 +1190,9 @@ export interface components {
              */
             differs?: string | null;
             /**
-             * @description Convention for left, right, front and back: `paper`, `viewer` or `observer`. An orientation
-             *     in the question, like "facing the door", takes precedence.
+             * @description Convention for left, right, front and back: `paper`, `viewer` or `observer`; `photographs` if
+             *     a vision-language model decided about a scan whose photographs all look one way. An
+             *     orientation in the question, like "facing the door", takes precedence.
              */
             direction_convention: string;
             /** @description Paths of the pictures used as evidence. */
@@ -2166,7 +2167,8 @@ export interface components {
             truncation_voxels?: number;
             /**
              * Format: float
-             * @description Voxel size and approximate point distance, meters. Default: 0.018.
+             * @description Voxel size and approximate point distance, meters. Half of it for scans from less than 1.3 m
+             *     away, a third below 0.8 m. Default: 0.018.
              * @default 0.017999999225139618
              */
             voxel_m?: number;
@@ -2358,6 +2360,12 @@ export interface components {
              *     remaining tilt.
              */
             up: components["schemas"]["UpAxis"];
+            /**
+             * Format: float
+             * @description Median distance of the surfaces that the depth pictures show, meters. `null` without frames,
+             *     and in records from older versions.
+             */
+            viewing_distance_m?: number | null;
             /** @description The texts of the findings that can make results worse. */
             warnings: string[];
         };

@@ -73,7 +73,7 @@ impl Instance {
             things: Vec::new(),
             aabb,
             raw_box: aabb,
-            oriented_box: OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 },
+            oriented_box: aabb.into(),
             point_count: 0,
             mean_rgb: [0; 3],
             colors: ColorHistogram::default(),

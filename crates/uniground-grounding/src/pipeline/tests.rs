@@ -309,17 +309,18 @@ fn photographs_are_offered_when_no_candidate_fits_and_not_listed_is_allowed() {
     );
 }
 
-/// Returns an album of the room with points on its things, and a photograph of it from above.
-fn album_from_above(folder: &Utf8Path) -> Arc<SceneAlbum> {
+/// Returns an album of the room with points on its things, and photographs of it from above, all
+/// from one place.
+fn album_from_above(folder: &Utf8Path, frames: u32) -> Arc<SceneAlbum> {
     let color = folder.join("0.png");
     RgbImage::from_pixel(640, 480, image::Rgb([90, 90, 90])).save(&color).unwrap();
     let intrinsics =
         Intrinsics { width: 640, height: 480, fx: 400.0, fy: 400.0, cx: 320.0, cy: 240.0 };
-    let frame = FrameRef {
-        index: FrameIndex(4),
+    let frame = |number: u32| FrameRef {
+        index: FrameIndex(4 * number),
         time_s: None,
         depth: color.clone(),
-        color,
+        color: color.clone(),
         color_intrinsics: intrinsics,
         depth_intrinsics: intrinsics,
         depth_scale_m: 0.001,
@@ -339,44 +340,76 @@ fn album_from_above(folder: &Utf8Path) -> Arc<SceneAlbum> {
         }
     }
     let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
-    let album =
-        SceneAlbum::new(extent, RenderScene::new(cloud), None, "attributes".into(), vec![frame]);
+    let frames = (1..=frames).map(frame).collect();
+    let album = SceneAlbum::new(extent, RenderScene::new(cloud), None, "attributes".into(), frames);
     Arc::new(album)
 }
 
 #[test]
 fn cached_frame_contents_follow_dismissals() {
     let folder = tempfile::tempdir().unwrap();
-    let album = album_from_above(Utf8Path::from_path(folder.path()).unwrap());
+    let album = album_from_above(Utf8Path::from_path(folder.path()).unwrap(), 1);
     let seen_without = |dismissed: u32| {
         let mut instances = things();
         instances[dismissed as usize - 1].dismissed = true;
         let contents = album.scene(instances.into()).frame_contents().unwrap();
-        let [(_, seen)] = &contents.frames[..] else { panic!("{contents:?}") };
-        seen.iter().map(|seen| seen.id.0).collect::<Vec<_>>()
+        let [frame] = &contents.frames[..] else { panic!("{contents:?}") };
+        frame.instances.iter().map(|seen| seen.id.0).collect::<Vec<_>>()
     };
     assert_eq!((seen_without(2), seen_without(3)), (vec![1, 3], vec![1, 2]));
+}
+
+/// Asks with photographs first. Returns the answer, and the names of the pictures that were shown.
+fn asked_with_photographs(
+    scene: &Arc<MemoryScene>,
+    query: &str,
+    replies: &[Option<&'static str>],
+) -> (Answered, Vec<String>) {
+    let model = Scripted::new(replies);
+    let review = Review {
+        model: model.clone(),
+        budgets: Vec::new(),
+        options: Options { evidence: EvidenceMode::Photographs, ..Options::default() },
+        without_model: WithoutModel::BuiltIn,
+    };
+    let ask = Ask { review: Some(review), ..Ask::of(Question::of(query)) };
+    let answered = block_on(answer(scene, ask)).unwrap();
+    let shown = model.shown.lock().unwrap().clone();
+    (answered, shown)
+}
+
+#[test]
+fn what_is_in_no_photograph_is_looked_for_in_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let album = album_from_above(Utf8Path::from_path(folder.path()).unwrap(), 2);
+    let scene = album.scene(things().into());
+    let nothing = Some("Could be: none\nAnchors: 1 -> table\nSeen at: none");
+    let found = Some("Could be: 3\nAnchors: none\nSeen at: none");
+    let (answered, shown) =
+        asked_with_photographs(&scene, QUERY, &[nothing, found, Some(CHOOSES_THREE)]);
+    assert_eq!(answered.grounding.answer.predicted_id, Some(InstanceId(3)));
+    assert_eq!(shown[..2], ["marked-1", "further-1"]);
+    assert!(shown.contains(&"candidate-3".to_owned()), "{shown:?}");
+    let purposes: Vec<_> = answered.calls.iter().map(|call| call.purpose).collect();
+    assert_eq!(purposes, ["find", "find", "spatial"]);
+    // Nothing further is shown if the first ones show it.
+    let (_, shown) = asked_with_photographs(&scene, QUERY, &[found, Some(CHOOSES_THREE)]);
+    assert!(!shown.contains(&"further-1".to_owned()), "{shown:?}");
+    // It is in none of the photographs.
+    let none = Some("Predicted ID: none");
+    let (answered, _) = asked_with_photographs(&scene, "the theremin", &[nothing, nothing, none]);
+    assert_eq!((answered.grounding.status, answered.calls.len()), (Status::NoMatch, 3));
+    // The second look fails.
+    let (answered, shown) = asked_with_photographs(&scene, QUERY, &[nothing, None]);
+    assert!(answered.degraded && shown.contains(&"marked-1".to_owned()), "{shown:?}");
 }
 
 #[test]
 fn model_finds_candidates_and_anchors_in_marked_photographs() {
     let folder = tempfile::tempdir().unwrap();
-    let album = album_from_above(Utf8Path::from_path(folder.path()).unwrap());
+    let album = album_from_above(Utf8Path::from_path(folder.path()).unwrap(), 1);
     let scene = album.scene(things().into());
-    let asked = |query: &str, replies: &[Option<&'static str>]| {
-        let model = Scripted::new(replies);
-        let options = Options { evidence: EvidenceMode::Photographs, ..Options::default() };
-        let review = Review {
-            model: model.clone(),
-            budgets: Vec::new(),
-            options,
-            without_model: WithoutModel::BuiltIn,
-        };
-        let ask = Ask { review: Some(review), ..Ask::of(Question::of(query)) };
-        let answered = block_on(answer(&scene, ask)).unwrap();
-        let shown = model.shown.lock().unwrap().clone();
-        (answered, shown)
-    };
+    let asked = |query: &str, replies: &[_]| asked_with_photographs(&scene, query, replies);
     let nothing = "Could be: none\nAnchors: none\nSeen at: none";
     let found = "Could be: 3\nAnchors: 1\nSeen at: none";
     let (answered, shown) = asked(QUERY, &[Some(found), Some(CHOOSES_THREE)]);

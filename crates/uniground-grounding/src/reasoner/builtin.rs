@@ -222,7 +222,7 @@ fn best_first(scores: &[f32]) -> Vec<usize> {
 
 /// Returns where the name comes from that the target's noun is compared with, for the instance at
 /// an index. `None` if it was given, or if the target has no noun.
-fn guessed_from(scene: SceneView, target: &Phrase, index: usize) -> Option<NamesFrom> {
+pub(crate) fn guessed_from(scene: SceneView, target: &Phrase, index: usize) -> Option<NamesFrom> {
     matches!(target.meaning(), Meaning::Nouns(_) | Meaning::Structure(_))
         .then(|| NamesFrom::of(scene, target, index))
         .filter(|source| *source != NamesFrom::Given)

@@ -3,6 +3,7 @@
 use super::PromptContext;
 use super::reply::Reply;
 use crate::GivenName;
+use crate::names::singular;
 use crate::readings::Readings;
 use std::collections::{BTreeMap, BTreeSet};
 use uniground_language::{Meaning, Phrase};
@@ -35,21 +36,34 @@ pub(super) fn disagreement(
         .filter_map(|id| Some(format!("ID {id} is named \"{}\"", names.get(id)?)))
         .collect();
     let asked = target.text();
-    if others.is_empty() {
+    // A model that says what differs knows that not everything is as asked for.
+    if others.is_empty() || reply.differs.is_some() {
         return None;
     }
     if reply.target_name_matches == Some(false) {
         return Some(format!(
-            "says itself that its name does not match \"{asked}\", while {}",
+            "its name was said not to match \"{asked}\", while {}",
             others.join(" and ")
         ));
     }
-    (!fitting.contains(&chosen)).then(|| {
+    (!fitting.contains(&chosen) && !has_words_of(own, &target.head)).then(|| {
         format!(
             "it is named \"{own}\" and \"{asked}\" is asked for, while {}",
             others.join(" and ")
         )
     })
+}
+
+/// Returns whether a name has all words of a noun of several words, as "pile of folded towels" has
+/// those of "pile of towels". Which of them is its noun is then hard to tell.
+fn has_words_of(name: &str, noun: &str) -> bool {
+    let words = |text: &str| {
+        let words = text.split(|c: char| !c.is_alphanumeric()).filter(|word| *word != "of");
+        let words = words.filter(|word| !word.is_empty());
+        words.map(|word| singular(&word.to_lowercase()).to_owned()).collect::<BTreeSet<_>>()
+    };
+    let wanted = words(noun);
+    wanted.len() > 1 && wanted.is_subset(&words(name))
 }
 
 /// Number of best candidates whose photographs are shown when no name matches.
@@ -176,6 +190,8 @@ mod tests {
             anchors: Vec::new(),
             shown_anchors: Vec::new(),
             boxes: Vec::new(),
+            oriented_boxes: Vec::new(),
+            mentions_wall: false,
             directions: DirectionConvention::Paper.into(),
             seen_by: String::new(),
         }
@@ -211,12 +227,21 @@ mod tests {
         // The model itself says that the name does not match.
         for (chosen, other) in [(7, "ID 22 is named \"window\" and ID 23"), (22, "ID 23")] {
             let told = of(&wall, chosen, Some(false)).unwrap();
-            let begins = format!(
-                "says itself that its name does not match \"window\", while {other} is named"
-            );
+            let begins =
+                format!("its name was said not to match \"window\", while {other} is named");
             let begins = begins.trim_end_matches(" is named");
             assert!(told.starts_with(begins), "{told:?} begins with {begins:?}");
         }
+        // The model knows that something differs.
+        let differing = Reply { differs: Some("it is blue".into()), ..reply(Some(false)) };
+        assert_eq!(disagreement(&asked, &names(&wall), 7, &differing), None);
+        // The name has all words of a noun of several words.
+        let piles = names(&[(3, "pile of folded towels"), (4, "pile towels")]);
+        let asked_for = |noun: &str| {
+            let asked = Phrase { head: noun.into(), ..Phrase::default() };
+            disagreement(&asked, &piles, 3, &reply(None))
+        };
+        assert_eq!(asked_for("pile towels"), None);
         // No other name fits, or the choice has no name: nothing contradicts.
         assert_eq!(of(&[(7, "lamp"), (22, "window")], 22, Some(false)), None);
         assert_eq!(of(&[(22, "window")], 7, Some(false)), None);

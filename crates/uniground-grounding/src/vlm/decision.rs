@@ -306,6 +306,8 @@ mod tests {
             anchors: Vec::new(),
             shown_anchors: Vec::new(),
             boxes: (1..=9).map(|id| cube_at(id as f32 * 10.0)).collect(),
+            oriented_boxes: Vec::new(),
+            mentions_wall: false,
             directions: DirectionConvention::Paper.into(),
             seen_by: String::new(),
         }

@@ -7,9 +7,10 @@ use crate::pipeline::QuestionError;
 use crate::scene_source::SceneSource;
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
-use uniground_geometry::scene::{CellMask, FrameIndex, Instance, InstanceId, Level};
-use uniground_language::Meaning;
-use uniground_render::{FrameContents, Mark, VisibleInstance, draw_marks, middle_of_mask};
+use uniground_geometry::scene::{CellMask, FrameIndex, Instance, InstanceId, Level, Structure};
+use uniground_render::{
+    FrameContent, FrameContents, Mark, VisibleInstance, draw_marks, middle_of_mask,
+};
 use uniground_types::answer::LeftOut;
 
 /// Maximum number of photographs.
@@ -29,6 +30,8 @@ const NOT_A_VIEW: f32 = 0.75;
 const LEAST_GAIN: f32 = 0.5;
 /// Weight of the geometry's candidates and anchors: they should be seen well.
 const LIKELY: f32 = 3.0;
+/// Minimum gain of a further photograph, as a share of the surface that any frame shows.
+const LEAST_NEW_SURFACE: f32 = 0.03;
 /// An instance is marked where its view is at least this good, relative to its best one among the
 /// chosen photographs.
 const MARKED: f32 = 0.4;
@@ -45,7 +48,7 @@ pub struct MarkedPhotographs {
 }
 
 /// Returns photographs that show the scene's instances, with their ids as tags. Walls, floors and
-/// ceilings are marked only if the target is one. Returns none for a scan without photographs.
+/// ceilings are marked only if the target is one, and walls if the question says which one it means. Returns none for a scan without photographs.
 ///
 /// # Errors
 /// The cloud or the frames cannot be read, or the encoder fails.
@@ -54,14 +57,73 @@ pub fn marked_photographs<S: SceneSource>(
     context: &PromptContext,
 ) -> Result<MarkedPhotographs, S::Error> {
     let contents = source.frame_contents()?;
-    let views = Views::of(&contents, source.instances(), &context.target.meaning());
+    let views = Views::of(&contents, source.instances(), |structure| context.numbers(structure));
     let first = nearest_to_target(source, context)?;
     let likely: BTreeSet<InstanceId> =
         context.shown().chain(context.anchors.iter().map(|anchor| anchor.id)).collect();
     let chosen = views.choose(&first, |id| if likely.contains(&id) { LIKELY } else { 1.0 });
+    Ok(draw(source, &views, &chosen, ("marked", &BTreeSet::new())))
+}
+
+/// Returns photographs of the frames that were not shown yet: first those with the parts of the
+/// room that none of these shows, then others that together show it once more. Returns none if
+/// every frame was shown.
+///
+/// # Errors
+/// The cloud or the frames cannot be read.
+pub fn further_photographs<S: SceneSource>(
+    source: &S,
+    context: &PromptContext,
+    shown: &MarkedPhotographs,
+) -> Result<MarkedPhotographs, S::Error> {
+    let contents = source.frame_contents()?;
+    let views = Views::of(&contents, source.instances(), |structure| context.numbers(structure));
+    let before: Vec<FrameIndex> = shown.photographs.iter().map(|shown| shown.frame).collect();
+    let chosen = choose_further(&contents, &before);
+    Ok(draw(source, &views, &chosen, ("further", &shown.marked)))
+}
+
+/// Chooses frames by the surface they show, without these.
+fn choose_further(contents: &FrameContents, shown: &[FrameIndex]) -> Vec<FrameIndex> {
+    let everything: BTreeSet<_> = contents.frames.iter().flat_map(|frame| &frame.cells).collect();
+    let least = (everything.len() as f32 * LEAST_NEW_SURFACE).max(1.0) as usize;
+    let (before, mut rest): (Vec<&FrameContent>, Vec<&FrameContent>) =
+        contents.frames.iter().partition(|frame| shown.contains(&frame.frame));
+    let mut covered: BTreeSet<_> = before.into_iter().flat_map(|frame| &frame.cells).collect();
+    let mut is_first_round = true;
+    let mut chosen = Vec::new();
+    while chosen.len() < MOST {
+        let gain =
+            |frame: &FrameContent| frame.cells.iter().filter(|c| !covered.contains(c)).count();
+        let best = (0..rest.len()).map(|at| (at, gain(rest[at])));
+        let best = best.reduce(|best, next| if next.1 > best.1 { next } else { best });
+        match best.filter(|(_, gain)| *gain >= least) {
+            Some((at, _)) => {
+                let frame = rest.remove(at);
+                covered.extend(&frame.cells);
+                chosen.push(frame.frame);
+            }
+            None if is_first_round => {
+                is_first_round = false;
+                covered.clear();
+            }
+            None => break,
+        }
+    }
+    chosen
+}
+
+/// Draws these frames, with tags, in this order. `name` is that of their pictures, `before` has the
+/// instances that were marked in others.
+fn draw<S: SceneSource>(
+    source: &S,
+    views: &Views,
+    chosen: &[FrameIndex],
+    (name, before): (&str, &BTreeSet<InstanceId>),
+) -> MarkedPhotographs {
     let (cache, scene) = source.pictures();
     let draw = |&frame: &FrameIndex| {
-        let shown = views.marked_in(frame, &chosen);
+        let shown = views.marked_in(frame, chosen);
         let key = format!("{scene} {frame:?} {shown:?}");
         let drawn = cache.marked.get(&key).or_else(|| {
             let drawn = draw_marked(source, frame, &shown)?;
@@ -75,11 +137,11 @@ pub fn marked_photographs<S: SceneSource>(
     let mut photographs = Vec::new();
     for ((mut photograph, shown), number) in drawn.into_iter().zip(1..) {
         marked.extend(shown.iter().map(|seen| seen.id));
-        photograph.picture.name = format!("marked-{number}");
+        photograph.picture.name = format!("{name}-{number}");
         photographs.push(photograph);
     }
-    let left_out = views.left_out(source.instances(), &marked);
-    Ok(MarkedPhotographs { photographs, marked, left_out })
+    let left_out = views.left_out(source.instances(), &(&marked | before));
+    MarkedPhotographs { photographs, marked, left_out }
 }
 
 /// Draws a frame's photograph with a tag on each of these instances; `None` without a photograph.
@@ -136,21 +198,20 @@ struct Views<'a> {
 }
 
 impl<'a> Views<'a> {
-    fn of(contents: &'a FrameContents, instances: &[Instance], target: &Meaning) -> Self {
-        let asked = match target {
-            Meaning::Structure(structure) => Some(*structure),
-            _ => None,
-        };
+    /// `numbers` tells which pieces of the building may be marked.
+    fn of(
+        contents: &'a FrameContents,
+        instances: &[Instance],
+        numbers: impl Fn(Structure) -> bool,
+    ) -> Self {
         let may_be_marked = |seen: &&VisibleInstance| {
             let instance = instances.get((seen.id.0 as usize).wrapping_sub(1));
             seen.share >= LEAST_SHARE
-                && instance.is_some_and(|i| {
-                    !i.dismissed && (i.structure.is_none() || i.structure == asked)
-                })
+                && instance.is_some_and(|i| !i.dismissed && i.structure.is_none_or(&numbers))
         };
         let worth = |seen: &VisibleInstance| seen.share * if seen.is_cut { CUT } else { 1.0 };
         let mut best: HashMap<InstanceId, f32> = HashMap::new();
-        for seen in contents.frames.iter().flat_map(|(_, seen)| seen) {
+        for seen in contents.frames.iter().flat_map(|frame| &frame.instances) {
             let best = best.entry(seen.id).or_default();
             *best = best.max(worth(seen));
         }
@@ -163,8 +224,8 @@ impl<'a> Views<'a> {
             let sharp = if is_view(frame, seen.id) { 1.0 } else { NOT_A_VIEW };
             (seen, sharp * (worth(seen) / best[&seen.id]).sqrt())
         };
-        let frames = contents.frames.iter().map(|(frame, seen)| {
-            let marked = seen.iter().filter(may_be_marked);
+        let frames = contents.frames.iter().map(|FrameContent { frame, instances, .. }| {
+            let marked = instances.iter().filter(may_be_marked);
             (*frame, marked.map(|seen| quality(*frame, seen)).collect())
         });
         Self { frames: frames.collect() }
@@ -241,7 +302,7 @@ impl<'a> Views<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use uniground_geometry::scene::{Structure, Support, View};
+    use uniground_geometry::scene::{Support, View};
     use uniground_testing::thing;
 
     fn seen(id: u32, share: f32) -> VisibleInstance {
@@ -253,7 +314,11 @@ mod tests {
         let list = |seen_in: &&[(u32, f32)]| {
             seen_in.iter().map(|&(id, share)| seen(id, share)).collect::<Vec<_>>()
         };
-        let frames = frames.iter().zip(0..).map(|(frame, i)| (FrameIndex(i * 10), list(frame)));
+        let frames = frames.iter().zip(0..).map(|(frame, i)| FrameContent {
+            frame: FrameIndex(i * 10),
+            instances: list(frame),
+            cells: BTreeSet::new(),
+        });
         FrameContents { frames: frames.collect() }
     }
 
@@ -274,10 +339,32 @@ mod tests {
         let seen: [&[(u32, f32)]; 4] =
             [&[(1, 0.1)], &[(1, 0.1), (2, 0.1)], &[(3, 0.1)], &[(3, 0.02)]];
         let contents = contents(&seen);
-        let views = Views::of(&contents, &things(3), &Meaning::Anything);
+        let views = Views::of(&contents, &things(3), |_| false);
         assert_eq!(chosen(&views, &[], 0), [10, 20]);
         assert_eq!(chosen(&views, &[], 3), [20, 10], "the likely one first");
         assert_eq!(chosen(&views, &[30], 0), [30, 10, 20], "0.02 is 0.45 as good as 0.1");
+    }
+
+    #[test]
+    fn further_frames_show_what_was_not_shown_then_everything_again() {
+        let showing = |cells: [std::ops::Range<i32>; 5]| {
+            let frames = cells.into_iter().zip(0..).map(|(cells, i)| FrameContent {
+                frame: FrameIndex(i * 10),
+                instances: Vec::new(),
+                cells: cells.map(|x| [x, 0, 0]).collect(),
+            });
+            FrameContents { frames: frames.collect() }
+        };
+        let further = |contents: &FrameContents, shown: &[u32]| {
+            let shown: Vec<FrameIndex> = shown.iter().copied().map(FrameIndex).collect();
+            let chosen = choose_further(contents, &shown);
+            chosen.into_iter().map(|frame| frame.0).collect::<Vec<_>>()
+        };
+        // The last frame adds one of 100 places only.
+        let contents = showing([0..50, 0..60, 40..90, 89..100, 88..90]);
+        assert_eq!(further(&contents, &[0]), [20, 30, 10]);
+        assert_eq!(further(&contents, &[0, 10, 20, 30]), [0_u32; 0]);
+        assert_eq!(further(&contents, &[0, 10, 20, 30, 40]), [0_u32; 0]);
     }
 
     #[test]
@@ -302,7 +389,7 @@ mod tests {
         let seen: [&[(u32, f32)]; 3] =
             [&[(1, 0.1), (2, 0.001)], &[(1, 0.01), (2, 0.1)], &[(1, 0.05), (2, 0.0001)]];
         let contents = contents(&seen);
-        let views = Views::of(&contents, &things(2), &Meaning::Anything);
+        let views = Views::of(&contents, &things(2), |_| false);
         let marked = |frame| {
             let all = [0, 10, 20].map(FrameIndex);
             let ids = views.marked_in(FrameIndex(frame), &all).into_iter().map(|seen| seen.id.0);
@@ -318,14 +405,14 @@ mod tests {
         let mut instances = things(3);
         instances[0].structure = Some(Structure::Wall);
         instances[2].dismissed = true;
-        let marked = |meaning| {
-            let views = Views::of(&contents, &instances, &meaning);
+        let marked = |numbered: Option<Structure>| {
+            let views = Views::of(&contents, &instances, |kind| numbered == Some(kind));
             let here = views.marked_in(FrameIndex(0), &[FrameIndex(0)]);
             here.into_iter().map(|seen| seen.id.0).collect::<Vec<_>>()
         };
-        assert_eq!(marked(Meaning::Anything), [2]);
-        assert_eq!(marked(Meaning::Structure(Structure::Wall)), [1, 2]);
-        assert_eq!(marked(Meaning::Structure(Structure::Floor)), [2]);
+        assert_eq!(marked(None), [2]);
+        assert_eq!(marked(Some(Structure::Wall)), [1, 2]);
+        assert_eq!(marked(Some(Structure::Floor)), [2]);
     }
 
     #[test]
@@ -334,7 +421,7 @@ mod tests {
         let mut instances = things(6);
         instances[0].structure = Some(Structure::Wall);
         instances[2].dismissed = true;
-        let views = Views::of(&contents, &instances, &Meaning::Anything);
+        let views = Views::of(&contents, &instances, |_| false);
         let left_out = views.left_out(&instances, &[InstanceId(2)].into());
         // 6 is in no frame.
         let expected = LeftOut { structure: 1, too_small: 2, not_shown: 1, dismissed: 1 };

@@ -17,7 +17,7 @@ use uniground_models::chat::{ChatRequest, Part};
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
         PromptVersion::Paper => 2,
-        PromptVersion::Revised => 8,
+        PromptVersion::Revised => 9,
     };
     format!("{model} (prompt {number})")
 }
@@ -281,13 +281,14 @@ fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
             PromptVersion::Paper =>
                 "4. Choose one candidate. Only if it is certain that no candidate can be meant, answer none.",
             PromptVersion::Revised => {
-                "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant, and neither is \
-                 one that mostly shows something else. Where several are pieces of the object, choose the one that holds most of it.\n\
+                "4. Choose one candidate. One of another kind than the query says is not meant, nor one of plainly another colour (but see 6), nor \
+                 one of whose outline less than half is the object. Where several are pieces of the object, choose the one that holds most \
+                 of it.\n\
                  5. If no candidate is meant, look for the object in the images: where you see it, answer not listed and say where, in any \
                  image, rather in a photograph than in the render.\n\
                  6. If it is nowhere, but something of its kind is there that only differs in what else the query says of it (its colour, its \
-                 place, what it is next to), choose that, or answer not listed and say where, and in both cases say what differs. Else answer \
-                 none."
+                 place, what it is next to), choose that, or answer not listed and say where, and in both cases say what differs. Of several, \
+                 take the one of which most is as the query says. Else answer none."
             }
         }
     )
@@ -297,12 +298,19 @@ fn format(options: Options, images: usize) -> String {
     let Options { prompt, json, points, limits, .. } = options;
     let revised = prompt == PromptVersion::Revised;
     let place = points.describe(limits.describe_whole(images, "that whole image"));
+    let matches = match prompt {
+        PromptVersion::Paper => "does the chosen candidate's name mean what the query asks for",
+        PromptVersion::Revised => {
+            "does the chosen candidate's name mean the kind of thing that the query asks for, whatever its colour"
+        }
+    };
     if json {
         let optional = if revised { optional_as_json(&place) } else { String::new() };
-        let told = "Answer with one JSON object with the fields \"Predicted ID\" (a candidate's ID or null), \"Explanation\", \"Candidate Names\" \
-                (list of \"ID -> short name\"), \"Target name matches?\" (true or false: does the chosen candidate's name mean what the query asks \
-                for), \"Anchor ID\" (an ID or null), \"Relation used\" (words of the query or null).";
-        return format!("{told}{optional}");
+        return format!(
+            "Answer with one JSON object with the fields \"Predicted ID\" (a candidate's ID or null), \"Explanation\", \"Candidate Names\" \
+             (list of \"ID -> short name\"), \"Target name matches?\" (true or false: {matches}), \"Anchor ID\" (an ID or null), \"Relation \
+             used\" (words of the query or null).{optional}"
+        );
     }
     let (or_not_listed, optional) =
         if revised { (", or not listed", optional_as_lines(&place)) } else { ("", String::new()) };
@@ -311,7 +319,7 @@ fn format(options: Options, images: usize) -> String {
      Predicted ID: <a candidate's ID, or none{or_not_listed}>\n\
      Explanation: <appearance and spatial cues, short>\n\
      Candidate Names: <ID -> short name, ID -> short name, ...>\n\
-     Target name matches?: <true or false: does the chosen candidate's name mean what the query asks for>\n\
+     Target name matches?: <true or false: {matches}>\n\
      Anchor ID: <ID or unknown>\n\
      Relation used: <the relation in the words of the query, or none>{optional}"
     )

@@ -4,12 +4,14 @@
 use super::EvidenceMode;
 use crate::assess::Assessor;
 use crate::direction::Directions;
+use crate::reasoner::NamesFrom;
+use crate::reasoner::builtin::guessed_from;
 use crate::{Grounding, ParsedQuerySummary};
 use std::collections::BTreeMap;
 use uniground_geometry::Vector3;
-use uniground_geometry::boxes::Aabb;
-use uniground_geometry::scene::{Instance, InstanceId};
-use uniground_language::{ParsedQuery, Phrase, Viewpoint};
+use uniground_geometry::boxes::{Aabb, OrientedBox};
+use uniground_geometry::scene::{Instance, InstanceId, Structure};
+use uniground_language::{Meaning, ParsedQuery, Phrase, Viewpoint};
 use uniground_render::{BoxStyle, DirectionWord, LabeledBox, Subjects};
 
 /// A question, and what is known before a model is asked.
@@ -29,6 +31,12 @@ pub struct PromptContext {
     pub(super) shown_anchors: Vec<InstanceId>,
     /// Axis-aligned boxes of every instance, in order of id.
     pub(super) boxes: Vec<Aabb>,
+    /// The boxes that are drawn, along the instances' own axes, in order of id. Empty: the
+    /// axis-aligned ones are drawn, as in the paper.
+    pub(super) oriented_boxes: Vec<OrientedBox>,
+    /// Whether the question says from or towards which wall one looks, or which of the walls
+    /// something is at. Walls are numbered in photographs then.
+    pub(super) mentions_wall: bool,
     pub(super) directions: Directions,
     /// Whose left and right these are.
     pub(super) seen_by: String,
@@ -58,8 +66,12 @@ pub struct PromptAnchor {
     pub aabb: Aabb,
     /// Other instances it may be, best first.
     pub alternatives: Vec<InstanceId>,
+    /// Whether its name is a guess from size and place alone, which is wrong more often than right.
+    pub is_weak_guess: bool,
 }
 
+/// Whose left and right they are if all photographs look one way.
+const AS_PHOTOGRAPHED: &str = "as the photographs show it, which all look one way";
 /// Maximum number of anchors that are shown beside the candidates.
 const MAX_SHOWN_ANCHORS: usize = 2;
 /// Maximum number of other instances listed for an anchor.
@@ -78,6 +90,10 @@ impl PromptContext {
         anchor_phrases(&parsed.target, &mut phrases);
         phrases.extend(parsed.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
         phrases.extend(parsed.standpoint.as_ref());
+        let is_wall = |phrase: &Phrase| phrase.meaning() == Meaning::Structure(Structure::Wall);
+        let of_viewer = parsed.viewpoint.iter().map(|viewpoint| &viewpoint.anchor);
+        let mentions_wall = of_viewer.chain(&parsed.standpoint).any(is_wall)
+            || phrases.iter().any(|phrase| is_wall(phrase) && says_which(phrase));
         let mut anchors: Vec<PromptAnchor> = Vec::new();
         for phrase in phrases {
             let likely = assessor.likely(phrase, 1 + MAX_ALTERNATIVES);
@@ -91,6 +107,8 @@ impl PromptContext {
                     id: instance.id,
                     aabb: instance.aabb,
                     alternatives,
+                    is_weak_guess: guessed_from(assessor.scene, phrase, first)
+                        == Some(NamesFrom::Measures),
                 });
             }
         }
@@ -124,9 +142,17 @@ impl PromptContext {
             anchors,
             shown_anchors,
             boxes: assessor.scene.instances.iter().map(|i| i.aabb).collect(),
+            oriented_boxes: assessor.scene.instances.iter().map(|i| i.oriented_box).collect(),
+            mentions_wall,
             directions,
             seen_by,
         }
+    }
+
+    /// Returns whether pieces of the building of this kind are numbered in photographs.
+    pub(super) fn numbers(&self, structure: Structure) -> bool {
+        self.target.meaning() == Meaning::Structure(structure)
+            || self.mentions_wall && structure == Structure::Wall
     }
 
     /// Returns the candidates to name before the decision: where names are used, the first without
@@ -174,19 +200,33 @@ impl PromptContext {
     /// and a relation to one of them decides little.
     #[must_use]
     pub fn without_building_anchors(mut self, instances: &[Instance]) -> Self {
-        let is_building = |id: InstanceId| {
-            instances.get(id.0 as usize - 1).is_some_and(|i| i.structure.is_some())
-        };
-        self.anchors.retain(|anchor| !is_building(anchor.id));
-        self.shown_anchors.retain(|id| !is_building(*id));
+        self.anchors.retain(|anchor| !is_building(instances, anchor.id));
+        self.shown_anchors.retain(|id| !is_building(instances, *id));
         self
     }
 
     /// Returns the context as in the paper: anchors are listed, but not shown, and cannot be
-    /// chosen.
+    /// chosen. Axis-aligned boxes are drawn.
     #[must_use]
-    pub fn without_shown_anchors(self) -> Self {
-        Self { shown_anchors: Vec::new(), ..self }
+    pub fn as_in_the_paper(self) -> Self {
+        Self { shown_anchors: Vec::new(), oriented_boxes: Vec::new(), ..self }
+    }
+
+    /// Returns the context with left and right as photographs show them that all look this way,
+    /// unless somebody says otherwise: an observer, the words of the question or a convention that
+    /// was asked for.
+    #[must_use]
+    pub(crate) fn as_photographed(self, look: Option<Vector3<f32>>) -> Self {
+        let seen = look.filter(|_| self.directions.by_default).and_then(Directions::looking_along);
+        match seen {
+            Some(directions) => Self { directions, seen_by: AS_PHOTOGRAPHED.into(), ..self },
+            None => self,
+        }
+    }
+
+    /// Returns whether left and right are those of the photographs.
+    pub(crate) fn is_as_photographed(&self) -> bool {
+        self.seen_by == AS_PHOTOGRAPHED
     }
 
     /// Adds one more candidate, which a model saw: the last of the scene's instances.
@@ -220,11 +260,13 @@ impl PromptContext {
             let known = self.anchors.iter().find(|a| a.id == *id).cloned();
             known.or_else(|| {
                 let (words, alternatives) = (name.clone(), Vec::new());
-                Some(PromptAnchor { words, id: *id, aabb: aabb(*id)?, alternatives })
+                let aabb = aabb(*id)?;
+                Some(PromptAnchor { words, id: *id, aabb, alternatives, is_weak_guess: false })
             })
         };
         let anchors: Vec<PromptAnchor> = match anchors {
-            [] => self.anchors.clone(),
+            // The model saw none of the geometry's guesses there.
+            [] => self.anchors.iter().filter(|anchor| !anchor.is_weak_guess).cloned().collect(),
             found => found.iter().filter_map(anchor).collect(),
         };
         let is_candidate = |id: InstanceId| candidates.iter().any(|c| c.id == id);
@@ -238,6 +280,9 @@ impl PromptContext {
     #[must_use]
     pub(crate) fn decided_again(self, later: Self, parsed: &ParsedQuery) -> Self {
         let Self { candidates, directions, .. } = later;
+        if self.is_as_photographed() && directions.by_default {
+            return Self { candidates, ..self };
+        }
         let seen_by = match &parsed.viewpoint {
             Some(viewpoint) if directions.of_somebody => seen_by_somebody(viewpoint),
             _ => self.seen_by.clone(),
@@ -249,6 +294,10 @@ impl PromptContext {
     pub(crate) fn add_box_of(&mut self, found: &Instance) {
         self.boxes.truncate(found.id.0 as usize - 1);
         self.boxes.push(found.aabb);
+        if !self.oriented_boxes.is_empty() {
+            self.oriented_boxes.truncate(found.id.0 as usize - 1);
+            self.oriented_boxes.push(found.oriented_box);
+        }
     }
 
     /// Keeps these candidates only, in their order.
@@ -278,13 +327,19 @@ impl PromptContext {
     #[must_use]
     pub fn subjects(&self) -> Subjects {
         let is_anchor = |id: InstanceId| self.anchors.iter().any(|a| a.id == id);
+        let drawn = |id: InstanceId, aabb: Aabb| {
+            let oriented = self.oriented_boxes.get((id.0 as usize).wrapping_sub(1));
+            oriented.copied().unwrap_or(aabb.into())
+        };
         let candidate = |c: &PromptCandidate| LabeledBox {
             aabb: c.aabb,
+            drawn: drawn(c.id, c.aabb),
             label: c.id.to_string(),
             style: if is_anchor(c.id) { BoxStyle::Anchor } else { BoxStyle::Candidate },
         };
         let anchor = |a: &PromptAnchor| LabeledBox {
             aabb: a.aabb,
+            drawn: drawn(a.id, a.aabb),
             label: format!("{} anchor", a.id),
             style: BoxStyle::Anchor,
         };
@@ -302,6 +357,12 @@ impl PromptContext {
             .map(|(word, direction)| DirectionWord { word: named(word, direction), direction });
         Subjects { boxes, words: words.collect(), target: centers.into() }
     }
+}
+
+/// Returns whether an instance is a piece of the building.
+pub(crate) fn is_building(instances: &[Instance], id: InstanceId) -> bool {
+    let instance = instances.get((id.0 as usize).wrapping_sub(1));
+    instance.is_some_and(|instance| instance.structure.is_some())
 }
 
 /// Returns whose left and right those of a viewpoint are.
@@ -326,6 +387,16 @@ pub(super) fn axis(direction: Vector3<f32>) -> Option<&'static str> {
         ("-Z", -Vector3::z()),
     ];
     axes.into_iter().find(|(_, axis)| axis.dot(&direction) > ALONG).map(|(name, _)| name)
+}
+
+/// Returns whether a phrase distinguishes what it means from others of the kind: "the blue wall".
+fn says_which(phrase: &Phrase) -> bool {
+    let Phrase { colors, traits, unchecked, with, relations, .. } = phrase;
+    !(colors.is_empty()
+        && traits.is_empty()
+        && unchecked.is_empty()
+        && with.is_empty()
+        && relations.is_empty())
 }
 
 /// Collects the anchors of a phrase's relations, and their own anchors.

@@ -45,8 +45,7 @@ pub(super) fn robust_boxes(
         .map(Point3::xy)
         .filter(|p| (lo.x..=hi.x).contains(&p.x) && (lo.y..=hi.y).contains(&p.y))
         .collect();
-    let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
-    (aabb, OrientedBox::min_area(&footprint, (lo.z, hi.z)).unwrap_or(flat))
+    (aabb, OrientedBox::min_area(&footprint, (lo.z, hi.z)).unwrap_or(aabb.into()))
 }
 
 /// Returns the points whose voxel and its 26 neighbors hold enough other points.
@@ -333,8 +332,7 @@ mod tests {
         let settings = InstanceSettings { stray_share: 0.25, trim: 0.25, ..plain() };
         let (aabb, turned) = robust_boxes(&points, 0.0, None, &settings);
         assert_eq!((aabb.center, aabb.size), (Point3::new(0.0, 0.0, 3.0), Vector3::zeros()));
-        let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
-        assert_eq!(turned, flat);
+        assert_eq!(turned, aabb.into());
     }
 
     #[test]

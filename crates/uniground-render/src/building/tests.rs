@@ -271,8 +271,7 @@ fn paper_filter_is_selectable_and_the_fallback_without_structure() {
 fn global_render_leaves_out_the_ceiling() {
     let scene = Scene::room(|_| 2.5, 1.0);
     let (rendered, extent) = scene.rendered();
-    let label =
-        |aabb, label: &str| LabeledBox { aabb, label: label.into(), style: BoxStyle::Candidate };
+    let label = |aabb, label: &str| LabeledBox::axis_aligned(aabb, label, BoxStyle::Candidate);
     let boxes = vec![label(scene.box_of(RED), "1"), label(scene.box_of(GREEN), "2")];
     let subjects = Subjects { boxes, words: Vec::new(), target: Point3::new(0.0, 0.0, 0.25) };
     let view = GlobalView { shading: 0.0, ..GlobalView::default() };

@@ -124,7 +124,12 @@ impl StoredScene {
         let labeled = |(_, (id, style)): (usize, (InstanceId, BoxStyle))| {
             let instance = instances.get((id.0 as usize).wrapping_sub(1))?;
             let name = names.get(&id.0).cloned().unwrap_or_else(|| instance.label().to_owned());
-            Some(LabeledBox { aabb: instance.aabb, label: format!("{id} {name}"), style })
+            Some(LabeledBox {
+                aabb: instance.aabb,
+                drawn: instance.oriented_box,
+                label: format!("{id} {name}"),
+                style,
+            })
         };
         let boxes: Vec<LabeledBox> = lasting.filter_map(labeled).collect();
         let render_scene = self.render_scene()?;

@@ -125,11 +125,7 @@ impl From<InstanceRecord> for Instance {
             things,
             aabb,
             raw_box: raw_box.unwrap_or(aabb),
-            oriented_box: oriented_box.unwrap_or(OrientedBox {
-                center: aabb.center,
-                size: aabb.size,
-                yaw_rad: 0.0,
-            }),
+            oriented_box: oriented_box.unwrap_or(aabb.into()),
             point_count,
             mean_rgb,
             colors,

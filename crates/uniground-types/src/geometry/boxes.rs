@@ -133,7 +133,26 @@ pub struct OrientedBox {
     pub yaw_rad: f32,
 }
 
+impl From<Aabb> for OrientedBox {
+    #[inline]
+    fn from(Aabb { center, size }: Aabb) -> Self {
+        Self { center, size, yaw_rad: 0.0 }
+    }
+}
+
 impl OrientedBox {
+    /// Returns the eight corners. Bit 0 of the index selects the larger X of the box's own axes,
+    /// bit 1 the larger Y, bit 2 the larger Z.
+    #[must_use]
+    #[inline]
+    pub fn corners(&self) -> [Point3<f32>; 8] {
+        let (sin, cos) = self.yaw_rad.sin_cos();
+        let upright = Aabb { center: Point3::origin(), size: self.size };
+        upright
+            .corners()
+            .map(|p| self.center + Vector3::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y, p.z))
+    }
+
     /// Returns the minimum-area rectangle of the XY points, extruded over `z_range` (meters).
     /// Returns `None` without points.
     ///
@@ -220,6 +239,17 @@ mod tests {
 
     fn boxed(min: [f32; 3], max: [f32; 3]) -> Aabb {
         Aabb::from_corners(Point3::from(min), Point3::from(max))
+    }
+
+    #[test]
+    fn corners_of_a_turned_box_lie_along_its_own_axes() {
+        let (center, size) = (Point3::new(1.0, 2.0, 0.5), Vector3::new(2.0, 1.0, 1.0));
+        let upright = Aabb { center, size };
+        assert_eq!(OrientedBox::from(upright).corners(), upright.corners());
+        let turned = OrientedBox { center, size, yaw_rad: std::f32::consts::FRAC_PI_2 };
+        let [first, .., last] = turned.corners();
+        assert!((first - Point3::new(1.5, 1.0, 0.0)).norm() < 1e-6, "{first}");
+        assert!((last - Point3::new(0.5, 3.0, 1.0)).norm() < 1e-6, "{last}");
     }
 
     #[test]
