@@ -7,7 +7,8 @@
 //! points, and the connected piece around the place is the object.
 //!
 //! If the area of the object in the photograph is known too, the segmenter is also prompted with it,
-//! and the built-in masks that lie in it are joined. Masks count by how well they fill it.
+//! and the built-in masks that lie in it are joined. Masks count by how well they fill it. Where none
+//! does, the points that the frame shows in the area are the object.
 
 mod area;
 
@@ -17,14 +18,15 @@ use super::close_range::Enlargement;
 use super::masks::IdImage;
 use super::masks::rgbd::RgbdMasks;
 use super::outline::Outline;
-use super::visibility::{FramePoint, Visibility};
+use super::visibility::{FramePoint, PointVisibility, Visibility};
 use super::{ParseError, frame_sampling, instances};
 use area::masks_inside;
 use std::collections::HashSet;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{
-    Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames,
+    Frame, FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, PointCloud, View, stream_frames,
 };
+use uniground_geometry::statistics::median;
 use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap, typical_spacing_m};
 use uniground_geometry::{Point3, Vector3};
 use uniground_models::neural::{Encoded, LowMask, Prompt, Segmenter};
@@ -55,6 +57,10 @@ pub struct PhotographPoint {
 
 /// Minimum number of points of an object.
 const LEAST_POINTS: usize = 20;
+/// Minimum number of points in the area of an object that no mask shows.
+const LEAST_IN_AREA: usize = 8;
+/// The middle of an area is without this share of its width and height on each side.
+const MIDDLE: f32 = 0.25;
 /// Maximum number of further frames that are checked.
 const MORE_FRAMES: usize = 4;
 /// A frame votes if its best mask has this IoU with what it sees of the object.
@@ -168,40 +174,21 @@ impl PointedObjectFinder<'_> {
         let is_long = |i: &Instance| is_wholly_seen && self.reaches_beyond(&first, i);
         let others = || known.iter().filter(|i| !is_other(i) && !is_long(i));
         let shown = self
-            .best_shown_instance(&first, &options, others())
+            .best_shown_instance(&first, &options, place.area.as_ref(), others())
             .or_else(|| self.best_filling_instance(&first, &place.area?, others()));
         if let Some(shown) = shown {
             return Ok(Some(shown.clone()));
         }
-        // An area that misses every mask tells nothing.
-        if options.iter().all(|option| option.fit == 0.0) {
-            options.iter_mut().for_each(|option| option.fit = 1.0);
-        }
-        let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len())
-        else {
-            return Ok(None);
-        };
         // As many as stage 1 used, because a user waits for the result.
         let frames = frame_sampling::sample_frames(self.frames, &self.settings.frame_sampling);
-        let further = self.find_more_frames(&frames, least, place.frame, &visibility)?;
-        let mut best: Option<(f32, MaskVotes, &MaskHypothesis)> = None;
-        for option in &options {
-            let mut votes =
-                MaskVotes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
-            votes.add(&first, &option.mask);
-            let agreement =
-                self.mean_agreement(&option.seed, place.area.is_some(), &further, &mut votes)?;
-            let worth = option.quality * option.fit * agreement;
-            if best.as_ref().is_none_or(|(so_far, ..)| worth > *so_far) {
-                best = Some((worth, votes, option));
-            }
+        let mut points = self.points_by_masks(&first, place, options, &frames, &visibility)?;
+        if let Some(area) = &place.area
+            && first.fill(&points, area) < FILLS_AREA
+        {
+            // No mask shows the object: it is thin, or has the color of what it lies on.
+            points = first.points_in_area(area);
         }
-        let Some((_, votes, option)) = best else { return Ok(None) };
-        let reach = self.search_box(&option.seed);
-        let mut carried = votes.majority_points();
-        carried.retain(|point| reach.contains(&self.cloud.positions[*point as usize]));
-        let points = self.largest_piece(&carried, &option.seed);
-        if points.len() < LEAST_POINTS {
+        if points.len() < LEAST_IN_AREA {
             return Ok(None);
         }
         let views = self.build_views(&frames, &points)?;
@@ -209,6 +196,48 @@ impl PointedObjectFinder<'_> {
             views,
             ..instances::build_from_points(self.cloud, &points, known, &self.settings.instances)
         }))
+    }
+
+    /// Returns the points of the object: of the mask on which the frames agree best, with the votes
+    /// of other frames. Empty if there is no mask, or one of few points.
+    fn points_by_masks(
+        &self,
+        first: &FrameLookup,
+        place: PhotographPoint,
+        mut options: Vec<MaskHypothesis>,
+        frames: &[FrameRef],
+        visibility: &Visibility,
+    ) -> Result<Vec<u32>, ParseError> {
+        // An area that misses every mask tells nothing.
+        if options.iter().all(|option| option.fit == 0.0) {
+            options.iter_mut().for_each(|option| option.fit = 1.0);
+        }
+        let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len())
+        else {
+            return Ok(Vec::new());
+        };
+        let further = self.find_more_frames(frames, least, place.frame, visibility)?;
+        let mut best: Option<(f32, MaskVotes, &MaskHypothesis)> = None;
+        for option in &options {
+            let mut votes =
+                MaskVotes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
+            votes.add(first, &option.mask);
+            let agreement =
+                self.mean_agreement(&option.seed, place.area.is_some(), &further, &mut votes)?;
+            let worth = option.quality * option.fit * agreement;
+            if best.as_ref().is_none_or(|(so_far, ..)| worth > *so_far) {
+                best = Some((worth, votes, option));
+            }
+        }
+        let Some((_, votes, option)) = best else { return Ok(Vec::new()) };
+        let reach = self.search_box(&option.seed);
+        let mut carried = votes.majority_points();
+        carried.retain(|point| reach.contains(&self.cloud.positions[*point as usize]));
+        let mut points = self.largest_piece(&carried, &option.seed);
+        if points.len() < LEAST_POINTS {
+            points.clear();
+        }
+        Ok(points)
     }
 
     /// Returns whether an instance is much longer than what a frame shows of it.
@@ -257,6 +286,7 @@ impl PointedObjectFinder<'_> {
         &self,
         looked: &FrameLookup,
         options: &[MaskHypothesis],
+        area: Option<&PixelArea>,
         known: impl Iterator<Item = &'i Instance>,
     ) -> Option<&'i Instance> {
         let under: Vec<Vec<bool>> = options
@@ -266,6 +296,17 @@ impl PointedObjectFinder<'_> {
                 looked.seen.iter().map(|point| option.mask.covers(looked, point)).collect()
             })
             .collect();
+        let fills = |instance: &Instance| {
+            let in_box = |point: &&FramePoint| {
+                instance.aabb.contains(&self.cloud.positions[point.point as usize])
+            };
+            let seen = looked.seen.iter().filter(in_box);
+            let pixels: Vec<(f32, f32)> =
+                seen.filter_map(|point| color_pixel(&looked.frame, point)).collect();
+            area.is_none_or(|area| {
+                PixelArea::of_most(&pixels).is_some_and(|seen| seen.iou(area) >= FILLS_AREA)
+            })
+        };
         let share = |instance: &Instance| {
             let in_box: Vec<bool> = looked
                 .seen
@@ -283,6 +324,7 @@ impl PointedObjectFinder<'_> {
         let shares =
             known.map(|instance| (share(instance), instance)).filter(|(share, _)| *share >= SHOWN);
         shares
+            .filter(|(_, instance)| fills(instance))
             .max_by(|(a, i), (b, j)| a.total_cmp(b).then(j.id.cmp(&i.id)))
             .map(|(_, instance)| instance)
     }
@@ -518,6 +560,38 @@ impl FrameLookup {
             self.seen.iter().filter(|point| mask.covers(self, point)).collect();
         let pixels = under.iter().filter_map(|point| color_pixel(&self.frame, point)).collect();
         (under.into_iter().map(|point| point.point).collect(), pixels)
+    }
+
+    /// Returns the IoU of an area and that in which the frame shows these points.
+    fn fill(&self, points: &[u32], area: &PixelArea) -> f32 {
+        let points: HashSet<u32> = points.iter().copied().collect();
+        let shown = self.visible().filter(|point| points.contains(&point.point));
+        let pixels: Vec<(f32, f32)> =
+            shown.filter_map(|point| color_pixel(&self.frame, point)).collect();
+        PixelArea::of_most(&pixels).map_or(0.0, |shown| shown.iou(area))
+    }
+
+    /// Returns the points that the frame shows in an area, if they are about as far away as its
+    /// middle.
+    fn points_in_area(&self, area: &PixelArea) -> Vec<u32> {
+        let to_camera = self.frame.color_camera.world_to_camera();
+        let depth_m = |point: &FramePoint| (to_camera * point.position).z;
+        let within = |area: PixelArea| {
+            self.visible().filter(move |point| {
+                color_pixel(&self.frame, point).is_some_and(|pixel| area.contains(pixel))
+            })
+        };
+        let mut depths: Vec<f32> = within(area.grown(-MIDDLE)).map(depth_m).collect();
+        let Some(middle_m) = median(&mut depths) else { return Vec::new() };
+        let Intrinsics { fx, fy, .. } = self.frame.color_camera.intrinsics;
+        let across_m =
+            ((area.right - area.left) / fx).max((area.bottom - area.top) / fy) * middle_m;
+        let is_near = |point: &&FramePoint| (depth_m(point) - middle_m).abs() <= across_m;
+        within(*area).filter(is_near).map(|point| point.point).collect()
+    }
+
+    fn visible(&self) -> impl Iterator<Item = &FramePoint> {
+        self.seen.iter().filter(|point| point.sight == PointVisibility::Visible)
     }
 }
 
