@@ -99,6 +99,7 @@ async fn a_folder_without_record_versions_is_served_completely() {
     expected["import"]["levelling"] = Value::Null;
     expected["import"]["findings"] = serde_json::json!([]);
     expected["import"]["source_to_scene"] = Value::Null;
+    expected["import"]["viewing_distance_m"] = Value::Null;
     expected["report"]["dropped"] = 0.into();
     expected["report"]["specks"] = 0.into();
     expected["report"]["parts_and_wholes"] = 0.into();

@@ -166,9 +166,7 @@ impl<S: SceneSource> Searched<S> {
             Some(Found::New(found)) => {
                 let (source, id) = self.source.keep_found(*found).await?;
                 self.source = source;
-                if let Some(found) = self.source.instances().get(id.0 as usize - 1) {
-                    self.context.add_box_of(found);
-                }
+                self.context.update_boxes(self.source.instances());
                 (id, format!("{place}: instance {id} was made of it"))
             }
         };

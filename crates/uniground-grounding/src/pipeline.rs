@@ -428,9 +428,10 @@ impl<S: SceneSource> Shown<S> {
         id: InstanceId,
         session: &mut Session<'_>,
     ) -> Result<Decision, S::Error> {
-        let Some(found) = self.source.instances().get(id.0 as usize - 1) else { return Ok(before) };
-        let (context, settings) =
-            (self.context.clone().with_found(found), PictureSettings::of(self.options));
+        let instances = self.source.instances();
+        let Some(found) = instances.get(id.0 as usize - 1) else { return Ok(before) };
+        let context = self.context.clone().with_found(found, instances);
+        let settings = PictureSettings::of(self.options);
         let (context, evidence) = self
             .source
             .compute(move |source| {

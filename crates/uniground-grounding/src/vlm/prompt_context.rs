@@ -229,10 +229,10 @@ impl PromptContext {
         self.seen_by == AS_PHOTOGRAPHED
     }
 
-    /// Adds one more candidate, which a model saw: the last of the scene's instances.
+    /// Adds one more candidate, which a model saw. `instances` are those of the scene with it.
     #[must_use]
-    pub fn with_found(mut self, found: &Instance) -> Self {
-        self.add_box_of(found);
+    pub fn with_found(mut self, found: &Instance, instances: &[Instance]) -> Self {
+        self.update_boxes(instances);
         self.candidates.push(PromptCandidate {
             id: found.id,
             score: 0.0,
@@ -290,13 +290,11 @@ impl PromptContext {
         Self { candidates, directions, seen_by, ..self }
     }
 
-    /// Adds a box, of an instance that was found: the last of the scene's instances.
-    pub(crate) fn add_box_of(&mut self, found: &Instance) {
-        self.boxes.truncate(found.id.0 as usize - 1);
-        self.boxes.push(found.aabb);
+    /// Adds the boxes of instances that were found since, for this question or for others.
+    pub(crate) fn update_boxes(&mut self, instances: &[Instance]) {
+        self.boxes = instances.iter().map(|i| i.aabb).collect();
         if !self.oriented_boxes.is_empty() {
-            self.oriented_boxes.truncate(found.id.0 as usize - 1);
-            self.oriented_boxes.push(found.oriented_box);
+            self.oriented_boxes = instances.iter().map(|i| i.oriented_box).collect();
         }
     }
 

@@ -325,6 +325,21 @@ fn object_that_differs_from_the_question_has_a_low_confidence() {
 }
 
 #[test]
+fn a_found_instance_has_its_box_though_others_were_found_meanwhile() {
+    let (_, mut context) = asked(QUERY, None);
+    let mut instances = room();
+    let count = instances.len() as u32;
+    let other = Aabb { center: Point3::origin(), size: Vector3::repeat(0.5) };
+    let own = Aabb { center: Point3::new(1.0, 1.0, 1.0), size: Vector3::repeat(0.2) };
+    for (number, aabb) in [(1, other), (2, other), (3, own)] {
+        instances.push(Instance::from_box(InstanceId(count + number), aabb));
+    }
+    context.update_boxes(&instances);
+    let shown = context.with_found_in_photographs(&[InstanceId(count + 3)], &[]);
+    assert_eq!(shown.candidates.iter().map(|c| c.aabb).collect::<Vec<_>>(), [own]);
+}
+
+#[test]
 fn shown_anchors_can_be_chosen_except_with_the_paper_prompt() {
     let (_, context) = asked("the red sofa next to the table", None);
     let anchor = context.anchors[0].id.0;
