@@ -256,13 +256,13 @@ async fn apply_review<S: SceneSource>(
     let mut session =
         Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
     let context = if options.prompt == PromptVersion::Paper {
-        context.as_in_the_paper()
+        context.like_the_paper()
     } else {
         let context = context.without_building_anchors(source.instances());
         source
             .compute(|source| {
                 let poses = source.frames()?.into_iter().map(|frame| frame.camera_to_world);
-                Ok(context.as_photographed(common_look(poses)))
+                Ok(context.with_photographed_directions(common_look(poses)))
             })
             .await?
     };

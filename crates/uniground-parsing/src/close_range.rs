@@ -4,6 +4,7 @@
 //! that is seen from half a meter has as many pixels as a chair in a room. So the scan of a desk is
 //! segmented enlarged, and what is found is reduced again before it is named.
 
+use super::checkpoints::Checkpoints;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{
     DepthImage, FrameRef, ImportReport, Instance, InstanceId, PointCloud, SceneBundle, Structure,
@@ -51,10 +52,12 @@ impl Enlargement {
         self.0 != 1.0
     }
 
-    /// Returns what checkpoints of an enlarged scan depend on; `None` for a scan that is not
-    /// enlarged.
-    pub fn dependency(self) -> Option<String> {
-        self.is_used().then(|| format!("enlarged {}", self.0))
+    /// Returns checkpoints that are not those of the scan in its size.
+    pub fn separate_checkpoints(self, checkpoints: &Checkpoints) -> Checkpoints {
+        match self.is_used() {
+            true => checkpoints.with_dependency(&format!("enlarged {}", self.0)),
+            false => checkpoints.clone(),
+        }
     }
 
     /// Enlarges a scan.

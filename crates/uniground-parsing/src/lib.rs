@@ -135,11 +135,8 @@ pub fn parse(
         return Err(ParseError::NoPoints);
     }
     let enlargement = Enlargement::of(&bundle.report);
-    let bundle = enlargement.enlarge(bundle);
-    let checkpoints = &match enlargement.dependency() {
-        Some(more) => checkpoints.with_dependency(&more),
-        None => checkpoints.clone(),
-    };
+    let (bundle, checkpoints) =
+        (enlargement.enlarge(bundle), &enlargement.separate_checkpoints(checkpoints));
     let mut watch = Stopwatch::default();
     let LiftedFrames {
         mut cloud,
@@ -274,7 +271,6 @@ pub fn parse(
         stages: watch.stages,
         warnings,
     };
-    drop(visibility);
     enlargement.reduce_cloud(&mut cloud);
     Ok(ParsedScene {
         cloud,

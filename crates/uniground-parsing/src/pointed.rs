@@ -130,12 +130,12 @@ impl PointedObjectFinder<'_> {
         enlarged.iter_mut().for_each(|instance| enlargement.enlarge_instance(instance));
         let finder = PointedObjectFinder { cloud: &cloud, frames: &frames, ..*self };
         let found = finder.find_in_scale(place, &enlarged, is_not)?;
-        Ok(found.map(|mut found| match known.iter().find(|known| known.id == found.id) {
-            Some(known) => known.clone(),
-            None => {
-                enlargement.reduce_instance(&mut found);
-                found
+        Ok(found.map(|mut found| {
+            if let Some(known) = known.iter().find(|known| known.id == found.id) {
+                return known.clone();
             }
+            enlargement.reduce_instance(&mut found);
+            found
         }))
     }
 

@@ -265,12 +265,12 @@ mod tests {
         else {
             panic!("{seen:?}")
         };
-        // The wall is 4 x 4 m of the view at 2 m, the patch hides its middle.
+        // The view has 4 x 4 m of the wall at 2 m, and the patch before it.
         let has = |x: i32, y: i32, deep: std::ops::Range<i32>| {
             deep.into_iter().any(|z| cells.contains(&[x, y, z]))
         };
         assert!(has(4, 4, 4..6) && has(0, 0, 3..4), "{cells:?}");
-        assert!(!has(0, 0, 4..6) && !has(6, 0, 4..6), "{cells:?}");
+        assert!(!has(5, 0, 4..6) && !has(4, 4, 3..4), "{cells:?}");
         let ids: Vec<u32> = seen.iter().map(|visible| visible.id.0).collect();
         assert_eq!(ids, [1, 2], "what is hidden or outside is not visible");
         let patch = seen[1];

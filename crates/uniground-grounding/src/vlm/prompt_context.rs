@@ -208,7 +208,7 @@ impl PromptContext {
     /// Returns the context as in the paper: anchors are listed, but not shown, and cannot be
     /// chosen. Axis-aligned boxes are drawn.
     #[must_use]
-    pub fn as_in_the_paper(self) -> Self {
+    pub fn like_the_paper(self) -> Self {
         Self { shown_anchors: Vec::new(), oriented_boxes: Vec::new(), ..self }
     }
 
@@ -216,7 +216,7 @@ impl PromptContext {
     /// unless somebody says otherwise: an observer, the words of the question or a convention that
     /// was asked for.
     #[must_use]
-    pub(crate) fn as_photographed(self, look: Option<Vector3<f32>>) -> Self {
+    pub(crate) fn with_photographed_directions(self, look: Option<Vector3<f32>>) -> Self {
         let seen = look.filter(|_| self.directions.by_default).and_then(Directions::looking_along);
         match seen {
             Some(directions) => Self { directions, seen_by: AS_PHOTOGRAPHED.into(), ..self },

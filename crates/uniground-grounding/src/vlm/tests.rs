@@ -346,7 +346,7 @@ fn shown_anchors_can_be_chosen_except_with_the_paper_prompt() {
     let narrowed = context.narrowed_to(&[1]);
     assert!(narrowed.is_candidate(1) && !narrowed.is_candidate(9));
     let shown = PromptContext { shown_anchors: vec![InstanceId(anchor)], ..narrowed };
-    assert!(shown.is_candidate(anchor) && !shown.as_in_the_paper().is_candidate(anchor));
+    assert!(shown.is_candidate(anchor) && !shown.like_the_paper().is_candidate(anchor));
 }
 
 #[test]
