@@ -400,20 +400,47 @@ fn frames_that_see_no_points_are_reported() {
     );
 }
 
+/// A scan of half the size from half the distance is segmented twice as fine: into the same
+/// instances, of half the size.
+#[test]
+fn a_scan_from_close_by_is_segmented_like_a_room() {
+    let scratch = tempfile::tempdir().unwrap();
+    let room = sample_room(Utf8Path::from_path(scratch.path()).unwrap());
+    let mut desk = room.clone();
+    desk.report.viewing_distance_m = Some(1.0);
+    desk.cloud.positions.iter_mut().for_each(|position| *position *= 0.5);
+    for frame in &mut desk.frames {
+        frame.camera_to_world.translation.vector *= 0.5;
+        frame.depth_scale_m *= 0.5;
+    }
+    let small = desk.cloud.positions.clone();
+    let (room, desk) = (parse(room, &RgbdMasks::default()), parse(desk, &RgbdMasks::default()));
+    assert_eq!(desk.cloud.positions, small);
+    assert_eq!(desk.extent.size * 2.0, room.extent.size);
+    assert_eq!(desk.instance_of_point, room.instance_of_point);
+    assert!(desk.instances.len() > 20 && desk.instances.len() == room.instances.len());
+    for (half, whole) in desk.instances.iter().zip(&room.instances) {
+        assert_eq!(
+            (half.aabb.center * 2.0, half.aabb.size * 2.0),
+            (whole.aabb.center, whole.aabb.size)
+        );
+        assert_eq!(half.views, whole.views);
+    }
+}
+
+fn sample_room(folder: &Utf8Path) -> SceneBundle {
+    let sample = Utf8Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip"));
+    unpack(sample, ArchiveKind::Zip, folder, &UnpackLimits::default()).unwrap();
+    let scan = ingest::open(folder).unwrap();
+    ingest::load(&scan, &ImportSettings::default(), &Progress::silent()).unwrap()
+}
+
 /// Instances that the built-in masks found are found again from a point on them, as if they had
 /// been missed.
 #[test]
 fn an_instance_is_segmented_from_a_point() {
     let scratch = tempfile::tempdir().unwrap();
-    let folder = Utf8Path::from_path(scratch.path()).unwrap();
-    let sample = Utf8Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip"));
-    unpack(sample, ArchiveKind::Zip, folder, &UnpackLimits::default()).unwrap();
-    let bundle = ingest::load(
-        &ingest::open(folder).unwrap(),
-        &ImportSettings::default(),
-        &Progress::silent(),
-    )
-    .unwrap();
+    let bundle = sample_room(Utf8Path::from_path(scratch.path()).unwrap());
     let settings = ParsingSettings::default();
     let parsed = parse(bundle.clone(), &RgbdMasks { settings: settings.rgbd_masks });
     let pointing = PointedObjectFinder {

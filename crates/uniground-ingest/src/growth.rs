@@ -5,15 +5,16 @@
 //! visibility in frames, and the instances built from them can stay unchanged as well.
 
 use super::IngestError;
+use super::fusion;
 use super::load::frame_refs;
 use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::Scan;
-use super::{fusion, viewing_distance};
 use nalgebra::{Rotation3, Translation3, UnitQuaternion};
 use rayon::prelude::*;
 use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::{
     Addition, FrameIndex, FrameRef, FreeSpaceVotes, PointCloud, SourceToScene, count_free_space,
+    viewing_distance_m,
 };
 use uniground_geometry::voxels::{NEIGHBORS_26, VoxelKey, VoxelMap};
 use uniground_geometry::{Isometry3, Matrix3, Point3, Vector3};
@@ -112,7 +113,7 @@ pub fn add_scan(
 ) -> Result<Addition, IngestError> {
     let (skipped, all) = (scan.frames_skipped, scan.frames.len());
     let FitReport { mut frames, mut findings, .. } = check_fit(scan, to_scene, known, first)?;
-    let fusion = settings.fusion.in_detail(detail_at(viewing_distance::measure(&frames)));
+    let fusion = settings.fusion.in_detail(detail_at(viewing_distance_m(&frames)));
     let fused = fusion::fuse(&mut frames, &fusion, &mut findings, &progress.sub_range(0.2, 0.7))?;
     let looking = progress.sub_range(0.7, 1.0);
     let looks = count_free_space::<IngestError>(&known.positions, &frames, |i| {

@@ -28,7 +28,6 @@ mod scan;
 mod sens;
 mod unpacked;
 mod validate;
-mod viewing_distance;
 
 pub use error::{IngestError, IngestErrorKind};
 pub use growth::{FitReport, add_scan, check_fit};

@@ -4,13 +4,13 @@ use super::cloud_doubts::{self, Core};
 use super::levelling::{self, UpDirection, UpHint};
 use super::reprojection::{self, CheckedConvention, SourceConvention};
 use super::scan::{RawFrame, Scan, Units};
-use super::{
-    IngestError, UPLOADED, clouds, frame_agreement, fusion, guess_units, viewing_distance,
-};
+use super::{IngestError, UPLOADED, clouds, frame_agreement, fusion, guess_units};
 use camino::Utf8Path;
 use clouds::{CloudBounds, CoordinateOrigin, LoadedCloud};
 use uniground_geometry::progress::Progress;
-use uniground_geometry::scene::{FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene};
+use uniground_geometry::scene::{
+    FrameRef, ImportReport, PointCloud, SceneBundle, SourceToScene, viewing_distance_m,
+};
 use uniground_geometry::{Isometry3, Point3, pose};
 use uniground_types::findings::{Finding, FindingSubject};
 use uniground_types::settings::ImportSettings;
@@ -164,7 +164,7 @@ pub fn inspect(
         frames_skipped: scan.frames_skipped,
         cloud_points: cloud.as_ref().map(|cloud| cloud.len() as u64),
         reprojection_agreement: agreement,
-        viewing_distance_m: viewing_distance::measure(&frames),
+        viewing_distance_m: viewing_distance_m(&frames),
         warnings: Vec::new(),
         findings: Vec::new(),
     };

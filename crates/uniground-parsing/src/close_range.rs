@@ -7,10 +7,9 @@
 use super::checkpoints::Checkpoints;
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::scene::{
-    DepthImage, FrameRef, ImportReport, Instance, InstanceId, PointCloud, SceneBundle, Structure,
-    Support,
+    FrameRef, ImportReport, Instance, InstanceId, PointCloud, SceneBundle, Structure, Support,
+    viewing_distance_m,
 };
-use uniground_geometry::statistics::median;
 use uniground_types::scene::detail_at;
 use uniground_types::settings::FusionSettings;
 
@@ -20,8 +19,6 @@ const MIN_BUILDING_M: f32 = 2.0;
 /// Height of a table, meters: that of the lowest surface if the scan shows no floor.
 const TABLE_M: f32 = 0.74;
 
-/// Every n-th pixel of a depth picture is measured.
-const MEASURED_STEP: usize = 7;
 /// The points of a fine cloud are at most this many times as far apart as its voxels.
 const COARSER: f32 = 1.3;
 
@@ -38,11 +35,7 @@ impl Enlargement {
     /// Returns the enlargement for the things that a frame shows, in a cloud that is as fine as that
     /// of a scan from this distance.
     pub fn of_frame(frame: &FrameRef, spacing_m: f32) -> Self {
-        let measured = |depth: DepthImage| {
-            let step = depth.depth_m.iter().step_by(MEASURED_STEP).copied();
-            median(&mut step.filter(|z_m| z_m.is_finite() && *z_m > 0.0).collect::<Vec<_>>())
-        };
-        let detail = detail_at(frame.decode_depth().ok().and_then(measured));
+        let detail = detail_at(viewing_distance_m(std::slice::from_ref(frame)));
         let finest_m = FusionSettings::default().in_detail(detail).voxel_m;
         Self(if spacing_m <= COARSER * finest_m { detail } else { 1.0 })
     }
@@ -110,10 +103,10 @@ impl Enlargement {
         instances.iter_mut().for_each(|instance| self.reduce_instance(instance));
         let is_small = |i: &Instance| i.oriented_box.size.max() < MIN_BUILDING_M;
         let is_floor = |i: &&Instance| i.structure == Some(Structure::Floor);
-        let table: Option<InstanceId> = match instances.iter().find(is_floor) {
-            Some(floor) if is_small(floor) => Some(floor.id),
-            _ => None,
-        };
+        // Things are sorted by size: the first is the largest.
+        let has_floor = instances.iter().filter(is_floor).any(|floor| !is_small(floor));
+        let largest = instances.iter().find(is_floor).map(|floor| floor.id);
+        let table = largest.filter(|_| !has_floor);
         let objects: Vec<InstanceId> = instances
             .iter()
             .filter(|i| i.structure.is_some() && is_small(i))
@@ -130,7 +123,7 @@ impl Enlargement {
                 other => other,
             };
         }
-        if !instances.iter().any(|i| is_floor(&i)) {
+        if !has_floor {
             instances.iter_mut().for_each(|i| i.height_above_floor_m += TABLE_M);
         }
     }
@@ -160,6 +153,7 @@ fn scale_instance(instance: &mut Instance, by: f32) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use uniground_geometry::scene::Intrinsics;
     use uniground_geometry::{Point3, Vector3};
 
     fn flat(id: u32, size: [f32; 3], structure: Structure) -> Instance {
@@ -181,14 +175,35 @@ mod tests {
         assert!((mug.aabb.center - Point3::new(1.0, 0.1, 0.3)).norm() < 1e-6, "{mug:?}");
         assert_eq!(mug.height_above_floor_m, TABLE_M);
 
-        // A floor of two meters stays one.
-        let mut instances = vec![flat(1, [7.5, 6.0, 0.0], Structure::Floor), on_floor(2)];
+        // A floor of two meters stays one, and things on it, whatever other planes there are.
+        let mut instances = vec![
+            flat(1, [7.5, 6.0, 0.0], Structure::Floor),
+            on_floor(2),
+            flat(3, [1.5, 1.5, 0.0], Structure::Floor),
+        ];
         three.reduce_instances(&mut instances);
-        assert_eq!(instances[0].structure, Some(Structure::Floor));
+        let structures: Vec<_> = instances.iter().map(|i| i.structure).collect();
+        assert_eq!(structures, [Some(Structure::Floor), None, None]);
         assert_eq!(
             (instances[1].support, instances[1].height_above_floor_m),
             (Support::Floor, 0.0)
         );
+    }
+
+    #[test]
+    fn what_a_frame_shows_is_enlarged_in_a_fine_cloud() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = camino::Utf8Path::from_path(folder.path()).unwrap();
+        let camera = Intrinsics { width: 32, height: 24, fx: 30.0, fy: 30.0, cx: 15.5, cy: 11.5 };
+        let enlarged = |depth_m: f32, spacing_m: f32| {
+            let frame = uniground_testing::flat_frame(folder, 0, camera, depth_m);
+            Enlargement::of_frame(&frame, spacing_m)
+        };
+        assert_eq!(enlarged(0.5, 0.006), Enlargement(3.0));
+        assert_eq!(enlarged(1.0, 0.009), Enlargement(2.0));
+        // A cloud as coarse as that of a room, and a room.
+        assert_eq!(enlarged(0.5, 0.018), Enlargement(1.0));
+        assert_eq!(enlarged(2.0, 0.006), Enlargement(1.0));
     }
 
     #[test]

@@ -736,3 +736,6 @@ fn to_view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
     let mask = Outline::from_points(pixels, box_px).mask.to_view_mask();
     Some(View { frame: frame.index, visible_points: pixels.len() as u32, box_px, mask: Some(mask) })
 }
+
+#[cfg(test)]
+mod tests;

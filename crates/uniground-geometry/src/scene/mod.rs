@@ -24,6 +24,7 @@ mod optics;
 mod owners;
 mod parsed;
 mod stream_frames;
+mod viewing_distance;
 
 pub use bundle::{Addition, SceneBundle};
 pub use camera::{Camera, Intrinsics, Pixel};
@@ -49,3 +50,4 @@ pub use uniground_types::scene::{
     FrameIndex, ImportReport, InstanceId, Level, Levelling, ModelNetwork, ModelTime, NameGuess,
     ParseReport, PoseConvention, SourceToScene, StageReport, Structure, Support, View, ViewMask,
 };
+pub use viewing_distance::viewing_distance_m;

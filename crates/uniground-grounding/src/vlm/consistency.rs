@@ -241,7 +241,10 @@ mod tests {
             let asked = Phrase { head: noun.into(), ..Phrase::default() };
             disagreement(&asked, &piles, 3, &reply(None))
         };
+        let towels = Phrase { head: "pile towels".into(), ..Phrase::default() };
+        assert_eq!(matching_candidates(&towels, &piles), [4], "by its noun");
         assert_eq!(asked_for("pile towels"), None);
+        assert!(!has_words_of("pile of folded towels", "towel"), "one word tells its noun");
         // No other name fits, or the choice has no name: nothing contradicts.
         assert_eq!(of(&[(7, "lamp"), (22, "window")], 22, Some(false)), None);
         assert_eq!(of(&[(22, "window")], 7, Some(false)), None);

@@ -48,7 +48,8 @@ pub struct MarkedPhotographs {
 }
 
 /// Returns photographs that show the scene's instances, with their ids as tags. Walls, floors and
-/// ceilings are marked only if the target is one, and walls if the question says which one it means. Returns none for a scan without photographs.
+/// ceilings are marked only if the target is one, and walls if the question says which one it means.
+/// Returns none for a scan without photographs.
 ///
 /// # Errors
 /// The cloud or the frames cannot be read, or the encoder fails.

@@ -212,9 +212,9 @@ impl PromptContext {
         Self { shown_anchors: Vec::new(), oriented_boxes: Vec::new(), ..self }
     }
 
-    /// Returns the context with left and right as photographs show them that all look this way,
-    /// unless somebody says otherwise: an observer, the words of the question or a convention that
-    /// was asked for.
+    /// Returns the context with left and right as photographs show them that all look this way, in
+    /// place of the default convention. An observer, the words of the question and the convention
+    /// `viewer` take precedence.
     #[must_use]
     pub(crate) fn with_photographed_directions(self, look: Option<Vector3<f32>>) -> Self {
         let seen = look.filter(|_| self.directions.by_default).and_then(Directions::looking_along);

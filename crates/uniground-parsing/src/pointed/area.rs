@@ -139,6 +139,11 @@ mod tests {
         assert_eq!(area(1.0, 1.0, 1.0, 1.0).iou(&area(1.0, 1.0, 1.0, 1.0)), 0.0, "empty areas");
         assert_eq!(area(10.0, 20.0, 20.0, 40.0).grown(0.1), area(9.0, 18.0, 21.0, 42.0));
         assert_eq!(area(-9.0, 18.0, 21.0, 42.0).within((20, 30)), area(0.0, 18.0, 20.0, 30.0));
+        // A hundredth of 200 x 100 pixels is 2 and 1.
+        let reaches = |of: PixelArea| of.reaches_rim((200, 100));
+        assert!(!reaches(area(3.0, 2.0, 197.0, 98.0)));
+        assert!(reaches(area(2.0, 2.0, 197.0, 98.0)) && reaches(area(3.0, 1.0, 197.0, 98.0)));
+        assert!(reaches(area(3.0, 2.0, 198.0, 98.0)) && reaches(area(3.0, 2.0, 197.0, 99.0)));
     }
 
     #[test]

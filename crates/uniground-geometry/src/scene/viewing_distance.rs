@@ -1,17 +1,17 @@
-//! How far the things are that a scan shows. A desk scanned from close by is fused and segmented in
-//! finer detail than a room.
+//! How far away the things are that frames show.
 
-use uniground_geometry::scene::FrameRef;
-use uniground_geometry::statistics::median;
+use super::FrameRef;
+use crate::statistics::median;
 
 /// Number of frames that are measured, evenly chosen.
 const FRAMES: usize = 9;
 /// Every n-th pixel is measured.
 const STEP: usize = 7;
 
-/// Returns the median distance of the surfaces that the depth pictures show, meters. Pictures that
+/// Returns the median depth of the surfaces that the depth pictures show, meters. Pictures that
 /// cannot be read are left out; `None` without any measurement.
-pub(super) fn measure(frames: &[FrameRef]) -> Option<f32> {
+#[must_use]
+pub fn viewing_distance_m(frames: &[FrameRef]) -> Option<f32> {
     let step = frames.len().div_ceil(FRAMES).max(1);
     let mut distances: Vec<f32> = Vec::new();
     for depth in frames.iter().step_by(step).filter_map(|frame| frame.decode_depth().ok()) {
