@@ -6,7 +6,8 @@
 //! about Z. The table of stage losses shows what is still recoverable after each step. `--brief` is
 //! for work on stage 1: instances only, without rotation and averaged over six runs, five of which
 //! omit a fifth of the frames; boxes are the annotated ones, which is not possible in a rotated
-//! world. `--losses` adds the table of stage losses to it. With `--brief`, `--models` takes the
+//! world. `--losses` adds the table of stage losses to it, and with `--misses` the steps at which
+//! single objects are lost. With `--brief`, `--models` takes the
 //! masks of the first segmenter in a folder of models instead of the built-in ones, and stores them
 //! in `target/masks`.
 
@@ -124,6 +125,9 @@ fn run_brief(rooms: &[String], options: &Options) {
         instances.add_row(row(name, masks.name(), "as is", &as_is, seconds));
         if options.losses {
             add_losses(&mut losses, name, &room, masks, settings);
+            if *misses {
+                println!("{}", objects_lost(&room, masks, settings));
+            }
         }
         let mut runs = vec![(as_is, seconds)];
         runs.extend((0..FIFTHS).map(|fifth| {
@@ -175,6 +179,26 @@ fn add_losses(
         let head = [name.to_owned(), masks.name().to_owned(), step.step, step.pieces.to_string()];
         table.add_row(head.into_iter().chain(figures));
     }
+}
+
+/// Returns the objects that no instance covers: the IoU of boxes, with the annotated points and at
+/// the end, then that of points after each step.
+fn objects_lost(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings) -> Table {
+    let steps = stage_losses::measure_stage_losses(room, masks, settings, MIN_POINTS).unwrap();
+    let end = steps.iter().position(|step| step.step == stage_losses::END).unwrap();
+    let head = ["object", "points", "box: cloud", "box: end"].into_iter();
+    let head: Vec<&str> = head.chain(steps[1..=end].iter().map(|s| s.step.as_str())).collect();
+    let mut lost = table(&head);
+    for (i, object) in room.objects(MIN_POINTS).iter().enumerate() {
+        let boxes = [steps[0].box_iou[i], steps[end].box_iou[i]];
+        if boxes[1] < 0.5 {
+            let figures = boxes.into_iter().chain(steps[1..=end].iter().map(|s| s.point_iou[i]));
+            let figures = figures.map(|iou| format!("{iou:.2}"));
+            let points = room.truth.iter().filter(|id| **id == object.id).count();
+            lost.add_row([object.name.clone(), points.to_string()].into_iter().chain(figures));
+        }
+    }
+    lost
 }
 
 fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options) {

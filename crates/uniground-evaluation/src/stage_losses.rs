@@ -19,6 +19,7 @@ use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
 use uniground_parsing::masks::{IdImage, MaskSource};
 use uniground_parsing::planes::{self, Planes};
 use uniground_parsing::relief::FlatCandidates;
+use uniground_parsing::separate_flat::{self, SeparatedFlat};
 use uniground_parsing::superpoints::{self, Superpoints};
 use uniground_parsing::views::{InstanceViews, LabeledPoints};
 use uniground_parsing::visibility::Visibility;
@@ -27,6 +28,9 @@ use uniground_parsing::{
     refinement, split_supported, views,
 };
 use uniground_types::settings::InstanceSettings;
+
+/// The name of the last step: the instances of the scene, on all levels.
+pub const END: &str = "with parts and wholes";
 
 /// The result of one step for all objects.
 pub struct StageLoss {
@@ -89,8 +93,9 @@ pub fn measure_stage_losses(
         )?;
         Ok(score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth))
     };
-    let score_points = |region_of: &[u32]| score_regions(region_of, &superpoints, &planes);
-    let score = |region_of: &[u32]| score_points(&superpoints.regions_of_points(region_of));
+    let score_superpoints = |region_of: &[u32], superpoints: &Superpoints, planes: &Planes| {
+        score_regions(&superpoints.regions_of_points(region_of), superpoints, planes)
+    };
     let mut rungs = Vec::new();
     let mut push = |step: &str, pieces: usize, score: InstanceScore| {
         rungs.push(StageLoss {
@@ -101,11 +106,11 @@ pub fn measure_stage_losses(
         });
     };
 
-    push("cloud", cloud.len(), score_points(&room.truth)?);
+    push("cloud", cloud.len(), score_regions(&room.truth, &superpoints, &planes)?);
     push(
         "superpoints",
         superpoints.patches.len(),
-        score(&majority_objects(&superpoints, &room.truth))?,
+        score_superpoints(&majority_objects(&superpoints, &room.truth), &superpoints, &planes)?,
     );
 
     let judged = ScoredMaskSource { masks, truth: room.masks(), best: Mutex::default() };
@@ -133,31 +138,27 @@ pub fn measure_stage_losses(
             ap50: 0.0,
         },
     );
-    push("lifted masks", count, score(&vote_superpoints(&superpoints, &tables, &best))?);
+    push(
+        "lifted masks",
+        count,
+        score_superpoints(&vote_superpoints(&superpoints, &tables, &best), &superpoints, &planes)?,
+    );
     let observations =
         MaskObservations::collect(cloud.len(), &visibility, &frames, &masks_of, &quiet)?;
     let clusters = consensus::find_clusters(cloud, &observations, &quiet)?;
     push("clusters of masks", clusters.len(), score_clusters(&clusters, cloud, &objects, room));
 
+    let masked =
+        MaskedFrames { cloud, visibility: &visibility, frames: &frames, masks_of: &masks_of };
+    let before = SeparatedFlat { superpoints, planes, tables };
+    let SeparatedFlat { superpoints, planes, tables } = match settings.merging.keep_planes_apart {
+        true => separate_flat::separate_flat_things(masked, before, &quiet)?,
+        false => before,
+    };
     let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
     let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    let freed = split_supported::split_supported(
-        cloud,
-        &superpoints,
-        &planes,
-        merged.last().to_vec(),
-        settings.merging.min_points,
-        &quiet,
-    )?;
-    let joined = part_merging::join_parts(
-        cloud,
-        &superpoints,
-        &planes,
-        freed.clone(),
-        &settings.part_merging,
-        &quiet,
-    )?;
+    let (freed, joined) = free_and_join(cloud, &superpoints, &planes, merged.last(), settings)?;
     let steps =
         settings.merging.thresholds.iter().map(|threshold| format!("merged at {threshold}"));
     let steps = steps.chain(["small ones absorbed".to_owned()]).zip(&merged.levels).chain([
@@ -165,7 +166,7 @@ pub fn measure_stage_losses(
         ("parts joined".to_owned(), &joined),
     ]);
     for (step, region_of) in steps {
-        let here = score(region_of)?;
+        let here = score_superpoints(region_of, &superpoints, &planes)?;
         let pieces = labels(region_of);
         let sum = any.get_or_insert_with(|| here.clone());
         let better = |so_far: &mut Vec<f32>, now: &[f32]| {
@@ -183,8 +184,6 @@ pub fn measure_stage_losses(
         region_of: joined,
         clusters: Vec::new(),
     };
-    let masked =
-        MaskedFrames { cloud, visibility: &visibility, frames: &frames, masks_of: &masks_of };
     let grouped = consensus::regroup(masked, before, settings, &quiet)?;
     let region_of = grouped.superpoints.regions_of_points(&grouped.region_of);
     let regrouped = score_regions(&region_of, &grouped.superpoints, &grouped.planes)?;
@@ -206,11 +205,28 @@ pub fn measure_stage_losses(
     let with_all =
         InstanceScore { box_iou: shown.reachable_box_iou.clone(), point_iou, ..shown.clone() };
     push("shown by masks", shown.instances, shown);
-    push("with parts and wholes", built.instances.len(), with_all);
+    push(END, built.instances.len(), with_all);
     if let Some(any) = any {
         push("any of these", 0, any);
     }
     Ok(rungs)
+}
+
+/// Returns the regions with what stands on tops set free, then with the parts of furniture joined.
+fn free_and_join(
+    cloud: &PointCloud,
+    superpoints: &Superpoints,
+    planes: &Planes,
+    merged: &[u32],
+    settings: &ParsingSettings,
+) -> Result<(Vec<u32>, Vec<u32>), ParseError> {
+    let quiet = Progress::silent();
+    let (few, parts) = (settings.merging.min_points, &settings.part_merging);
+    let freed =
+        split_supported::split_supported(cloud, superpoints, planes, merged.to_vec(), few, &quiet)?;
+    let joined =
+        part_merging::join_parts(cloud, superpoints, planes, freed.clone(), parts, &quiet)?;
+    Ok((freed, joined))
 }
 
 /// Scores clusters, which can overlap, by the samples they consist of.

@@ -248,7 +248,8 @@ mod tests {
             adjacent: vec![(0, 1), (0, 2)],
             roughness_m: vec![0.0; 3],
         };
-        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 3] };
+        let planes =
+            Planes { planes: Vec::new(), of_superpoint: vec![None; 3], ..Planes::default() };
         let region_of = vec![0, 0, 1];
         let levels = Regions { levels: vec![vec![0, 1, 2], region_of.clone()] };
         let table = |layer, masks: [&[(u16, u32)]; 3]| FrameVisibility {
@@ -308,7 +309,11 @@ mod tests {
                 adjacent: vec![(0, 1)],
                 roughness_m: vec![0.0; 3],
             },
-            planes: Planes { planes: Vec::new(), of_superpoint: vec![Some(0), Some(0), None] },
+            planes: Planes {
+                planes: Vec::new(),
+                of_superpoint: vec![Some(0), Some(0), None],
+                ..Planes::default()
+            },
             levels: Regions { levels: vec![vec![0, 0, 1]] },
             tables: vec![FrameVisibility {
                 frame: FrameIndex(0),

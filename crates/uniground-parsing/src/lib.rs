@@ -44,6 +44,7 @@ pub mod refinement;
 pub mod relief;
 pub mod report_pictures;
 pub mod scan;
+pub mod separate_flat;
 pub mod sharpness;
 pub mod split_supported;
 mod stage_shares;
@@ -66,6 +67,7 @@ use masks::MaskSource;
 use model_clock::PictureEncoder;
 use planes::Planes;
 use relief::FlatCandidates;
+use separate_flat::SeparatedFlat;
 use stage_shares::StageEnds;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
@@ -334,7 +336,7 @@ fn group_superpoints(
     watch: &mut Stopwatch,
 ) -> Result<RegionGrouping, ParseError> {
     let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of, ends } = seen;
-    let planes = watch.time("planes", |outcome| {
+    let SeparatedFlat { superpoints, planes, tables } = watch.time("planes", |outcome| {
         let planes = planes::find(
             cloud,
             &superpoints,
@@ -342,7 +344,13 @@ fn group_superpoints(
             &progress.sub_range(ends.masks, ends.planes),
         )?;
         outcome.produced = planes.planes.len();
-        Ok::<_, ParseError>(planes)
+        let found = SeparatedFlat { superpoints, planes, tables };
+        if !settings.merging.keep_planes_apart {
+            return Ok(found);
+        }
+        let masked = MaskedFrames { cloud, visibility, frames, masks_of };
+        let separating = progress.sub_range(ends.planes, ends.planes);
+        separate_flat::separate_flat_things(masked, found, &separating)
     })?;
     let lifted_with = lift_frames::lifting_dependencies(perception.masks, settings);
     let regions = watch.time("merging", |outcome| {

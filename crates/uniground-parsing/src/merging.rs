@@ -42,13 +42,17 @@ pub fn merge(
 ) -> Result<Regions, Cancelled> {
     let mut region_of: Vec<u32> = (0..superpoints.patches.len() as u32).collect();
     let mut levels = Vec::new();
-    let plane_of = planes.of_superpoint.clone();
+    let plane_of = planes.kept_apart();
     let mut graph = SuperpointGraph {
         patches: superpoints.patches.clone(),
         adjacent: superpoints.adjacent.clone(),
         plane_of,
         tables: tables.to_vec(),
     };
+    if settings.keep_planes_apart {
+        region_of = join_flat_things(planes, superpoints.patches.len());
+        graph = graph.coarsen(&region_of);
+    }
     for (stage, &threshold) in settings.thresholds.iter().enumerate() {
         progress.report("merge", stage as f32 / settings.thresholds.len() as f32)?;
         let mut edges = graph.compute_edges(settings, progress)?;
@@ -74,6 +78,18 @@ pub fn merge(
     region_of.iter_mut().for_each(|r| *r = absorbed[*r as usize]);
     levels.push(region_of);
     Ok(Regions { levels })
+}
+
+/// Returns the region `0..n` of each superpoint if each flat thing is a region.
+fn join_flat_things(planes: &Planes, superpoints: usize) -> Vec<u32> {
+    let mut sets = UnionFind::new(superpoints);
+    let mut first: BTreeMap<u32, u32> = BTreeMap::new();
+    for s in 0..superpoints as u32 {
+        if let Some(thing) = planes.flat_thing(s) {
+            sets.union(*first.entry(thing).or_insert(s), s);
+        }
+    }
+    sets.into_labels().0
 }
 
 /// Maps each label `0..n` in `fine` to its label in `coarse`, which must consist of whole `fine`
@@ -447,7 +463,7 @@ mod tests {
     }
 
     fn without_planes(count: usize) -> Planes {
-        Planes { planes: Vec::new(), of_superpoint: vec![None; count] }
+        Planes { planes: Vec::new(), of_superpoint: vec![None; count], ..Planes::default() }
     }
 
     fn settings(thresholds: &[f32], min_points: u32) -> MergeSettings {
@@ -518,7 +534,11 @@ mod tests {
         let (superpoints, tables) =
             chain(&[40, 30, 20, 10], &[&[(1, 40)], &[(1, 30)], &[(1, 20)], &[(1, 10)]]);
         let merged = |of_superpoint: [Option<u32>; 4], keep_planes_apart| {
-            let planes = Planes { planes: Vec::new(), of_superpoint: of_superpoint.to_vec() };
+            let planes = Planes {
+                planes: Vec::new(),
+                of_superpoint: of_superpoint.to_vec(),
+                ..Planes::default()
+            };
             let settings = MergeSettings { keep_planes_apart, ..settings(&[0.5], 0) };
             merge(&superpoints, &planes, &tables, &settings, &Progress::silent()).unwrap().levels
         };
@@ -548,6 +568,7 @@ mod tests {
                 area_m2: 10.0,
             }],
             of_superpoint: vec![Some(0), Some(0), None, None],
+            ..Planes::default()
         };
         let merged = |keep_planes_apart| {
             let settings = MergeSettings { keep_planes_apart, ..settings(&[0.9], 6) };

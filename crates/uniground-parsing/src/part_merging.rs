@@ -334,7 +334,11 @@ mod tests {
             adjacent: adjacent.to_vec(),
             roughness_m: vec![0.0; blocks.len()],
         };
-        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; blocks.len()] };
+        let planes = Planes {
+            planes: Vec::new(),
+            of_superpoint: vec![None; blocks.len()],
+            ..Planes::default()
+        };
         join_parts(
             &cloud,
             &superpoints,

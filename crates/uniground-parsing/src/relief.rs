@@ -360,7 +360,8 @@ mod tests {
             middle: Point3::new(0.0, 0.0, WALL_Z),
             area_m2: 7.0,
         };
-        let planes = Planes { planes: vec![plane], of_superpoint: vec![Some(0), None] };
+        let planes =
+            Planes { planes: vec![plane], of_superpoint: vec![Some(0), None], ..Planes::default() };
         let labels = Labels::from_regions(&region_of, &superpoints, Vec::new());
         let visibility = Visibility::new(&cloud, &region_of, 0.1);
         let flats = FlatCandidates::find(

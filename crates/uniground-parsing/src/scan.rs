@@ -21,7 +21,7 @@ use uniground_types::settings::{
 
 /// Version of stage 1, raised when its results change: older parses stay stored but are not reused
 /// as new ones.
-pub const STAGE_1_VERSION: u32 = 12;
+pub const STAGE_1_VERSION: u32 = 13;
 
 /// Why a scan could not be parsed. Messages name the file, frame or model at fault.
 #[derive(Debug, thiserror::Error)]

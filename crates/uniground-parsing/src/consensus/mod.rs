@@ -7,9 +7,9 @@
 //! cluster becomes a region where all regions then fit the masks better ([`regrouping`]).
 
 pub mod clusters;
+pub(crate) mod cuts;
 pub mod observations;
 
-mod cuts;
 mod regrouping;
 
 use crate::ParseError;
@@ -107,7 +107,11 @@ pub fn regroup(
         .for_each(|(plane, _)| *plane = None);
     let levels = before.levels.levels.iter().map(|level| cut.extend(level)).collect();
     Ok(RegionsOfScan {
-        planes: Planes { planes: before.planes.planes, of_superpoint },
+        planes: Planes {
+            of_superpoint,
+            flat_thing_of: cut.extend(&before.planes.flat_thing_of),
+            ..before.planes
+        },
         levels: Regions { levels },
         region_of: without_gaps(&region_of),
         superpoints: cut.superpoints,

@@ -88,6 +88,8 @@ pub fn build<'a>(
     let things = labels.things as usize;
     let mut structures =
         classify_structures(&shapes[..things], &members, superpoints, planes, floor_z);
+    let flat_thing: Vec<Option<u32>> =
+        members.iter().map(|points| flat_thing_of(points, superpoints, planes)).collect();
     let flat = reliefs.iter().map(|(id, relief)| (id.0 as usize - 1, relief));
     for (i, relief) in flat.filter(|(i, _)| structures.get(*i).is_none_or(Option::is_none)) {
         shapes[i] = RegionShape::measure(
@@ -99,8 +101,10 @@ pub fn build<'a>(
         );
     }
     let specks = find_specks(&shapes[..things], &structures, &sightings, settings);
-    let new_id =
-        assign_ids(&labels, &structures, &specks, &agreement(labels.len(), &sightings), settings);
+    let mut shown = agreement(labels.len(), &sightings);
+    // Color shows a flat thing where masks do not.
+    (0..things).filter(|i| flat_thing[*i].is_some()).for_each(|i| shown[i] = None);
+    let new_id = assign_ids(&labels, &structures, &specks, &shown, settings);
     let stays = |i: usize| new_id[i + 1].0 != 0;
     let mut at = 0..;
     shapes.retain(|_| at.next().is_some_and(stays));
@@ -252,6 +256,18 @@ fn support_of_compound(
         }
         _ => supports[lowest],
     }
+}
+
+/// Returns the flat thing that most of these points belong to.
+fn flat_thing_of(points: &[u32], superpoints: &Superpoints, planes: &Planes) -> Option<u32> {
+    let mut votes: BTreeMap<u32, usize> = BTreeMap::new();
+    points
+        .iter()
+        .filter_map(|&p| planes.flat_thing(superpoints.of_point[p as usize]))
+        .for_each(|thing| *votes.entry(thing).or_default() += 1);
+    let (thing, most) =
+        votes.into_iter().max_by_key(|&(thing, n)| (n, std::cmp::Reverse(thing)))?;
+    (2 * most > points.len()).then_some(thing)
 }
 
 /// Returns which part of the building each region is, if any.
@@ -442,7 +458,8 @@ mod tests {
             adjacent: Vec::new(),
             roughness_m: vec![0.002; 4],
         };
-        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 4] };
+        let planes =
+            Planes { planes: Vec::new(), of_superpoint: vec![None; 4], ..Planes::default() };
         let seen = |instance, agreement| Sighting {
             instance: InstanceId(instance),
             view: View {

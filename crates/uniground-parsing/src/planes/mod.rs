@@ -11,6 +11,7 @@
 //! the top of a wardrobe, the wall behind it is. Where only a low part of a wall was seen, nothing
 //! at all is behind it.
 
+pub mod flat_things;
 mod rugs;
 mod sheet;
 
@@ -19,6 +20,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sheet::{PlanePart, SuperpointPlane, connected_components, fit};
 use std::collections::{BTreeMap, BTreeSet};
+use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::{PointCloud, Structure};
 use uniground_geometry::statistics::{median, quantile};
@@ -45,6 +47,9 @@ pub struct Planes {
     pub planes: Vec<Plane>,
     /// By superpoint: the index of its plane in `planes`.
     pub of_superpoint: Vec<Option<u32>>,
+    /// By superpoint: the flat thing on a plane that it belongs to, numbered from 0. Empty if none
+    /// were looked for.
+    pub flat_thing_of: Vec<Option<u32>>,
 }
 
 impl Planes {
@@ -56,6 +61,20 @@ impl Planes {
             .filter(|p| p.structure == Structure::Floor)
             .map(|p| p.middle.z)
             .min_by(f32::total_cmp)
+    }
+
+    /// Returns the flat thing that a superpoint belongs to.
+    #[must_use]
+    pub fn flat_thing(&self, superpoint: u32) -> Option<u32> {
+        self.flat_thing_of.get(superpoint as usize).copied().flatten()
+    }
+
+    /// Returns, by superpoint, what merging keeps apart: the number of a plane, or of a flat thing
+    /// after those of all planes.
+    #[must_use]
+    pub fn kept_apart(&self) -> Vec<Option<u32>> {
+        let flat = |s: u32| self.flat_thing(s).map(|thing| self.planes.len() as u32 + thing);
+        (0..).zip(&self.of_superpoint).map(|(s, plane)| plane.or_else(|| flat(s))).collect()
     }
 
     /// Joins small patches on a plane with the plane. A patch that lies on a wall, has its color
@@ -216,7 +235,7 @@ pub fn find(
         })
         .collect();
     rugs::separate_rugs(&scan, superpoints, &planes, cameras, &mut of_superpoint);
-    Ok(Planes { planes, of_superpoint })
+    Ok(Planes { planes, of_superpoint, ..Planes::default() })
 }
 
 /// The cloud grouped by superpoint.
@@ -225,6 +244,8 @@ struct CloudBySuperpoint<'a> {
     /// Points of each superpoint.
     members: Vec<Vec<u32>>,
     patches: Vec<SuperpointPlane>,
+    /// Bounds of each superpoint, meters.
+    bounds: Vec<Option<Aabb>>,
     slack_m: f32,
     lowest_z: f32,
     highest_z: f32,
@@ -239,6 +260,10 @@ impl<'a> CloudBySuperpoint<'a> {
             members[superpoint as usize].push(i as u32);
         }
         let patches = members.par_iter().map(|points| SuperpointPlane::of(cloud, points)).collect();
+        let bounds = members
+            .par_iter()
+            .map(|points| Aabb::around(points.iter().map(|&i| &cloud.positions[i as usize])))
+            .collect();
         let mut roughness: Vec<f32> =
             superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
         let slack_m = (3.0 * median(&mut roughness).unwrap_or(0.0)).clamp(MIN_SLACK_M, MAX_SLACK_M);
@@ -254,11 +279,17 @@ impl<'a> CloudBySuperpoint<'a> {
         }
         let columns =
             columns.into_iter().map(|(at, heights)| (at, heights.into_iter().collect())).collect();
-        Self { cloud, members, patches, slack_m, lowest_z, highest_z, columns }
+        Self { cloud, members, patches, bounds, slack_m, lowest_z, highest_z, columns }
     }
 
     fn points(&self, superpoint: u32) -> impl Iterator<Item = &Point3<f32>> {
         self.members[superpoint as usize].iter().map(|&i| &self.cloud.positions[i as usize])
+    }
+
+    /// Returns the superpoints that a box may contain points of.
+    fn superpoints_near(&self, place: &Aabb) -> impl Iterator<Item = u32> {
+        let near = |bounds: &Option<Aabb>| bounds.is_some_and(|own| own.gap(place) <= 0.0);
+        (0..).zip(&self.bounds).filter(move |(_, bounds)| near(bounds)).map(|(s, _)| s)
     }
 
     fn share_on_plane(&self, superpoint: u32, normal: &Vector3<f32>, middle: &Point3<f32>) -> f32 {
@@ -576,8 +607,11 @@ mod tests {
             middle: Point3::origin(),
             area_m2: 8.0,
         };
-        let planes =
-            Planes { planes: vec![wall], of_superpoint: vec![Some(0), Some(0), Some(0), None] };
+        let planes = Planes {
+            planes: vec![wall],
+            of_superpoint: vec![Some(0), Some(0), Some(0), None],
+            ..Planes::default()
+        };
         let regions = planes.with_patches(&superpoints, &[0, 1, 2, 3]);
         assert_eq!(
             regions,

@@ -4,19 +4,17 @@
 //! very dark. A rug must also be visible to cameras: in a synthetic cloud, the underside of a box
 //! lies on the floor too.
 
-use super::{ASSIGNED_SLACKS, CELL_M, CloudBySuperpoint, Plane};
+use super::flat_things::{Surface, hue_distance, is_same_color};
+use super::{CELL_M, CloudBySuperpoint, Plane};
 use crate::superpoints::{Patch, Superpoints};
 use std::cell::LazyCell;
-use std::collections::{BTreeMap, BTreeSet, HashSet};
-use uniground_geometry::boxes::{Aabb, OrientedBox};
+use std::collections::{BTreeMap, BTreeSet};
+use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::color::Lab;
 use uniground_geometry::scene::Structure;
 use uniground_geometry::union_find::UnionFind;
-use uniground_geometry::voxels::VoxelKey;
 use uniground_geometry::{Point3, Vector3};
 
-/// CIELAB distance within which superpoints have one color, with lightness counted half.
-const SAME_COLOR: f32 = 12.0;
 /// Minimum distance between hues, at the floor's lightness. A superpoint below it is the floor
 /// under another light.
 const OTHER_HUE: f32 = 5.0;
@@ -30,14 +28,6 @@ const MIN_FILLED: f32 = 0.4;
 /// Minimum share of a rug's rim with floor beside it. The floor of another room has this floor
 /// beside it only in the doorway.
 const MIN_BESIDE_FLOOR: f32 = 0.4;
-/// Minimum share of a rug's points that some camera could see.
-const MIN_SEEN: f32 = 0.5;
-/// About this many points and cameras are sampled: less than twice as many.
-const MOST_POINTS: usize = 100;
-const MOST_CAMERAS: usize = 40;
-/// Edge of the voxels for obstructions, and how far they are searched, meters.
-const VOXEL_M: f32 = 0.05;
-const IN_THE_WAY_M: f32 = 1.0;
 /// About this many superpoints are sampled for the floor's color: less than twice as many.
 const MOST_TRIED: usize = 200;
 
@@ -66,6 +56,17 @@ pub(super) fn separate_rugs(
         let (odd, own): (Vec<u32>, Vec<u32>) =
             on.iter().partition(|&&s| is_other_color(&superpoints.patches[s as usize].lab, &color));
         let floor = LazyCell::new(|| ground_cells(scan, own.into_iter()));
+        let floor_surface = Surface {
+            normal: Vector3::z(),
+            middle: plane.middle,
+            superpoints: Vec::new(),
+            is_top: false,
+        };
+        let is_visible = |group: &[u32]| {
+            let points: Vec<u32> =
+                group.iter().flat_map(|&s| scan.members[s as usize].clone()).collect();
+            floor_surface.is_visible(scan, &points, cameras)
+        };
         let is_rug = |group: &Vec<u32>| {
             let area_m2 = points(group) * m2_per_point;
             if !(MIN_AREA_M2..=MAX_OF_FLOOR * plane.area_m2).contains(&area_m2) {
@@ -79,7 +80,7 @@ pub(super) fn separate_rugs(
             size.x.min(size.y) >= MIN_WIDTH_M
                 && area_m2 >= MIN_FILLED * size.x * size.y
                 && beside_floor() >= MIN_BESIDE_FLOOR
-                && is_visible(scan, group, cameras)
+                && is_visible(group)
         };
         for s in group_connected(&odd, superpoints).into_iter().filter(is_rug).flatten() {
             of_superpoint[s as usize] = None;
@@ -110,34 +111,6 @@ fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f
     beside_floor as f32 / rim.len().max(1) as f32
 }
 
-/// Returns whether cameras could see most of a group on a floor: nothing that rises from it is in
-/// the way.
-fn is_visible(scan: &CloudBySuperpoint, group: &[u32], cameras: &[Point3<f32>]) -> bool {
-    let points: Vec<Point3<f32>> = group.iter().flat_map(|&s| scan.points(s)).copied().collect();
-    let Some(around) = Aabb::around(&points) else { return false };
-    let rises = ASSIGNED_SLACKS * scan.slack_m;
-    let reach = Vector3::repeat(IN_THE_WAY_M);
-    let near = Aabb::from_corners(around.min() - reach, around.max() + reach);
-    let above_z = around.center.z + rises;
-    let rising = scan.cloud.positions.iter().filter(|p| p.z > above_z && near.contains(p));
-    let in_the_way: HashSet<VoxelKey> = rising.map(|p| VoxelKey::containing(p, VOXEL_M)).collect();
-    let sees = |camera: &Point3<f32>, p: &Point3<f32>| {
-        let towards = (camera - p).cap_magnitude(IN_THE_WAY_M);
-        let steps = (2.0 * IN_THE_WAY_M / VOXEL_M) as usize;
-        let way = (1..=steps).map(|step| p + towards * (step as f32 / steps as f32));
-        camera.z > above_z
-            && way
-                .filter(|p| p.z > above_z)
-                .all(|p| !in_the_way.contains(&VoxelKey::containing(&p, VOXEL_M)))
-    };
-    let cameras: Vec<&Point3<f32>> =
-        cameras.iter().step_by((cameras.len() / MOST_CAMERAS).max(1)).collect();
-    let tried: Vec<&Point3<f32>> =
-        points.iter().step_by((points.len() / MOST_POINTS).max(1)).collect();
-    let seen = tried.iter().filter(|p| cameras.iter().any(|camera| sees(camera, p))).count();
-    cameras.is_empty() || seen as f32 >= MIN_SEEN * tried.len() as f32
-}
-
 /// Returns the most common color of these superpoints.
 fn most_common_color(on: &[u32], patches: &[Patch]) -> Option<Lab> {
     let patch = |s: u32| &patches[s as usize];
@@ -152,17 +125,9 @@ fn most_common_color(on: &[u32], patches: &[Patch]) -> Option<Lab> {
     Patch::merge_by_label(&same, &vec![0; same.len()], 1).first().map(|mean| mean.lab)
 }
 
-fn is_same_color(a: &Lab, b: &Lab) -> bool {
-    let apart = a - b;
-    Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOR
-}
-
-/// Returns whether it is another color, and not the floor's color under more or less light. Light
-/// scales all components of a color alike: in CIELAB, L* + 16, a* and b*.
+/// Returns whether it is another color, and not the floor's color under more or less light.
 fn is_other_color(lab: &Lab, floor: &Lab) -> bool {
-    let light = (lab.x + 16.0) / (floor.x + 16.0);
-    !is_same_color(lab, floor)
-        && (lab.y - light * floor.y).hypot(lab.z - light * floor.z) >= OTHER_HUE
+    !is_same_color(lab, floor) && hue_distance(lab, floor) >= OTHER_HUE
 }
 
 /// Groups connected superpoints.

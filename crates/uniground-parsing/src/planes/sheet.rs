@@ -75,7 +75,7 @@ impl SuperpointPlane {
 }
 
 /// Returns some unit vector at a right angle to this one.
-fn any_perpendicular(normal: &Vector3<f32>) -> Vector3<f32> {
+pub(super) fn any_perpendicular(normal: &Vector3<f32>) -> Vector3<f32> {
     let axis = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     normal.cross(&axis).normalize()
 }
