@@ -8,7 +8,7 @@ import { parsedSample, startService } from "./support/service.js";
 
 let model, service, browser, scene;
 before(async () => {
-  model = await scriptedModel([sixLines(4711), sixLines(81)]);
+  model = await scriptedModel([sixLines(4711), sixLines(80)]);
   const priced = ["--vlm-url", model.address, "--vlm-model", "scripted", "--vlm-prompt-usd", "2", "--vlm-completion-usd", "8", "--vlm-backoff-ms", "1"];
   service = await startService({ further: priced });
   browser = await startBrowser();
@@ -33,7 +33,7 @@ test("why: renders, collages, prompts, replies, corrections, tokens, cost and se
   const text = await why.textContent();
   assert.match(text, /2 calls · 1,400 \+ 80 tokens · \$0\.00344/);
   assert.match(text, /Predicted ID: 4711/);
-  assert.match(text, /Predicted ID: 81/);
+  assert.match(text, /Predicted ID: 80/);
   assert.match(text, /Query: "the mug on the coffee table"/);
   assert.match(text, /Corrections.*4711/s);
   assert.match(text, /System prompt/);

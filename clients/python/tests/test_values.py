@@ -62,7 +62,7 @@ def test_a_center_is_still_a_list() -> None:
 
 def test_texts_are_short(scene: Scene) -> None:
     answer = scene.ask(MUG)
-    assert repr(answer) == "Answer('the mug on the coffee table', uncertain, 'orange mug' (81), confidence 0.34)"
+    assert repr(answer) == "Answer('the mug on the coffee table', uncertain, 'orange mug' (80), confidence 0.34)"
     assert repr(scene.ask("the spaceship")).startswith("Answer('the spaceship', no_match, confidence 0.")
     assert repr(answer.box).startswith("Aabb(center=[-0.909, 0.523, 0.518], size=[")
     assert repr(answer.oriented_box).endswith("yaw_rad=-0.262)")
@@ -72,7 +72,7 @@ def test_texts_are_short(scene: Scene) -> None:
 
 
 def test_a_thing_has_a_name_wherever_it_is_met(scene: Scene) -> None:
-    mug = scene.instance(81)
+    mug = scene.instance(80)
     assert (mug.name, row(mug)["name"], mug.label) == ("mug", "mug", "mug")
     named = dataclasses.replace(mug, model_name="espresso cup")
     assert (named.name, dataclasses.replace(named, given_name="Anna's cup").name) == ("espresso cup", "Anna's cup")
@@ -110,7 +110,7 @@ def test_a_notebook_shows_the_picture_and_what_matters(scene: Scene) -> None:
     shown = Shown(answer._repr_html_())
     [image] = shown.images
     assert image.startswith("data:image/jpeg;base64,/9j/")
-    for text in (MUG, "uncertain", "orange mug (instance 81)", "-0.91 0.52 0.52 m", answer.answer.explanation):
+    for text in (MUG, "uncertain", "orange mug (instance 80)", "-0.91 0.52 0.52 m", answer.answer.explanation):
         assert text in shown.text
     assert len(shown.text) < 500
     stools = Shown(scene.ask("the stool")._repr_html_())

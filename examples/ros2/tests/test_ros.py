@@ -94,7 +94,7 @@ def test_an_answer_is_a_detection_in_the_map(node: Grounding, scene: Scene) -> N
     x, y, z = target.oriented_box.center
     [detection] = said.detections.detections
     assert said.status == "grounded"
-    assert detection.id == f"{scene.id}/1/81"
+    assert detection.id == f"{scene.id}/1/80"
     assert (detection.header.frame_id, detection.header.stamp.sec) == ("map", 7)
     assert at(detection.bbox.center.position) == pytest.approx([10 - y, 5 + x, z])
     assert at(detection.bbox.size) == pytest.approx(target.oriented_box.size)
@@ -102,7 +102,7 @@ def test_an_answer_is_a_detection_in_the_map(node: Grounding, scene: Scene) -> N
     [result] = detection.results
     assert (result.hypothesis.class_id, result.hypothesis.score) == ("orange mug", pytest.approx(target.confidence))
     assert at(result.pose.pose.position) == at(detection.bbox.center.position)
-    assert json.loads(said.answer_json)["answer"]["predicted_id"] == 81
+    assert json.loads(said.answer_json)["answer"]["predicted_id"] == 80
     assert node.published["~/detections"] == [said.detections]
     assert node.published["~/answer"][0].data == said.answer_json
 
@@ -137,7 +137,7 @@ def test_the_goal_is_in_front_of_the_table_and_faces_the_mug(node: Grounding, sc
 
 def test_a_robot_that_is_known_is_sent_where_it_can_stand(node: Grounding, scene: Scene) -> None:
     said = ask(given(node, **ROBOT), MUG)
-    best = scene.approach(node.robot(), instance_id=81, start=(0, 0)).poses[0]
+    best = scene.approach(node.robot(), instance_id=80, start=(0, 0)).poses[0]
     assert (said.has_goal, said.goal_reason) == (True, best.why)
     x, y, z = best.position
     assert at(said.goal.pose.position) == pytest.approx([10 - y, 5 + x, z])
@@ -197,7 +197,7 @@ def test_a_scene_that_lies_in_a_map_needs_no_transform_of_the_scan(
 def test_the_goal_is_where_the_service_says_in_the_map(node: Grounding, placed: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stubs, "TRANSFORMS", {("site", "base_link"): transform(10, 5, 0)})
     said = ask(given(node, **ROBOT), MUG)
-    told = placed.approach(node.robot(), instance_id=81, start=(10, 5), frame="map").in_frame
+    told = placed.approach(node.robot(), instance_id=80, start=(10, 5), frame="map").in_frame
     assert told is not None
     assert at(said.goal.pose.position) == pytest.approx(told.poses[0].position)
     assert [said.goal.pose.orientation.z, said.goal.pose.orientation.w] == pytest.approx(told.poses[0].orientation[2:])
