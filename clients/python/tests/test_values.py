@@ -64,7 +64,7 @@ def test_texts_are_short(scene: Scene) -> None:
     answer = scene.ask(MUG)
     assert repr(answer) == "Answer('the mug on the coffee table', uncertain, 'orange mug' (80), confidence 0.34)"
     assert repr(scene.ask("the spaceship")).startswith("Answer('the spaceship', no_match, confidence 0.")
-    assert repr(answer.box).startswith("Aabb(center=[-0.909, 0.523, 0.518], size=[")
+    assert repr(answer.box).startswith("Aabb(center=[-0.909, 0.525, 0.518], size=[")
     assert repr(answer.oriented_box).endswith("yaw_rad=-0.262)")
     for some in (answer, *answer.targets, *(answer.candidates or []), *scene.instances(), scene.info, scene.report()):
         assert len(repr(some)) < 250
