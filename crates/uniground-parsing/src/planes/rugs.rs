@@ -165,8 +165,8 @@ mod tests {
         separated_rugs_in(&[], &[], &[CAMERA], others)
     }
 
-    /// Does the same with points above the floor, without some of its superpoints, and with these
-    /// cameras.
+    /// Does the same with points above the floor (superpoint 16), without some of its superpoints,
+    /// and with these cameras.
     fn separated_rugs_in(
         above: &[Point3<f32>],
         absent: &[u32],
@@ -186,6 +186,7 @@ mod tests {
             }
         }
         cloud.positions.extend(above);
+        of_point.extend(std::iter::repeat_n(16, above.len()));
         let patch = |s| Patch {
             points: 100,
             center: place(s),
@@ -195,9 +196,9 @@ mod tests {
         let right = (0..16).filter(|s| s % 4 < 3).map(|s| (s, s + 1));
         let superpoints = Superpoints {
             of_point,
-            patches: (0..16).map(patch).collect(),
+            patches: (0..17).map(patch).collect(),
             adjacent: right.chain((0..12).map(|s| (s, s + 4))).collect(),
-            roughness_m: vec![0.0; 16],
+            roughness_m: vec![0.0; 17],
         };
         let floor = Plane {
             structure: Structure::Floor,
@@ -206,7 +207,7 @@ mod tests {
             area_m2: 4.0,
         };
         let before: Vec<Option<u32>> =
-            (0..16).map(|s| (!absent.contains(&s)).then_some(0)).collect();
+            (0..17).map(|s| (s < 16 && !absent.contains(&s)).then_some(0)).collect();
         let mut after = before.clone();
         separate_rugs(
             &CloudBySuperpoint::of(&cloud, &superpoints),
