@@ -7,9 +7,8 @@
 //! for work on stage 1: instances only, without rotation and averaged over six runs, five of which
 //! omit a fifth of the frames; boxes are the annotated ones, which is not possible in a rotated
 //! world. `--losses` adds the table of stage losses to it, and with `--misses` the steps at which
-//! single objects are lost. With `--brief`, `--models` takes the
-//! masks of the first segmenter in a folder of models instead of the built-in ones, and stores them
-//! in `target/masks`.
+//! single objects are lost. With `--brief`, `--models` takes the masks of the first segmenter in a
+//! folder of models instead of the built-in ones, and stores them in `target/masks`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -32,7 +31,7 @@ use uniground_evaluation::cached_masks::CachedMasks;
 use uniground_evaluation::segmentation::{
     InstanceScore, score_instances, score_structure, score_superpoints,
 };
-use uniground_evaluation::stage_losses;
+use uniground_evaluation::stage_losses::{self, StageLoss};
 use uniground_evaluation::systems::{NamedBy, instances_of};
 
 /// Objects with fewer points are ignored, as in the published tables.
@@ -124,9 +123,10 @@ fn run_brief(rooms: &[String], options: &Options) {
         let (as_is, seconds) = measure(&room, masks, settings, *misses);
         instances.add_row(row(name, masks.name(), "as is", &as_is, seconds));
         if options.losses {
-            add_losses(&mut losses, name, &room, masks, settings);
+            let steps = measure_losses(&room, masks, settings);
+            add_losses(&mut losses, name, masks, &steps);
             if *misses {
-                println!("{}", objects_lost(&room, masks, settings));
+                println!("{}", list_lost_objects(&room, &steps));
             }
         }
         let mut runs = vec![(as_is, seconds)];
@@ -166,25 +166,27 @@ fn losses_table() -> Table {
     table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"])
 }
 
-fn add_losses(
-    table: &mut Table,
-    name: &str,
+fn measure_losses(
     room: &AnnotatedRoom,
     masks: &dyn MaskSource,
     settings: &ParsingSettings,
-) {
-    for step in stage_losses::measure_stage_losses(room, masks, settings, MIN_POINTS).unwrap() {
+) -> Vec<StageLoss> {
+    stage_losses::measure_stage_losses(room, masks, settings, MIN_POINTS).unwrap()
+}
+
+fn add_losses(table: &mut Table, name: &str, masks: &dyn MaskSource, steps: &[StageLoss]) {
+    for step in steps {
         let (boxes, points) = step.recall();
         let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
-        let head = [name.to_owned(), masks.name().to_owned(), step.step, step.pieces.to_string()];
+        let head =
+            [name.to_owned(), masks.name().to_owned(), step.step.clone(), step.pieces.to_string()];
         table.add_row(head.into_iter().chain(figures));
     }
 }
 
-/// Returns the objects that no instance covers: the IoU of boxes, with the annotated points and at
-/// the end, then that of points after each step.
-fn objects_lost(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings) -> Table {
-    let steps = stage_losses::measure_stage_losses(room, masks, settings, MIN_POINTS).unwrap();
+/// Returns the objects without a box of IoU 0.5 at the end: the IoU of their boxes, with the
+/// annotated points and at the end, then that of their points after each step.
+fn list_lost_objects(room: &AnnotatedRoom, steps: &[StageLoss]) -> Table {
     let end = steps.iter().position(|step| step.step == stage_losses::END).unwrap();
     let head = ["object", "points", "box: cloud", "box: end"].into_iter();
     let head: Vec<&str> = head.chain(steps[1..=end].iter().map(|s| s.step.as_str())).collect();
@@ -251,7 +253,8 @@ fn run_full(rooms: &[String], Options { folder, settings, misses, .. }: &Options
         let (score, seconds) = measure(&room, &annotated, settings, *misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
         for masks in [&rgbd as &dyn MaskSource, &annotated] {
-            add_losses(&mut losses_table, name, &room, masks, settings);
+            let steps = measure_losses(&room, masks, settings);
+            add_losses(&mut losses_table, name, masks, &steps);
         }
     }
     println!(

@@ -19,7 +19,7 @@ use uniground_parsing::lifting::{FrameVisibility, Lifted, LiftingInput};
 use uniground_parsing::masks::{IdImage, MaskSource};
 use uniground_parsing::planes::{self, Planes};
 use uniground_parsing::relief::FlatCandidates;
-use uniground_parsing::separate_flat::{self, SeparatedFlat};
+use uniground_parsing::separate_flat::{self, SuperpointsAndPlanes};
 use uniground_parsing::superpoints::{self, Superpoints};
 use uniground_parsing::views::{InstanceViews, LabeledPoints};
 use uniground_parsing::visibility::Visibility;
@@ -150,11 +150,12 @@ pub fn measure_stage_losses(
 
     let masked =
         MaskedFrames { cloud, visibility: &visibility, frames: &frames, masks_of: &masks_of };
-    let before = SeparatedFlat { superpoints, planes, tables };
-    let SeparatedFlat { superpoints, planes, tables } = match settings.merging.keep_planes_apart {
-        true => separate_flat::separate_flat_things(masked, before, &quiet)?,
-        false => before,
-    };
+    let before = SuperpointsAndPlanes { superpoints, planes, tables };
+    let SuperpointsAndPlanes { superpoints, planes, tables } =
+        match settings.merging.keep_planes_apart {
+            true => separate_flat::separate_flat_things(masked, before, &quiet)?,
+            false => before,
+        };
     let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
     let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);

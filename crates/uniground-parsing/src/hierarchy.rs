@@ -248,8 +248,7 @@ mod tests {
             adjacent: vec![(0, 1), (0, 2)],
             roughness_m: vec![0.0; 3],
         };
-        let planes =
-            Planes { planes: Vec::new(), of_superpoint: vec![None; 3], ..Planes::default() };
+        let planes = Planes::new(Vec::new(), vec![None; 3]);
         let region_of = vec![0, 0, 1];
         let levels = Regions { levels: vec![vec![0, 1, 2], region_of.clone()] };
         let table = |layer, masks: [&[(u16, u32)]; 3]| FrameVisibility {
@@ -309,11 +308,7 @@ mod tests {
                 adjacent: vec![(0, 1)],
                 roughness_m: vec![0.0; 3],
             },
-            planes: Planes {
-                planes: Vec::new(),
-                of_superpoint: vec![Some(0), Some(0), None],
-                ..Planes::default()
-            },
+            planes: Planes::new(Vec::new(), vec![Some(0), Some(0), None]),
             levels: Regions { levels: vec![vec![0, 0, 1]] },
             tables: vec![FrameVisibility {
                 frame: FrameIndex(0),

@@ -6,8 +6,8 @@
 //! frames -> masks -> lifting -> affinity -> merging -> part merging -> consensus -> refinement -> views
 //!        -> instances -> appearance -> names
 //! ```
-//! Frames are decoded a few at a time: for masks and lifting, then their depth for gaps, consensus
-//! (with a segmentation model only), refinement and views. Where networks take part, the chosen views are read
+//! Frames are decoded a few at a time: for masks and lifting, then their depth for gaps, flat things,
+//! consensus (with a segmentation model only), refinement and views. Where networks take part, the chosen views are read
 //! once more. Same input and settings give the same instances, whatever the number of threads.
 
 #![warn(missing_docs)]
@@ -67,7 +67,7 @@ use masks::MaskSource;
 use model_clock::PictureEncoder;
 use planes::Planes;
 use relief::FlatCandidates;
-use separate_flat::SeparatedFlat;
+use separate_flat::SuperpointsAndPlanes;
 use stage_shares::StageEnds;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
@@ -336,7 +336,7 @@ fn group_superpoints(
     watch: &mut Stopwatch,
 ) -> Result<RegionGrouping, ParseError> {
     let ScanObservations { cloud, frames, superpoints, visibility, tables, masks_of, ends } = seen;
-    let SeparatedFlat { superpoints, planes, tables } = watch.time("planes", |outcome| {
+    let SuperpointsAndPlanes { superpoints, planes, tables } = watch.time("planes", |outcome| {
         let planes = planes::find(
             cloud,
             &superpoints,
@@ -344,7 +344,7 @@ fn group_superpoints(
             &progress.sub_range(ends.masks, ends.planes),
         )?;
         outcome.produced = planes.planes.len();
-        let found = SeparatedFlat { superpoints, planes, tables };
+        let found = SuperpointsAndPlanes { superpoints, planes, tables };
         if !settings.merging.keep_planes_apart {
             return Ok(found);
         }

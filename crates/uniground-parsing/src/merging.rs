@@ -50,7 +50,7 @@ pub fn merge(
         tables: tables.to_vec(),
     };
     if settings.keep_planes_apart {
-        region_of = join_flat_things(planes, superpoints.patches.len());
+        region_of = join_flat_things(planes);
         graph = graph.coarsen(&region_of);
     }
     for (stage, &threshold) in settings.thresholds.iter().enumerate() {
@@ -80,13 +80,13 @@ pub fn merge(
     Ok(Regions { levels })
 }
 
-/// Returns the region `0..n` of each superpoint if each flat thing is a region.
-fn join_flat_things(planes: &Planes, superpoints: usize) -> Vec<u32> {
-    let mut sets = UnionFind::new(superpoints);
+/// Returns the region `0..n` of each superpoint if each flat thing is one region.
+fn join_flat_things(planes: &Planes) -> Vec<u32> {
+    let mut sets = UnionFind::new(planes.flat_thing_of.len());
     let mut first: BTreeMap<u32, u32> = BTreeMap::new();
-    for s in 0..superpoints as u32 {
-        if let Some(thing) = planes.flat_thing(s) {
-            sets.union(*first.entry(thing).or_insert(s), s);
+    for (s, thing) in (0..).zip(&planes.flat_thing_of) {
+        if let Some(thing) = thing {
+            sets.union(*first.entry(*thing).or_insert(s), s);
         }
     }
     sets.into_labels().0
@@ -462,8 +462,17 @@ mod tests {
         (superpoints, [table])
     }
 
+    fn wall() -> Plane {
+        Plane {
+            structure: Structure::Wall,
+            normal: Vector3::x(),
+            middle: Point3::origin(),
+            area_m2: 10.0,
+        }
+    }
+
     fn without_planes(count: usize) -> Planes {
-        Planes { planes: Vec::new(), of_superpoint: vec![None; count], ..Planes::default() }
+        Planes::new(Vec::new(), vec![None; count])
     }
 
     fn settings(thresholds: &[f32], min_points: u32) -> MergeSettings {
@@ -534,11 +543,7 @@ mod tests {
         let (superpoints, tables) =
             chain(&[40, 30, 20, 10], &[&[(1, 40)], &[(1, 30)], &[(1, 20)], &[(1, 10)]]);
         let merged = |of_superpoint: [Option<u32>; 4], keep_planes_apart| {
-            let planes = Planes {
-                planes: Vec::new(),
-                of_superpoint: of_superpoint.to_vec(),
-                ..Planes::default()
-            };
+            let planes = Planes::new(Vec::new(), of_superpoint.to_vec());
             let settings = MergeSettings { keep_planes_apart, ..settings(&[0.5], 0) };
             merge(&superpoints, &planes, &tables, &settings, &Progress::silent()).unwrap().levels
         };
@@ -554,22 +559,30 @@ mod tests {
     }
 
     #[test]
+    fn flat_things_stay_whole_and_apart() {
+        // A poster, superpoints 1 and 2, which one mask shows with the wall and another one cuts.
+        let (superpoints, tables) =
+            chain(&[40, 30, 20, 10], &[&[(1, 40)], &[(1, 30)], &[(2, 20)], &[(2, 10)]]);
+        let mut planes = Planes::new(vec![wall()], vec![Some(0), None, None, None]);
+        planes.flat_thing_of = vec![None, Some(0), Some(0), None];
+        let last = |keep_planes_apart| {
+            let settings = MergeSettings { keep_planes_apart, ..settings(&[0.5], 0) };
+            let merged = merge(&superpoints, &planes, &tables, &settings, &Progress::silent());
+            merged.unwrap().last().to_vec()
+        };
+        // Regions by size.
+        assert_eq!(last(true), [1, 0, 0, 2]);
+        assert_eq!(last(false), [0, 0, 1, 1]);
+    }
+
+    #[test]
     fn patches_rejoin_their_plane_before_small_regions_are_absorbed() {
         // 0 is a wall of 1000 points, 1 a patch of it in a mask of its own, 10 of 1010 points of 10
         // square meters: 0.099. 2 is a small region next to the patch, 3 a large thing next to the
         // small region.
         let (superpoints, tables) =
             chain(&[1000, 10, 5, 400], &[&[(1, 1000)], &[(2, 10)], &[(2, 3), (3, 4)], &[(4, 400)]]);
-        let planes = Planes {
-            planes: vec![Plane {
-                structure: Structure::Wall,
-                normal: Vector3::x(),
-                middle: Point3::origin(),
-                area_m2: 10.0,
-            }],
-            of_superpoint: vec![Some(0), Some(0), None, None],
-            ..Planes::default()
-        };
+        let planes = Planes::new(vec![wall()], vec![Some(0), Some(0), None, None]);
         let merged = |keep_planes_apart| {
             let settings = MergeSettings { keep_planes_apart, ..settings(&[0.9], 6) };
             merge(&superpoints, &planes, &tables, &settings, &Progress::silent()).unwrap().levels

@@ -334,11 +334,7 @@ mod tests {
             adjacent: adjacent.to_vec(),
             roughness_m: vec![0.0; blocks.len()],
         };
-        let planes = Planes {
-            planes: Vec::new(),
-            of_superpoint: vec![None; blocks.len()],
-            ..Planes::default()
-        };
+        let planes = Planes::new(Vec::new(), vec![None; blocks.len()]);
         join_parts(
             &cloud,
             &superpoints,

@@ -360,8 +360,7 @@ mod tests {
             middle: Point3::new(0.0, 0.0, WALL_Z),
             area_m2: 7.0,
         };
-        let planes =
-            Planes { planes: vec![plane], of_superpoint: vec![Some(0), None], ..Planes::default() };
+        let planes = Planes::new(vec![plane], vec![Some(0), None]);
         let labels = Labels::from_regions(&region_of, &superpoints, Vec::new());
         let visibility = Visibility::new(&cloud, &region_of, 0.1);
         let flats = FlatCandidates::find(

@@ -14,7 +14,7 @@ use uniground_geometry::progress::Progress;
 use uniground_geometry::scene::FrameIndex;
 
 /// Superpoints, the planes they lie on, and what the frames see of them.
-pub struct SeparatedFlat {
+pub struct SuperpointsAndPlanes {
     /// The superpoints.
     pub superpoints: Superpoints,
     /// The planes. Superpoints of flat things are on none.
@@ -29,15 +29,15 @@ pub struct SeparatedFlat {
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn separate_flat_things(
     seen: MaskedFrames,
-    before: SeparatedFlat,
+    before: SuperpointsAndPlanes,
     progress: &Progress,
-) -> Result<SeparatedFlat, ParseError> {
+) -> Result<SuperpointsAndPlanes, ParseError> {
     let MaskedFrames { cloud, visibility, frames, masks_of } = seen;
-    let SeparatedFlat { superpoints, planes, tables } = before;
+    let SuperpointsAndPlanes { superpoints, planes, tables } = before;
     let cameras = super::camera_centers(frames);
     let things = flat_things::find(cloud, &superpoints, &planes, &cameras, progress)?;
     if things.is_empty() {
-        return Ok(SeparatedFlat { superpoints, planes, tables });
+        return Ok(SuperpointsAndPlanes { superpoints, planes, tables });
     }
     let observations =
         MaskObservations::collect(cloud.len(), visibility, frames, masks_of, progress)?;
@@ -58,5 +58,5 @@ pub fn separate_flat_things(
         }
     }
     let planes = Planes { planes: planes.planes, of_superpoint, flat_thing_of };
-    Ok(SeparatedFlat { superpoints: cut.superpoints, planes, tables: cut.tables })
+    Ok(SuperpointsAndPlanes { superpoints: cut.superpoints, planes, tables: cut.tables })
 }

@@ -261,8 +261,7 @@ mod tests {
             adjacent: adjacent.to_vec(),
             roughness_m: vec![0.0; count],
         };
-        let planes =
-            Planes { planes: Vec::new(), of_superpoint: vec![plane; count], ..Planes::default() };
+        let planes = Planes::new(Vec::new(), vec![plane; count]);
         split_supported(&cloud, &superpoints, &planes, vec![0; count], 50, &Progress::silent())
             .unwrap()
     }

@@ -33,9 +33,6 @@ impl CutSuperpoints {
     /// Returns the values of all superpoints, given those of the old ones.
     pub fn extend<T: Copy>(&self, of: &[T]) -> Vec<T> {
         let mut all = of.to_vec();
-        if all.is_empty() {
-            return all;
-        }
         self.cut_off.iter().for_each(|&parent| all.push(all[parent as usize]));
         all
     }

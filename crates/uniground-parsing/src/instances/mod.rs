@@ -88,8 +88,6 @@ pub fn build<'a>(
     let things = labels.things as usize;
     let mut structures =
         classify_structures(&shapes[..things], &members, superpoints, planes, floor_z);
-    let flat_thing: Vec<Option<u32>> =
-        members.iter().map(|points| flat_thing_of(points, superpoints, planes)).collect();
     let flat = reliefs.iter().map(|(id, relief)| (id.0 as usize - 1, relief));
     for (i, relief) in flat.filter(|(i, _)| structures.get(*i).is_none_or(Option::is_none)) {
         shapes[i] = RegionShape::measure(
@@ -103,7 +101,11 @@ pub fn build<'a>(
     let specks = find_specks(&shapes[..things], &structures, &sightings, settings);
     let mut shown = agreement(labels.len(), &sightings);
     // Color shows a flat thing where masks do not.
-    (0..things).filter(|i| flat_thing[*i].is_some()).for_each(|i| shown[i] = None);
+    for (points, shown) in members[..things].iter().zip(&mut shown) {
+        if is_flat_thing(points, superpoints, planes) {
+            *shown = None;
+        }
+    }
     let new_id = assign_ids(&labels, &structures, &specks, &shown, settings);
     let stays = |i: usize| new_id[i + 1].0 != 0;
     let mut at = 0..;
@@ -258,16 +260,11 @@ fn support_of_compound(
     }
 }
 
-/// Returns the flat thing that most of these points belong to.
-fn flat_thing_of(points: &[u32], superpoints: &Superpoints, planes: &Planes) -> Option<u32> {
-    let mut votes: BTreeMap<u32, usize> = BTreeMap::new();
-    points
-        .iter()
-        .filter_map(|&p| planes.flat_thing(superpoints.of_point[p as usize]))
-        .for_each(|thing| *votes.entry(thing).or_default() += 1);
-    let (thing, most) =
-        votes.into_iter().max_by_key(|&(thing, n)| (n, std::cmp::Reverse(thing)))?;
-    (2 * most > points.len()).then_some(thing)
+/// Returns whether most of these points belong to a flat thing. Merging keeps those apart.
+fn is_flat_thing(points: &[u32], superpoints: &Superpoints, planes: &Planes) -> bool {
+    let superpoint = |point: u32| superpoints.of_point[point as usize] as usize;
+    let flat = points.iter().filter(|p| planes.flat_thing_of[superpoint(**p)].is_some()).count();
+    2 * flat > points.len()
 }
 
 /// Returns which part of the building each region is, if any.
@@ -458,8 +455,7 @@ mod tests {
             adjacent: Vec::new(),
             roughness_m: vec![0.002; 4],
         };
-        let planes =
-            Planes { planes: Vec::new(), of_superpoint: vec![None; 4], ..Planes::default() };
+        let planes = Planes::new(Vec::new(), vec![None; 4]);
         let seen = |instance, agreement| Sighting {
             instance: InstanceId(instance),
             view: View {
@@ -475,7 +471,7 @@ mod tests {
         let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5), seen(4, 0.9)];
         let settings = InstanceSettings::default();
         let labels = Labels::from_regions(&region_of, &superpoints, Vec::new());
-        let sighted = InstanceViews { sightings, reliefs: BTreeMap::new() };
+        let sighted = InstanceViews { sightings: sightings.clone(), reliefs: BTreeMap::new() };
         let built =
             build(&cloud, &superpoints, &planes, labels, sighted, &settings, &Progress::silent())
                 .unwrap();
@@ -489,5 +485,14 @@ mod tests {
         );
         assert_eq!([0, 1200, 1600].map(|i| built.labels.thing_of_point[i].0), [1, 0, 2]);
         assert_eq!(built.sightings.iter().map(|s| s.instance.0).collect::<Vec<_>>(), [1, 2]);
+        // Color shows a flat thing where masks do not.
+        let mut planes = planes;
+        planes.flat_thing_of[1] = Some(0);
+        let labels = Labels::from_regions(&region_of, &superpoints, Vec::new());
+        let sighted = InstanceViews { sightings, reliefs: BTreeMap::new() };
+        let built =
+            build(&cloud, &superpoints, &planes, labels, sighted, &settings, &Progress::silent())
+                .unwrap();
+        assert_eq!((built.dropped, built.specks, built.instances.len()), (0, 1, 3));
     }
 }

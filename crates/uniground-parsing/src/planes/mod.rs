@@ -13,7 +13,9 @@
 
 pub mod flat_things;
 mod rugs;
+mod seen;
 mod sheet;
+mod surface_color;
 
 use super::superpoints::{Patch, Superpoints};
 use rayon::prelude::*;
@@ -47,8 +49,7 @@ pub struct Planes {
     pub planes: Vec<Plane>,
     /// By superpoint: the index of its plane in `planes`.
     pub of_superpoint: Vec<Option<u32>>,
-    /// By superpoint: the flat thing on a plane that it belongs to, numbered from 0. Empty if none
-    /// were looked for.
+    /// By superpoint: the flat thing on a plane that it belongs to, numbered from 0.
     pub flat_thing_of: Vec<Option<u32>>,
 }
 
@@ -63,18 +64,23 @@ impl Planes {
             .min_by(f32::total_cmp)
     }
 
-    /// Returns the flat thing that a superpoint belongs to.
+    /// Returns planes, and the superpoints on them, without flat things.
     #[must_use]
-    pub fn flat_thing(&self, superpoint: u32) -> Option<u32> {
-        self.flat_thing_of.get(superpoint as usize).copied().flatten()
+    pub fn new(planes: Vec<Plane>, of_superpoint: Vec<Option<u32>>) -> Self {
+        let flat_thing_of = vec![None; of_superpoint.len()];
+        Self { planes, of_superpoint, flat_thing_of }
     }
 
     /// Returns, by superpoint, what merging keeps apart: the number of a plane, or of a flat thing
     /// after those of all planes.
     #[must_use]
     pub fn kept_apart(&self) -> Vec<Option<u32>> {
-        let flat = |s: u32| self.flat_thing(s).map(|thing| self.planes.len() as u32 + thing);
-        (0..).zip(&self.of_superpoint).map(|(s, plane)| plane.or_else(|| flat(s))).collect()
+        let after_planes = |thing: u32| self.planes.len() as u32 + thing;
+        self.of_superpoint
+            .iter()
+            .zip(&self.flat_thing_of)
+            .map(|(plane, thing)| plane.or_else(|| thing.map(after_planes)))
+            .collect()
     }
 
     /// Joins small patches on a plane with the plane. A patch that lies on a wall, has its color
@@ -235,7 +241,7 @@ pub fn find(
         })
         .collect();
     rugs::separate_rugs(&scan, superpoints, &planes, cameras, &mut of_superpoint);
-    Ok(Planes { planes, of_superpoint, ..Planes::default() })
+    Ok(Planes::new(planes, of_superpoint))
 }
 
 /// The cloud grouped by superpoint.
@@ -607,11 +613,7 @@ mod tests {
             middle: Point3::origin(),
             area_m2: 8.0,
         };
-        let planes = Planes {
-            planes: vec![wall],
-            of_superpoint: vec![Some(0), Some(0), Some(0), None],
-            ..Planes::default()
-        };
+        let planes = Planes::new(vec![wall], vec![Some(0), Some(0), Some(0), None]);
         let regions = planes.with_patches(&superpoints, &[0, 1, 2, 3]);
         assert_eq!(
             regions,

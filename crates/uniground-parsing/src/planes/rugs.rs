@@ -4,9 +4,10 @@
 //! very dark. A rug must also be visible to cameras: in a synthetic cloud, the underside of a box
 //! lies on the floor too.
 
-use super::flat_things::{Surface, hue_distance, is_same_color};
+use super::seen::is_seen;
+use super::surface_color::{hue_distance, is_same_color, most_common_color};
 use super::{CELL_M, CloudBySuperpoint, Plane};
-use crate::superpoints::{Patch, Superpoints};
+use crate::superpoints::Superpoints;
 use std::cell::LazyCell;
 use std::collections::{BTreeMap, BTreeSet};
 use uniground_geometry::boxes::OrientedBox;
@@ -28,8 +29,6 @@ const MIN_FILLED: f32 = 0.4;
 /// Minimum share of a rug's rim with floor beside it. The floor of another room has this floor
 /// beside it only in the doorway.
 const MIN_BESIDE_FLOOR: f32 = 0.4;
-/// About this many superpoints are sampled for the floor's color: less than twice as many.
-const MOST_TRIED: usize = 200;
 
 /// Removes rugs from the planes of their floors, so that the two are not merged. `of_superpoint`
 /// has the plane of each superpoint. `cameras` are camera centers, meters; without any, every point
@@ -48,7 +47,12 @@ pub(super) fn separate_rugs(
             .filter(|(_, plane)| **plane == Some(k))
             .map(|(s, _)| s)
             .collect();
-        let Some(color) = most_common_color(&on, &superpoints.patches) else { continue };
+        let colors: Vec<(Lab, u32)> = on
+            .iter()
+            .map(|&s| &superpoints.patches[s as usize])
+            .map(|patch| (patch.lab, patch.points))
+            .collect();
+        let Some(color) = most_common_color(&colors) else { continue };
         let points = |group: &[u32]| {
             group.iter().map(|&s| superpoints.patches[s as usize].points).sum::<u32>() as f32
         };
@@ -56,16 +60,9 @@ pub(super) fn separate_rugs(
         let (odd, own): (Vec<u32>, Vec<u32>) =
             on.iter().partition(|&&s| is_other_color(&superpoints.patches[s as usize].lab, &color));
         let floor = LazyCell::new(|| ground_cells(scan, own.into_iter()));
-        let floor_surface = Surface {
-            normal: Vector3::z(),
-            middle: plane.middle,
-            superpoints: Vec::new(),
-            is_top: false,
-        };
         let is_visible = |group: &[u32]| {
-            let points: Vec<u32> =
-                group.iter().flat_map(|&s| scan.members[s as usize].clone()).collect();
-            floor_surface.is_visible(scan, &points, cameras)
+            let members = group.iter().flat_map(|&s| &scan.members[s as usize]);
+            is_seen(scan, &members.copied().collect::<Vec<_>>(), &Vector3::z(), cameras)
         };
         let is_rug = |group: &Vec<u32>| {
             let area_m2 = points(group) * m2_per_point;
@@ -111,20 +108,6 @@ fn share_beside(cells: &BTreeSet<(i32, i32)>, floor: &BTreeSet<(i32, i32)>) -> f
     beside_floor as f32 / rim.len().max(1) as f32
 }
 
-/// Returns the most common color of these superpoints.
-fn most_common_color(on: &[u32], patches: &[Patch]) -> Option<Lab> {
-    let patch = |s: u32| &patches[s as usize];
-    let alike = |s: u32| {
-        on.iter().copied().filter(move |&other| is_same_color(&patch(other).lab, &patch(s).lab))
-    };
-    // A sample is enough to find it: a house has many superpoints.
-    let most = on.iter().copied().step_by((on.len() / MOST_TRIED).max(1)).max_by_key(|&s| {
-        (alike(s).map(|other| patch(other).points).sum::<u32>(), std::cmp::Reverse(s))
-    })?;
-    let same: Vec<Patch> = alike(most).map(|s| *patch(s)).collect();
-    Patch::merge_by_label(&same, &vec![0; same.len()], 1).first().map(|mean| mean.lab)
-}
-
 /// Returns whether it is another color, and not the floor's color under more or less light.
 fn is_other_color(lab: &Lab, floor: &Lab) -> bool {
     !is_same_color(lab, floor) && hue_distance(lab, floor) >= OTHER_HUE
@@ -151,7 +134,7 @@ fn group_connected(superpoints_of: &[u32], superpoints: &Superpoints) -> Vec<Vec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use uniground_geometry::Vector3;
+    use crate::superpoints::Patch;
     use uniground_geometry::color::srgb_to_lab;
     use uniground_geometry::scene::PointCloud;
 

@@ -11,19 +11,18 @@
 
 mod texture;
 
-use super::CloudBySuperpoint;
-use super::{Plane, Planes};
+use super::seen::is_seen;
+use super::{CloudBySuperpoint, Plane, Planes};
 use crate::superpoints::Superpoints;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashSet};
 use texture::Texture;
-pub(super) use texture::{hue_distance, is_same_color};
 use uniground_geometry::boxes::Aabb;
 use uniground_geometry::progress::{Cancelled, Progress};
 use uniground_geometry::scene::PointCloud;
-use uniground_geometry::statistics::{median, quantile};
+use uniground_geometry::statistics::median;
 use uniground_geometry::union_find::UnionFind;
-use uniground_geometry::voxels::{VoxelKey, typical_spacing_m};
+use uniground_geometry::voxels::typical_spacing_m;
 use uniground_geometry::{Point3, Vector3};
 
 /// Minimum area of a level top, square meters.
@@ -36,16 +35,7 @@ const TOP_STEP_M: f32 = 0.015;
 const ON_TOP_M: std::ops::Range<f32> = -0.02..0.1;
 /// Up to this height above a top, points belong to something tall that stands there, meters.
 const TALL_M: f32 = 0.4;
-/// Minimum share of a thing's points that some camera could see.
-const MIN_SEEN: f32 = 0.5;
-/// About this many points and cameras are sampled: less than twice as many.
-const MOST_POINTS: usize = 100;
-const MOST_CAMERAS: usize = 40;
-/// Edge of the voxels for obstructions, and how far they are searched, meters.
-const VOXEL_M: f32 = 0.05;
-const IN_THE_WAY_M: f32 = 1.0;
-
-/// Returns the points of each flat thing, ascending. `cameras` are camera centers, meters; without
+/// Returns each flat thing as the indices of its points, ascending. `cameras` are camera centers, meters; without
 /// any, every point counts as seen.
 ///
 /// # Errors
@@ -66,7 +56,7 @@ pub fn find(
         .map(|surface| {
             progress.check()?;
             let mut things = surface.flat_things(&scan, planes, spacing_m);
-            things.retain(|points| surface.is_visible(&scan, points, cameras));
+            things.retain(|points| is_seen(&scan, points, &surface.normal, cameras));
             Ok(things)
         })
         .collect::<Result<_, Cancelled>>()?;
@@ -84,17 +74,17 @@ pub fn find(
 }
 
 /// A plane of the building or a level top.
-pub(super) struct Surface {
+struct Surface {
     /// Unit length, toward the cameras.
-    pub(super) normal: Vector3<f32>,
-    pub(super) middle: Point3<f32>,
-    pub(super) superpoints: Vec<u32>,
+    normal: Vector3<f32>,
+    middle: Point3<f32>,
+    superpoints: Vec<u32>,
     /// Whether things that rise a little from it are part of it. Those on planes of the building
     /// are separate already.
-    pub(super) is_top: bool,
+    is_top: bool,
 }
 
-/// The points that lie on a surface or stand on it.
+/// The indices of the points that lie on a surface or stand on it.
 struct SurfacePoints {
     /// Those of the surface itself.
     own: Vec<u32>,
@@ -166,7 +156,7 @@ impl Surface {
         (p - self.middle).dot(&self.normal)
     }
 
-    /// Returns the points of each flat thing on it, ascending.
+    /// Returns each flat thing on it as the indices of its points, ascending.
     fn flat_things(
         &self,
         scan: &CloudBySuperpoint,
@@ -174,7 +164,7 @@ impl Surface {
         spacing_m: f32,
     ) -> Vec<Vec<u32>> {
         let points = self.points(scan, planes);
-        let Some(texture) = Texture::of(self, &points, scan, spacing_m) else { return Vec::new() };
+        let Some(texture) = Texture::of(self, points, scan, spacing_m) else { return Vec::new() };
         let things = texture.things(scan.slack_m);
         let mut thing_of = vec![None; texture.cells.len()];
         for (i, cells) in things.iter().enumerate() {
@@ -220,46 +210,6 @@ impl Surface {
                 .collect();
         }
         SurfacePoints { own, above }
-    }
-
-    /// Returns whether cameras could see most of these points: nothing that rises from the surface
-    /// is in the way.
-    pub(super) fn is_visible(
-        &self,
-        scan: &CloudBySuperpoint,
-        points: &[u32],
-        cameras: &[Point3<f32>],
-    ) -> bool {
-        let at = |&point: &u32| scan.cloud.positions[point as usize];
-        let positions: Vec<Point3<f32>> = points.iter().map(at).collect();
-        let Some(around) = Aabb::around(&positions) else { return false };
-        let mut heights: Vec<f32> = positions.iter().map(|p| self.height(p)).collect();
-        let top_m = quantile(&mut heights, 0.95).unwrap_or(0.0);
-        let rises =
-            |p: &Point3<f32>| self.height(p) > top_m + super::ASSIGNED_SLACKS * scan.slack_m;
-        let reach = Vector3::repeat(IN_THE_WAY_M);
-        let near = Aabb::from_corners(around.min() - reach, around.max() + reach);
-        let rising = scan
-            .superpoints_near(&near)
-            .flat_map(|s| scan.points(s))
-            .filter(|p| near.contains(p) && rises(p));
-        let in_the_way: HashSet<VoxelKey> =
-            rising.map(|p| VoxelKey::containing(p, VOXEL_M)).collect();
-        let sees = |camera: &Point3<f32>, p: &Point3<f32>| {
-            let towards = (camera - p).cap_magnitude(IN_THE_WAY_M);
-            let steps = (2.0 * IN_THE_WAY_M / VOXEL_M) as usize;
-            let way = (1..=steps).map(|step| p + towards * (step as f32 / steps as f32));
-            rises(camera)
-                && way
-                    .filter(|p| rises(p))
-                    .all(|p| !in_the_way.contains(&VoxelKey::containing(&p, VOXEL_M)))
-        };
-        let cameras: Vec<&Point3<f32>> =
-            cameras.iter().step_by((cameras.len() / MOST_CAMERAS).max(1)).collect();
-        let tried: Vec<&Point3<f32>> =
-            positions.iter().step_by((positions.len() / MOST_POINTS).max(1)).collect();
-        let seen = tried.iter().filter(|p| cameras.iter().any(|camera| sees(camera, p))).count();
-        cameras.is_empty() || seen as f32 >= MIN_SEEN * tried.len() as f32
     }
 }
 

@@ -1,8 +1,8 @@
 //! A surface as a picture of small cells, and the parts of it that differ from the rest.
 
 use super::{CloudBySuperpoint, ON_TOP_M, Surface, SurfacePoints};
-use crate::planes::sheet::any_perpendicular;
-use rayon::prelude::*;
+use crate::planes::sheet::{any_perpendicular, connected_components};
+use crate::planes::surface_color::{hue_distance, most_common_color};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashSet, VecDeque};
 use uniground_geometry::boxes::OrientedBox;
@@ -13,21 +13,20 @@ use uniground_geometry::{Point2, Vector2};
 /// Edge of a cell in multiples of the typical point spacing, and its bounds, meters.
 const CELL_SPACINGS: f32 = 1.3;
 const CELL_M: std::ops::RangeInclusive<f32> = 0.012..=0.05;
-/// Maximum number of cells of a surface. On larger surfaces, cells are larger.
+/// About the maximum number of cells of a surface, and of those around it. On larger surfaces,
+/// cells are larger.
 const MOST_CELLS: f32 = 4e6;
 /// Number of empty cells around a surface: more than are ever closed.
-const MARGIN: usize = 8;
-/// CIELAB distance within which two places have one color, with lightness counted half.
-const SAME_COLOR: f32 = 12.0;
+const MARGIN: usize = 4;
 /// Minimum CIELAB distance of another color.
 const OTHER_COLOR: f32 = 6.0;
 /// Minimum distance between hues, at the surface's lightness, in multiples of the median over the
 /// surface: wood has many colors. A cell below it is the surface under another light.
 const OTHER_HUE_MEDIANS: f32 = 3.0;
 const OTHER_HUE: f32 = 3.0;
-/// Minimum height of a cell above a top in multiples of the scan's noise, and in meters.
+/// Minimum height of a cell above a top in multiples of the distance within which points count as
+/// on a plane, which is at least 2 cm.
 const RISES_SLACKS: f32 = 0.7;
-const RISES_M: f32 = 0.012;
 /// Gaps between parts of one thing up to this width are closed, meters.
 const CLOSED_M: f32 = 0.06;
 /// Minimum area and width of a flat thing, square meters and meters.
@@ -48,10 +47,8 @@ const MOST_NECK_M: f32 = 0.4;
 const MIN_BESIDE: f32 = 0.65;
 /// Maximum share of its rim with something tall on it: it is the foot of that.
 const MAX_BESIDE_TALL: f32 = 0.15;
-/// About this many cells are sampled for the surface's color: less than twice as many.
-const MOST_TRIED: usize = 200;
 
-/// What a cell shows.
+/// What the points in a cell show.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TextureCell {
     lab: Lab,
@@ -67,6 +64,7 @@ pub(super) struct Texture {
     cell_m: f32,
     /// By cell, row by row: what it shows, if it has points.
     pub(super) cells: Vec<Option<TextureCell>>,
+    /// Indices of the points, and the cell of each.
     pub(super) points: Vec<u32>,
     pub(super) cell_of_point: Vec<usize>,
 }
@@ -75,7 +73,7 @@ impl Texture {
     /// Unrolls a surface. `None` if it has no points.
     pub(super) fn of(
         surface: &Surface,
-        points: &SurfacePoints,
+        points: SurfacePoints,
         scan: &CloudBySuperpoint,
         spacing_m: f32,
     ) -> Option<Self> {
@@ -88,7 +86,10 @@ impl Texture {
         let low = [bound(0, f32::min)?, bound(1, f32::min)?];
         let size = [bound(0, f32::max)? - low[0], bound(1, f32::max)? - low[1]];
         let fine_m = (CELL_SPACINGS * spacing_m).clamp(*CELL_M.start(), *CELL_M.end());
-        let cell_m = fine_m.max((size[0] * size[1] / MOST_CELLS).sqrt());
+        let longest_m = size[0].max(size[1]);
+        let cell_m = fine_m
+            .max((size[0] * size[1] / MOST_CELLS).sqrt())
+            .max(longest_m * (2 * MARGIN) as f32 / MOST_CELLS);
         let [width, height] = size.map(|size| (size / cell_m) as usize + 1 + 2 * MARGIN);
         let cell = |along: &[f32; 2]| {
             let [a, b] = [0, 1].map(|i| ((along[i] - low[i]).max(0.0) / cell_m) as usize + MARGIN);
@@ -98,12 +99,12 @@ impl Texture {
             width,
             cell_m,
             cells: vec![None; width * height],
-            points: points.own.clone(),
+            points: points.own,
             cell_of_point: own.iter().map(cell).collect(),
         };
         if !points.above.is_empty() {
             let outline = texture.outline();
-            for &point in &points.above {
+            for point in points.above {
                 let cell = cell(&along(point));
                 if outline[cell] {
                     texture.points.push(point);
@@ -120,7 +121,7 @@ impl Texture {
         let mut occupied = vec![false; self.cells.len()];
         self.cell_of_point.iter().for_each(|&cell| occupied[cell] = true);
         let mut outline = vec![false; self.cells.len()];
-        for mut cells in self.components(self.closed(&occupied)) {
+        for mut cells in self.components(&self.closed(&occupied)) {
             self.fill(&mut cells);
             cells.into_iter().for_each(|cell| outline[cell] = true);
         }
@@ -197,13 +198,13 @@ impl Texture {
     fn other_cells(&self, slack_m: f32) -> Option<Vec<bool>> {
         let known: Vec<&TextureCell> =
             self.cells.iter().flatten().filter(|cell| !cell.is_tall).collect();
-        let labs: Vec<Lab> = known.iter().map(|cell| cell.lab).collect();
+        let labs: Vec<(Lab, u32)> = known.iter().map(|cell| (cell.lab, 1)).collect();
         let color = most_common_color(&labs)?;
-        let mut hues: Vec<f32> = labs.iter().map(|lab| hue_distance(lab, &color)).collect();
+        let mut hues: Vec<f32> = labs.iter().map(|(lab, _)| hue_distance(lab, &color)).collect();
         let least = OTHER_HUE.max(OTHER_HUE_MEDIANS * median(&mut hues)?);
         let mut heights: Vec<f32> = known.iter().map(|cell| cell.height_m).collect();
         let base_m = median(&mut heights)?;
-        let rises_m = RISES_M.max(RISES_SLACKS * slack_m);
+        let rises_m = RISES_SLACKS * slack_m;
         let is_other = |cell: &TextureCell| {
             let differs = (cell.lab - color).norm() >= OTHER_COLOR
                 && hue_distance(&cell.lab, &color) >= least;
@@ -219,7 +220,7 @@ impl Texture {
         let known = self.cells.iter().flatten().count() as f32;
         let cell_m2 = self.cell_m * self.cell_m;
         let mut things = Vec::new();
-        let mut left = self.components(self.closed(&other));
+        let mut left = self.components(&self.closed(&other));
         while let Some(mut cells) = left.pop() {
             if (cells.len() as f32) * cell_m2 < 0.5 * MIN_AREA_M2 {
                 continue;
@@ -288,7 +289,7 @@ impl Texture {
                 .copied()
                 .filter(|&cell| self.around(cell).all(|at| core.contains(&at)))
                 .collect();
-            let mut parts = self.components(core.clone());
+            let mut parts = self.components(&core);
             parts.retain(|part| part.len() >= 4);
             if parts.len() < 2 {
                 continue;
@@ -332,18 +333,13 @@ impl Texture {
     }
 
     /// Returns the connected parts of a set of cells, each ascending.
-    fn components(&self, mut left: BTreeSet<usize>) -> Vec<Vec<usize>> {
-        let mut components = Vec::new();
-        while let Some(first) = left.pop_first() {
-            let (mut cells, mut at) = (vec![first], 0);
-            while let Some(&cell) = cells.get(at) {
-                cells.extend(self.around(cell).filter(|next| left.remove(next)));
-                at += 1;
-            }
-            cells.sort_unstable();
-            components.push(cells);
-        }
-        components
+    fn components(&self, cells: &BTreeSet<usize>) -> Vec<Vec<usize>> {
+        let place = |&cell: &usize| ((cell / self.width) as i32, (cell % self.width) as i32);
+        let cell = |(row, column): (i32, i32)| row as usize * self.width + column as usize;
+        connected_components(&cells.iter().map(place).collect(), 1)
+            .into_iter()
+            .map(|part| part.into_iter().map(cell).collect())
+            .collect()
     }
 
     /// Adds the cells that a connected set encloses.
@@ -402,27 +398,4 @@ impl Texture {
         };
         (share(&is_surface), share(&is_tall))
     }
-}
-
-/// Returns the most common color of these cells.
-fn most_common_color(cells: &[Lab]) -> Option<Lab> {
-    let alike = |lab: &Lab| cells.iter().filter(|other| is_same_color(other, lab)).count();
-    let tried: Vec<&Lab> = cells.iter().step_by((cells.len() / MOST_TRIED).max(1)).collect();
-    let counts: Vec<usize> = tried.par_iter().map(|lab| alike(lab)).collect();
-    let most = (0..tried.len()).max_by_key(|&i| (counts[i], std::cmp::Reverse(i)))?;
-    let same: Vec<&Lab> = cells.iter().filter(|lab| is_same_color(lab, tried[most])).collect();
-    Some(same.iter().fold(Lab::zeros(), |sum, lab| sum + *lab) / same.len() as f32)
-}
-
-/// Returns whether two colors are one, under somewhat different light.
-pub(in crate::planes) fn is_same_color(a: &Lab, b: &Lab) -> bool {
-    let apart = a - b;
-    Lab::new(apart.x / 2.0, apart.y, apart.z).norm() < SAME_COLOR
-}
-
-/// Returns how far a color is from the surface's color under more or less light. Light scales all
-/// components of a color alike: in CIELAB, L* + 16, a* and b*.
-pub(in crate::planes) fn hue_distance(lab: &Lab, surface: &Lab) -> f32 {
-    let light = (lab.x + 16.0) / (surface.x + 16.0);
-    (lab.y - light * surface.y).hypot(lab.z - light * surface.z)
 }
