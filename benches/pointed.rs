@@ -4,7 +4,8 @@
 //! For every annotated object that no instance of any level covers (box IoU below .25), or for all
 //! of them, a point is taken in the middle of the photograph that shows most of it. The box is that
 //! of its pixels there, with each side off by a tenth. The segmented instance is compared with the
-//! annotated box, for the built-in masks and for the first segmenter among the models. If there
+//! annotated box, for the built-in masks and for the first segmenter among the models. So is what
+//! replaces the instance that covers the object best, if anything fits the box better. If there
 //! is an encoder, the bench also prints how often the two photographs chosen for the object's name
 //! show the object, compared with two random ones.
 
@@ -61,8 +62,11 @@ fn main() {
         "segmenter, point",
         "box",
         "an instance already",
+        "built-in masks, replaced by box",
+        "segmenter, replaced by box",
         "seconds",
     ]);
+    let mut replaced = [[0; 2]; 3];
     let (mut missed, mut found, mut offered) = (0, [[0; 2]; 4], PhotographChoice::default());
     for name in room_names(&folder) {
         let scratch = tempfile::tempdir().unwrap();
@@ -108,14 +112,14 @@ fn main() {
             let Some(place) = *place else { continue };
             missed += 1;
             let start = Instant::now();
+            let finder = |segmenter| PointedObjectFinder {
+                cloud: &parsed.cloud,
+                frames: &room.bundle.frames,
+                segmenter,
+                settings: &settings,
+            };
             let find = |segmenter: Option<&Segmenter>, place: PhotographPoint| {
-                let pointing = PointedObjectFinder {
-                    cloud: &parsed.cloud,
-                    frames: &room.bundle.frames,
-                    segmenter,
-                    settings: &settings,
-                };
-                pointing.find_at(place, &parsed.instances, &[]).unwrap()
+                finder(segmenter).find_at(place, &parsed.instances, &[]).unwrap()
             };
             let iou = |found: &Option<Instance>| {
                 found.as_ref().map_or(0.0, |found| found.aabb.iou(&object.aabb))
@@ -136,6 +140,20 @@ fn main() {
                 .as_ref()
                 .and_then(|ours| find_identical(&parsed.instances, ours))
                 .map_or("", |_| "yes");
+            let may_be_taken = |i: &&Instance| i.structure.is_none() && !i.dismissed;
+            let covers = |i: &Instance| i.aabb.iou(&object.aabb);
+            let taken = parsed.instances.iter().filter(may_be_taken);
+            let taken = taken.max_by(|a, b| covers(a).total_cmp(&covers(b))).unwrap();
+            let after = |segmenter: Option<&Segmenter>| {
+                let better = finder(segmenter).find_better(place, &parsed.instances, taken.id);
+                better.unwrap().map_or(covers(taken), |better| covers(&better))
+            };
+            let by_segmenter = loaded.segmenters.first().map(|segmenter| after(Some(segmenter)));
+            let after = [covers(taken), after(None), by_segmenter.unwrap_or_default()];
+            for (replaced, iou) in replaced.iter_mut().zip(after) {
+                replaced[0] += u32::from(iou >= COVERED);
+                replaced[1] += u32::from(iou >= 0.5);
+            }
             table.add_row([
                 name.clone(),
                 object.name.clone(),
@@ -145,6 +163,8 @@ fn main() {
                 theirs.map_or_else(|| "-".to_owned(), |_| format!("{:.2}", ious[2])),
                 theirs.map_or_else(|| "-".to_owned(), |_| format!("{:.2}", ious[3])),
                 known.to_owned(),
+                format!("{:.2}", after[1]),
+                by_segmenter.map_or_else(|| "-".to_owned(), |iou| format!("{iou:.2}")),
                 format!("{:.1}", start.elapsed().as_secs_f32()),
             ]);
         }
@@ -152,6 +172,10 @@ fn main() {
     println!(
         "{table}\n\nof {missed}, at IoU {COVERED} and .5: built-in masks by point {:?}, by box {:?}; segmenter by point {:?}, by box {:?}",
         found[0], found[1], found[2], found[3]
+    );
+    println!(
+        "best instance at IoU {COVERED} and .5: {:?}; replaced by what fits the box better: built-in masks {:?}, segmenter {:?}",
+        replaced[0], replaced[1], replaced[2]
     );
     if loaded.encoder.is_some() {
         println!("{offered}");

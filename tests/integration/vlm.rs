@@ -119,7 +119,7 @@ async fn the_model_decides_and_its_evidence_is_stored() {
         (answer.answer.anchor_id.map(|id| id.0), answer.answer.target_name_matches),
         (Some(anchor), Some(true))
     );
-    assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 9)", false));
+    assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 10)", false));
     assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens), (1, 700));
     assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12);
     assert_eq!(call_purposes(&answer), ["spatial"]);
@@ -490,7 +490,7 @@ fn a_model_is_evaluated_and_its_replies_are_recorded() {
         "{}",
         cells[2]["figures"]
     );
-    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 9)");
+    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 10)");
     assert!(
         script.take().iter().any(|body| count_images(body) >= 6),
         "annotated instances must have photographs"

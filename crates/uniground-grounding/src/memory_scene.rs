@@ -107,6 +107,12 @@ impl SceneAlbum {
 }
 
 impl MemoryScene {
+    fn finder<'a>(&'a self, settings: &'a ParsingSettings) -> PointedObjectFinder<'a> {
+        let SceneAlbum { render_scene, frames, segmenter, .. } = &*self.album;
+        let (cloud, segmenter) = (&render_scene.cloud, segmenter.as_deref());
+        PointedObjectFinder { cloud, frames, segmenter, settings }
+    }
+
     /// Creates a scene from a parsed scan and the models used to parse it.
     #[must_use]
     pub fn of(scan: ParsedScan, models: &Models) -> Arc<Self> {
@@ -187,15 +193,15 @@ impl SceneSource for MemoryScene {
         place: PhotographPoint,
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, QuestionError> {
-        let SceneAlbum { render_scene, frames, segmenter, .. } = &*self.album;
-        let settings = ParsingSettings::default();
-        let pointing = PointedObjectFinder {
-            cloud: &render_scene.cloud,
-            frames,
-            segmenter: segmenter.as_deref(),
-            settings: &settings,
-        };
-        Ok(pointing.find_at(place, &self.instances, is_not)?)
+        Ok(self.finder(&ParsingSettings::default()).find_at(place, &self.instances, is_not)?)
+    }
+
+    fn find_better(
+        &self,
+        place: PhotographPoint,
+        taken: InstanceId,
+    ) -> Result<Option<Instance>, QuestionError> {
+        Ok(self.finder(&ParsingSettings::default()).find_better(place, &self.instances, taken)?)
     }
 
     /// Applies to this question only: in an evaluation, an instance found for one question must not

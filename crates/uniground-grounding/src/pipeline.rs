@@ -16,7 +16,7 @@ use super::direction::common_look;
 use super::find_in_photographs::{Searched, find_in_photographs};
 use super::found_anchors::ByGeometry;
 use super::reasoner::builtin;
-use super::recover_unlisted::{Found, look_up};
+use super::recover_unlisted::{Found, find_better, look_up};
 use super::scene_source::scene_view;
 pub use super::scene_source::{QuestionError, SceneSource};
 use super::vlm::{
@@ -24,7 +24,7 @@ use super::vlm::{
     PromptVersion, Undecided, naming,
 };
 use super::{
-    Candidate, Grounding, Question, Status, answer_kinds, choose_reading, coverage, decided,
+    Candidate, Grounding, Question, Seen, Status, answer_kinds, choose_reading, coverage, decided,
     ground_with_context, rank_candidates,
 };
 use std::collections::BTreeMap;
@@ -342,13 +342,13 @@ async fn apply_review<S: SceneSource>(
     if !new_names.is_empty() {
         source.keep_names(new_names).await?;
     }
-    let mut shown = Shown { source: source.clone(), context, evidence, options, names };
+    let mut shown = Shown { source: source.clone(), context, evidence, options, names, notes };
     let decision = match decision {
-        Ok(decision) => Ok(shown.resolve_unlisted(decision, &mut session).await?),
+        Ok(decision) => Ok(shown.resolve_seen(decision, &mut session).await?),
         undecided => undecided,
     };
     calls.extend(session.into_records());
-    let Shown { source: shown_source, context, .. } = shown;
+    let Shown { source: shown_source, context, notes, .. } = shown;
     let source = &shown_source;
     match decision {
         Ok(decision) => {
@@ -383,21 +383,66 @@ struct Shown<S> {
     evidence: vlm::VisualEvidence,
     options: Options,
     names: BTreeMap<u32, String>,
+    /// What became of places that the model pointed at.
+    notes: Vec<String>,
 }
 
 impl<S: SceneSource> Shown<S> {
+    /// Looks up the place in a photograph where the model saw the object, if it gave one.
+    async fn resolve_seen(
+        &mut self,
+        decision: Decision,
+        session: &mut Session<'_>,
+    ) -> Result<Decision, S::Error> {
+        let Some(seen) = decision.seen.clone().and_then(|sighting| sighting.original) else {
+            return Ok(decision);
+        };
+        match decision.outcome {
+            Outcome::NotListed => self.resolve_unlisted(decision, seen, session).await,
+            Outcome::Chosen(chosen) => self.replace_chosen(decision, chosen, seen).await,
+            _ => Ok(decision),
+        }
+    }
+
+    /// Takes what fits the object better than the chosen instance, if the model gave the object's
+    /// area and anything does.
+    async fn replace_chosen(
+        &mut self,
+        decision: Decision,
+        chosen: InstanceId,
+        seen: Seen,
+    ) -> Result<Decision, S::Error> {
+        let (context, evidence, settings) =
+            (self.context.clone(), self.evidence.clone(), PictureSettings::of(self.options));
+        let found = self
+            .source
+            .compute(move |source| {
+                find_better(source, &context, (chosen, &seen), &evidence, &settings)
+            })
+            .await?;
+        let id = match found {
+            None => return Ok(decision),
+            Some(Found::Known(id)) => id,
+            Some(Found::New(found)) => {
+                let (source, id) = self.source.keep_found(*found).await?;
+                self.source = source;
+                id
+            }
+        };
+        self.notes.push(format!("instance {id} fits the object better than the chosen {chosen}"));
+        self.context.replace_candidate(chosen, id, self.source.instances());
+        Ok(decision.with_replaced(chosen, id))
+    }
+
     /// Looks up an object that the model saw in a photograph and that was not listed: turns its
     /// place into an instance and asks the model again with it. If that fails, the earlier decision
     /// stands.
     async fn resolve_unlisted(
         &mut self,
         decision: Decision,
+        seen: Seen,
         session: &mut Session<'_>,
     ) -> Result<Decision, S::Error> {
-        let sighting = decision.seen.clone().filter(|_| decision.outcome == Outcome::NotListed);
-        let Some(seen) = sighting.and_then(|sighting| sighting.original) else {
-            return Ok(decision);
-        };
         let (context, evidence, settings) =
             (self.context.clone(), self.evidence.clone(), PictureSettings::of(self.options));
         let place =

@@ -112,6 +112,17 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, Self::Error>;
 
+    /// Returns what fills the object's area in a photograph better than the instance that was taken
+    /// for it: an instance of the scene, or the next of them; `None` where nothing does.
+    ///
+    /// # Errors
+    /// As [`cut_out`](Self::cut_out).
+    fn find_better(
+        &self,
+        place: PhotographPoint,
+        taken: InstanceId,
+    ) -> Result<Option<Instance>, Self::Error>;
+
     /// Stores an instance that was found for a question. Returns the scene in which it is the last,
     /// or in which the same thing was stored meanwhile; and its id.
     fn keep_found(

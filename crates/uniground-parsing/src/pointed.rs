@@ -92,6 +92,15 @@ const LONGER: f32 = 2.0;
 const AREA_MARGIN: f32 = 0.1;
 /// Boxes with this IoU are one thing.
 const SAME_THING: f32 = 0.5;
+/// An instance is replaced only if it fills the object's area less than this: what is cut out is
+/// seldom as exact as an instance that fits.
+const MISFIT: f32 = 0.4;
+/// What replaces an instance fills the object's area better by at least this IoU.
+const BETTER: f32 = 0.3;
+/// Points this far outside of an instance's box may still belong to it, meters.
+const NOISE_M: f32 = 0.02;
+/// Boxes with this IoU have something to do with each other.
+const LEAST_COMMON: f32 = 0.02;
 /// Number of views of an instance (paper: 3).
 const VIEWS: usize = 3;
 
@@ -107,6 +116,7 @@ impl PointedObjectFinder<'_> {
     /// Returns the object at a place: a known instance if a mask shows exactly that, otherwise a
     /// new instance with the next id. Dismissed instances, those in `is_not` and parts of the
     /// building are not returned. `None` where nothing else can be segmented there.
+    ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
     pub fn find_at(
@@ -115,13 +125,67 @@ impl PointedObjectFinder<'_> {
         known: &[Instance],
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, ParseError> {
-        let Some(frame) = self.frames.iter().find(|frame| frame.index == place.frame) else {
+        self.in_scale(place.frame, known, |finder, frame, known| {
+            finder.find_in_scale(frame, place, known, is_not)
+        })
+    }
+
+    /// Returns what fits an object better than the instance that was taken for it: a known
+    /// instance, or a new one as in [`find_at`](Self::find_at). The place has the object's area in
+    /// a photograph that shows all of it. `None` where the instance fits well enough, or nothing
+    /// there fills the area clearly better, or only what has nothing to do with the instance.
+    ///
+    /// # Errors
+    /// As [`find_at`](Self::find_at).
+    pub fn find_better(
+        &self,
+        place: PhotographPoint,
+        known: &[Instance],
+        taken: InstanceId,
+    ) -> Result<Option<Instance>, ParseError> {
+        let Some(area) = place.area else { return Ok(None) };
+        self.in_scale(place.frame, known, |finder, frame, known| {
+            let Some(taken) = known.iter().find(|i| i.id == taken) else { return Ok(None) };
+            let visibility = finder.visibility();
+            let looked = finder.look_up_frame(frame, &visibility)?;
+            if area.reaches_rim(looked.frame.color.dimensions()) {
+                return Ok(None);
+            }
+            let fit = |i: &Instance| finder.fit_of_box(&looked, &area, i);
+            let before = fit(taken);
+            if before >= MISFIT {
+                return Ok(None);
+            }
+            let found = finder.find_in_frame(&looked, place, known, &[taken.id], &visibility)?;
+            let is_better = |found: &Instance| {
+                let (a, b) = (&found.aabb, &taken.aabb);
+                let meets =
+                    a.contains(&b.center) || b.contains(&a.center) || a.iou(b) >= LEAST_COMMON;
+                meets && fit(found) >= FILLS_AREA.max(before + BETTER)
+            };
+            Ok(found.filter(is_better))
+        })
+    }
+
+    /// Calls `find` with a finder, the frame and the known instances, of which all are enlarged
+    /// where the scan was made from close by.
+    fn in_scale(
+        &self,
+        frame: FrameIndex,
+        known: &[Instance],
+        find: impl Fn(
+            &PointedObjectFinder,
+            &FrameRef,
+            &[Instance],
+        ) -> Result<Option<Instance>, ParseError>,
+    ) -> Result<Option<Instance>, ParseError> {
+        let Some(at) = self.frames.iter().position(|of| of.index == frame) else {
             return Ok(None);
         };
         let spacing_m = typical_spacing_m(&self.cloud.positions);
-        let enlargement = Enlargement::of_frame(frame, spacing_m);
+        let enlargement = Enlargement::of_frame(&self.frames[at], spacing_m);
         if !enlargement.is_used() {
-            return self.find_in_scale(place, known, is_not);
+            return find(self, &self.frames[at], known);
         }
         let (mut cloud, mut frames) = (self.cloud.clone(), self.frames.to_vec());
         enlargement.enlarge_cloud(&mut cloud);
@@ -129,7 +193,7 @@ impl PointedObjectFinder<'_> {
         let mut enlarged = known.to_vec();
         enlarged.iter_mut().for_each(|instance| enlargement.enlarge_instance(instance));
         let finder = PointedObjectFinder { cloud: &cloud, frames: &frames, ..*self };
-        let found = finder.find_in_scale(place, &enlarged, is_not)?;
+        let found = find(&finder, &frames[at], &enlarged)?;
         Ok(found.map(|mut found| {
             if let Some(known) = known.iter().find(|known| known.id == found.id) {
                 return known.clone();
@@ -139,22 +203,34 @@ impl PointedObjectFinder<'_> {
         }))
     }
 
+    fn visibility(&self) -> Visibility {
+        Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance)
+    }
+
     fn find_in_scale(
         &self,
+        frame: &FrameRef,
         place: PhotographPoint,
         known: &[Instance],
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, ParseError> {
-        let Some(first) = self.frames.iter().find(|frame| frame.index == place.frame) else {
-            return Ok(None);
-        };
-        let visibility =
-            Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
-        let first = self.look_up_frame(first, &visibility)?;
+        let visibility = self.visibility();
+        let looked = self.look_up_frame(frame, &visibility)?;
+        self.find_in_frame(&looked, place, known, is_not, &visibility)
+    }
+
+    fn find_in_frame(
+        &self,
+        first: &FrameLookup,
+        place: PhotographPoint,
+        known: &[Instance],
+        is_not: &[InstanceId],
+        visibility: &Visibility,
+    ) -> Result<Option<Instance>, ParseError> {
         let is_other =
             |i: &Instance| i.structure.is_some() || i.dismissed || is_not.contains(&i.id);
         let mut options = Vec::new();
-        for (mask, quality) in self.masks_at(&first, place.at, place.area.as_ref())? {
+        for (mask, quality) in self.masks_at(first, place.at, place.area.as_ref())? {
             let (seed, pixels) = first.points_under(&mask);
             if seed.len() < LEAST_POINTS {
                 continue;
@@ -171,17 +247,17 @@ impl PointedObjectFinder<'_> {
         }
         let size = first.frame.color.dimensions();
         let is_wholly_seen = place.area.is_some_and(|area| !area.reaches_rim(size));
-        let is_long = |i: &Instance| is_wholly_seen && self.reaches_beyond(&first, i);
+        let is_long = |i: &Instance| is_wholly_seen && self.reaches_beyond(first, i);
         let others = || known.iter().filter(|i| !is_other(i) && !is_long(i));
         let shown = self
-            .best_shown_instance(&first, &options, place.area.as_ref(), others())
-            .or_else(|| self.best_filling_instance(&first, &place.area?, others()));
+            .best_shown_instance(first, &options, place.area.as_ref(), others())
+            .or_else(|| self.best_filling_instance(first, &place.area?, others()));
         if let Some(shown) = shown {
             return Ok(Some(shown.clone()));
         }
         // As many as stage 1 used, because a user waits for the result.
         let frames = frame_sampling::sample_frames(self.frames, &self.settings.frame_sampling);
-        let mut points = self.points_by_masks(&first, place, options, &frames, &visibility)?;
+        let mut points = self.points_by_masks(first, place, options, &frames, visibility)?;
         if let Some(area) = &place.area
             && first.fill(&points, area) < FILLS_AREA
         {
@@ -245,6 +321,17 @@ impl PointedObjectFinder<'_> {
         let seen = looked.seen.iter().map(|point| &self.cloud.positions[point.point as usize]);
         Aabb::around(seen.filter(|at| instance.aabb.contains(at)))
             .is_none_or(|seen| instance.aabb.size.max() > LONGER * seen.size.max())
+    }
+
+    /// Returns the IoU of an area and that of the points which the frame sees in an instance's box.
+    fn fit_of_box(&self, looked: &FrameLookup, area: &PixelArea, instance: &Instance) -> f32 {
+        let size = instance.aabb.size.add_scalar(2.0 * NOISE_M);
+        let around = Aabb { size, ..instance.aabb };
+        let position = |point: &&FramePoint| self.cloud.positions[point.point as usize];
+        let in_box = looked.visible().filter(|point| around.contains(&position(point)));
+        let pixels: Vec<(f32, f32)> =
+            in_box.filter_map(|point| color_pixel(&looked.frame, point)).collect();
+        PixelArea::of_most(&pixels).map_or(0.0, |shown| shown.iou(area))
     }
 
     /// Returns the known instance that fills an area of a frame best, if any: by its view there, or

@@ -144,6 +144,53 @@ async fn an_unlisted_object_in_a_photograph_becomes_an_instance() {
     server.stop().await;
 }
 
+/// The model chooses an instance and draws the box of the whole object, of which the instance is a
+/// piece.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_chosen_piece_is_replaced_by_the_object_in_the_box() {
+    let script = Script::default();
+    let (server, scene) = start_server(vlm_config(&script.serve(vec![says("-")]).await)).await;
+    let before = server.client.all_instances(&scene, Levels::All).await.unwrap().len();
+    let plain = builtin_answer(&server, &scene).await;
+    let chosen = plain.candidates.as_ref().unwrap()[0].clone();
+    // Boxes in the whole photographs below the crops of the chosen candidate.
+    let boxes = [0, 1].into_iter().flat_map(|column| {
+        let left = 340 * column;
+        [(10, 560, 330, 940), (60, 560, 280, 900), (10, 600, 170, 900), (170, 600, 330, 900)]
+            .map(|(x, top, right, bottom)| (left + x, top, left + right, bottom))
+    });
+    let mut replaced = None;
+    for (left, top, right, bottom) in boxes {
+        script.take();
+        script.next(vec![says(&format!(
+            "Predicted ID: {id}\nExplanation: it is a piece of it\nCandidate Names: {id} -> {NAME}\nTarget name matches?: true\n\
+             Anchor ID: unknown\nRelation used: none\nSeen at: 2, {left}, {top}, {right}, {bottom}, {NAME}",
+            id = chosen.id
+        ))]);
+        let answer = server.client.ground(&scene, &request_by(ReasonerChoice::Vlm)).await.unwrap();
+        assert_eq!((answer.status, call_purposes(&answer).len()), (Status::Grounded, 1));
+        let id = answer.answer.predicted_id.unwrap();
+        if id == chosen.id {
+            assert_eq!(answer.aabb, Some(chosen.aabb), "{}", corrections(&answer));
+        } else {
+            replaced = Some((answer, id));
+            break;
+        }
+    }
+    let (answer, id) = replaced.expect("no box holds anything but the chosen instance");
+    let told = format!("instance {id} fits the object better than the chosen {}", chosen.id);
+    assert!(corrections(&answer).contains(&told), "{}", corrections(&answer));
+    assert_ne!(answer.aabb, Some(chosen.aabb));
+    let other = |id| answer.alternatives.iter().all(|other| other.id != id);
+    assert!(other(chosen.id) && other(id), "the piece is no alternative");
+    assert_eq!(answer.answer.candidate_names[&id.0], NAME);
+    let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
+    let found = instances.iter().find(|instance| instance.id == id).unwrap();
+    assert_eq!(answer.aabb, Some(found.aabb));
+    assert!(instances.len() <= before + 1);
+    server.stop().await;
+}
+
 /// All images of the question are on the one picture that the model accepts. A place in it belongs to
 /// the photograph that lies there.
 #[tokio::test(flavor = "multi_thread")]

@@ -38,8 +38,11 @@ pub struct Decision {
     pub names: BTreeMap<u32, String>,
     /// Names given independently of the question, to be stored.
     pub new_names: BTreeMap<u32, String>,
-    /// Where the model sees the object that is not listed.
+    /// Where the model sees the object that is not listed, or that the chosen candidate does not
+    /// fit.
     pub seen: Option<Sighting>,
+    /// The candidate that the model chose, if a better fitting instance took its place.
+    pub replaced: Option<InstanceId>,
     /// Problems on the way, in order.
     pub corrections: Vec<String>,
 }
@@ -79,6 +82,16 @@ impl Decision {
     #[must_use]
     pub fn found(self, id: InstanceId, why: String) -> Self {
         Self { outcome: Outcome::Chosen(id), seen: None, ..self.with_note(why) }
+    }
+
+    /// Sets an instance that fits the object better than the chosen candidate. It gets the
+    /// candidate's name.
+    #[must_use]
+    pub fn with_replaced(mut self, chosen: InstanceId, better: InstanceId) -> Self {
+        if let Some(name) = self.names.get(&chosen.0).cloned() {
+            self.names.entry(better.0).or_insert(name);
+        }
+        Self { outcome: Outcome::Chosen(better), replaced: Some(chosen), ..self }
     }
 
     /// Returns the decision of a model that sees the geometry's choice in photographs, and nothing
@@ -242,6 +255,7 @@ impl Decision {
         let own = chosen.map(|instance| to_target(instance, grounding.confidence));
         grounding.targets.retain(|target| {
             grounding.count.is_some()
+                && self.replaced != Some(target.id)
                 && own.as_ref().is_some_and(|own| own.id != target.id)
                 && !is_other(target.id)
         });
@@ -483,6 +497,26 @@ mod tests {
         assert_eq!(both.outcome, Outcome::Chosen(InstanceId(7)));
         assert_eq!(both.corrections, ["one", "two", "three"]);
         assert_eq!(both.new_names, names, "names of the first call are kept");
+    }
+
+    #[test]
+    fn better_instance_takes_the_place_and_the_name_of_the_chosen_one() {
+        let names = BTreeMap::from([(1, "red chair".to_owned()), (2, "lamp".into())]);
+        let decision = Decision { names, ..chosen(1) }.with_replaced(InstanceId(1), InstanceId(5));
+        let mut context = context(&[0.5, 0.3]);
+        context.replace_candidate(InstanceId(1), InstanceId(5), &instances());
+        let mut before = grounding(2, 0.8);
+        let target = |id: u32| to_target(&instances()[id as usize - 1], 0.5);
+        (before.count, before.targets) = (Some(2), vec![target(1), target(2)]);
+        before.add_shown(&context, &instances());
+        decision.apply(&mut before, &context, &instances());
+        assert_eq!(before.answer.predicted_id, Some(InstanceId(5)));
+        assert_eq!(before.aabb, Some(instances()[4].aabb));
+        assert_eq!(before.answer.candidate_names[&5], "red chair");
+        let targets: Vec<u32> = before.targets.iter().map(|target| target.id.0).collect();
+        assert_eq!(targets, [5], "the lamp is no chair");
+        assert!(before.alternatives.iter().all(|other| other.id != InstanceId(1)));
+        assert_close(before.confidence, SURE + (1.0 - SURE) * 0.5);
     }
 
     #[test]

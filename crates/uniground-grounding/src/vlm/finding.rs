@@ -71,8 +71,9 @@ pub(super) fn request(
         "{images}. Things in it are numbered: a tag lies on its thing, or beside it with a line to a dot on it. A thing has the same number in \
          every photograph. Some things have no number.\n\n\
          Find what the query asks for.\n\
-         1. \"Could be\": the numbers of the things that it may mean, the likeliest first, at most {MOST_IDS}. Give all of the kind that are in \
-         question; what decides between them comes later. If some have the colour that the query says, leave out those of plainly another \
+         1. \"Could be\": the numbers of the things that it may mean, the likeliest first, at most {MOST_IDS}. Give every thing of the kind \
+         that it asks for, even if another fits its words about place better: places are checked later. Of a thing with several numbers give \
+         the two that lie on most of it. If some have the colour that the query says, leave out those of plainly another \
          colour; if none has it, give all of the kind. Leave out things that it only stands on or next to.\n\
          2. \"Anchors\": the numbers of the things that the query mentions to say where it is. Not {}floors and ceilings.\n\
          3. \"Seen at\": only if what it asks for is visible and has no number of its own, or shares one with another thing: the number of the \

@@ -154,30 +154,68 @@ fn draw_marked<S: SceneSource>(
     let photograph = source.photograph(frame)?;
     let taken_px = photograph.dimensions();
     let mut picture = shrink(photograph, MOST_PX);
-    let mark = |seen: &VisibleInstance| {
-        let instance = &source.instances()[seen.id.0 as usize - 1];
-        let (at, margin) =
-            place_in_view(instance, frame, taken_px).unwrap_or((seen.middle, seen.margin));
+    let instance = |seen: &VisibleInstance| &source.instances()[seen.id.0 as usize - 1];
+    let masks: Vec<_> = shown.iter().map(|seen| ViewedMask::of(instance(seen), frame)).collect();
+    let mark = |(seen, mask): (&VisibleInstance, &Option<ViewedMask>)| {
+        // Masks are exact; what lies within the instance's box may be behind it.
+        let place = mask.as_ref().and_then(|mask| mask.own_place(&masks, taken_px));
+        let (at, margin) = place.unwrap_or((seen.middle, seen.margin));
         Mark { label: seen.id.to_string(), at, margin }
     };
-    draw_marks(&mut picture, &shown.iter().map(mark).collect::<Vec<_>>());
+    draw_marks(&mut picture, &shown.iter().zip(&masks).map(mark).collect::<Vec<_>>());
     Some(Photograph { frame, taken_px, picture: encoded("marked".into(), &picture) })
 }
 
-/// Returns where an instance's own mask is, if the frame is one of its views: shares of the
-/// picture's width and height, and the distance from the mask's borders as a share of its width.
-/// Masks are exact; what lies within the instance's box may be behind it.
-fn place_in_view(
-    instance: &Instance,
-    frame: FrameIndex,
-    (width, height): (u32, u32),
-) -> Option<([f32; 2], f32)> {
-    let view = instance.views.iter().find(|view| view.frame == frame)?;
-    let ([x, y], margin) = middle_of_mask(&CellMask::from_view_mask(view.mask.as_ref()?)?)?;
-    let [left, top, right, bottom] = view.box_px.map(|px| px as f32);
-    let (width, height) = (width as f32, height as f32);
-    let at = [(left + x * (right - left)) / width, (top + y * (bottom - top)) / height];
-    Some((at, margin * (right - left) / width))
+/// An instance's mask in one of its views.
+struct ViewedMask {
+    /// Left, upper, right and lower rim in the photograph, pixels.
+    rims: [f32; 4],
+    cells: CellMask,
+}
+
+impl ViewedMask {
+    /// Returns the instance's mask, if the frame is one of its views.
+    fn of(instance: &Instance, frame: FrameIndex) -> Option<Self> {
+        let view = instance.views.iter().find(|view| view.frame == frame)?;
+        let cells = CellMask::from_view_mask(view.mask.as_ref()?)?;
+        Some(Self { rims: view.box_px.map(|px| px as f32), cells })
+    }
+
+    fn size(&self) -> (f32, f32) {
+        let [left, top, right, bottom] = self.rims;
+        (right - left, bottom - top)
+    }
+
+    fn area(&self) -> f32 {
+        let (width, height) = self.size();
+        width * height
+    }
+
+    fn contains(&self, (x, y): (f32, f32)) -> bool {
+        let ((width, height), (columns, rows)) = (self.size(), self.cells.size());
+        let column = (x - self.rims[0]) / width * columns as f32;
+        let row = (y - self.rims[1]) / height * rows as f32;
+        column >= 0.0 && row >= 0.0 && self.cells.is_set(column as u32, row as u32)
+    }
+
+    /// Returns the place in the mask that is farthest from its borders, without what smaller masks
+    /// cover: a desk's tag is not on a mug. Shares of the photograph's width and height, and the
+    /// distance from the borders as a share of its width.
+    fn own_place(&self, masks: &[Option<Self>], taken_px: (u32, u32)) -> Option<([f32; 2], f32)> {
+        let ((width, height), (columns, rows)) = (self.size(), self.cells.size());
+        let pixel = |x: f32, y: f32| (self.rims[0] + x * width, self.rims[1] + y * height);
+        let smaller: Vec<&Self> =
+            masks.iter().flatten().filter(|other| other.area() < self.area()).collect();
+        let is_alone = |column: u32, row: u32| {
+            let share = |cell: u32, count: u32| (cell as f32 + 0.5) / count as f32;
+            let at = pixel(share(column, columns), share(row, rows));
+            self.cells.is_set(column, row) && !smaller.iter().any(|other| other.contains(at))
+        };
+        let alone = CellMask::from_fn(columns, rows, is_alone);
+        let ([x, y], margin) = middle_of_mask(&alone).or_else(|| middle_of_mask(&self.cells))?;
+        let (taken, at) = ((taken_px.0 as f32, taken_px.1 as f32), pixel(x, y));
+        Some(([at.0 / taken.0, at.1 / taken.1], margin * width / taken.0))
+    }
 }
 
 /// Returns the frames that look most like the target; none without an encoder.
@@ -368,21 +406,42 @@ mod tests {
         assert_eq!(further(&contents, &[0, 10, 20, 30, 40]), [0_u32; 0]);
     }
 
+    /// An instance with a mask in frame 3.
+    fn viewed(box_px: [u32; 4], cells: CellMask) -> ViewedMask {
+        let mask = Some(cells.to_view_mask());
+        let view = View { frame: FrameIndex(3), visible_points: 9, box_px, mask };
+        let instance = Instance { views: vec![view], ..things(1).remove(0) };
+        assert!(ViewedMask::of(&instance, FrameIndex(4)).is_none());
+        ViewedMask::of(&instance, FrameIndex(3)).unwrap()
+    }
+
     #[test]
     fn tag_lies_on_the_mask_of_a_view() {
         // The right half of a box from (100, 50) to (300, 150) in a picture of 400 x 200.
-        let mask = CellMask::from_fn(8, 4, |column, _| column >= 4).to_view_mask();
-        let view = View {
-            frame: FrameIndex(3),
-            visible_points: 9,
-            box_px: [100, 50, 300, 150],
-            mask: Some(mask),
-        };
-        let seen = Instance { views: vec![view], ..things(1).remove(0) };
-        let ([x, y], margin) = place_in_view(&seen, FrameIndex(3), (400, 200)).unwrap();
+        let right = CellMask::from_fn(8, 4, |column, _| column >= 4);
+        let mask = viewed([100, 50, 300, 150], right);
+        let ([x, y], margin) = mask.own_place(&[], (400, 200)).unwrap();
         assert!(x > 0.5 && x < 0.75 && y > 0.25 && y < 0.75, "{x} {y}");
         assert!(margin > 0.0 && margin < 0.25, "{margin}");
-        assert_eq!(place_in_view(&seen, FrameIndex(4), (400, 200)), None);
+    }
+
+    #[test]
+    fn tag_is_not_on_what_stands_before_the_thing() {
+        let all = |columns, rows| CellMask::from_fn(columns, rows, |_, _| true);
+        // A mug in the middle of a desk.
+        let desk = || viewed([100, 50, 300, 150], all(40, 20));
+        let mug = || viewed([170, 70, 230, 130], all(12, 12));
+        let masks = [Some(desk()), None, Some(mug())];
+        let ([x, y], _) = desk().own_place(&masks, (400, 200)).unwrap();
+        assert!(!mug().contains((x * 400.0, y * 200.0)), "{x} {y}");
+        assert!(desk().contains((x * 400.0, y * 200.0)), "{x} {y}");
+        let ([x, y], _) = mug().own_place(&masks, (400, 200)).unwrap();
+        assert!((x - 0.5).abs() < 0.02 && (y - 0.5).abs() < 0.05, "{x} {y}");
+        // Where smaller things cover all of it, the tag is where it would be without them.
+        let [left, right] = [[100, 50, 200, 150], [200, 50, 300, 150]];
+        let masks = [left, right].map(|half| Some(viewed(half, all(10, 10))));
+        let place = |masks: &[Option<ViewedMask>]| desk().own_place(masks, (400, 200));
+        assert!(place(&[]).is_some() && place(&masks) == place(&[]));
     }
 
     #[test]

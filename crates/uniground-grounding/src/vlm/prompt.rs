@@ -17,7 +17,7 @@ use uniground_models::chat::{ChatRequest, Part};
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
         PromptVersion::Paper => 2,
-        PromptVersion::Revised => 9,
+        PromptVersion::Revised => 10,
     };
     format!("{model} (prompt {number})")
 }
@@ -312,24 +312,30 @@ fn format(options: Options, images: usize) -> String {
              used\" (words of the query or null).{optional}"
         );
     }
-    let (or_not_listed, optional) =
-        if revised { (", or not listed", optional_as_lines(&place)) } else { ("", String::new()) };
+    let (or_not_listed, anchor, optional) = match revised {
+        true => {
+            (", or not listed", "ID, of several the first, or unknown", optional_as_lines(&place))
+        }
+        false => ("", "ID or unknown", String::new()),
+    };
     format!(
         "Answer with exactly these six lines:\n\
      Predicted ID: <a candidate's ID, or none{or_not_listed}>\n\
      Explanation: <appearance and spatial cues, short>\n\
      Candidate Names: <ID -> short name, ID -> short name, ...>\n\
      Target name matches?: <true or false: {matches}>\n\
-     Anchor ID: <ID or unknown>\n\
+     Anchor ID: <{anchor}>\n\
      Relation used: <the relation in the words of the query, or none>{optional}"
     )
 }
 
-/// Returns the instructions for a model that sees the object, but not among the candidates, and for
-/// one that sees a candidate which is not quite what the query says.
+/// Returns the instructions for a model that sees the object, but not among the candidates, for one
+/// that chooses a candidate which is a piece of the object or more than it, and for one that sees a
+/// candidate which is not quite what the query says.
 fn optional_as_lines(place: &str) -> String {
     format!(
-        "\nOnly if it is not listed, a seventh line:\nSeen at: <image number, left, top, right and bottom of the box around it, short name; {place}>\n\
+        "\nOnly if it is not listed, or if the outline of the chosen candidate leaves out much of the object or holds much else, a seventh \
+         line:\nSeen at: <number of an image that shows the whole object, left, top, right and bottom of the box around it, short name; {place}>\n\
          Only if something that the query says of the object is not so, one more line:\n\
          Differs: <what it is instead, as in: it is black, not white>"
     )
@@ -337,8 +343,9 @@ fn optional_as_lines(place: &str) -> String {
 
 fn optional_as_json(place: &str) -> String {
     format!(
-        " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\" and \"Seen at\" is \"image number, left, top, \
-         right, bottom, short name\" (of the box around it; {place}); else \"Seen at\" is null. Where something that the query says of the object is not so, \
+        " Where the object is seen but not listed, \"Predicted ID\" is \"not listed\". There, and where the outline of the chosen candidate \
+         leaves out much of the object or holds much else, \"Seen at\" is \"image number, left, top, right, bottom, short name\" (of the box \
+         around the whole object; {place}); else \"Seen at\" is null. Where something that the query says of the object is not so, \
          \"Differs\" is what it is instead, as in \"it is black, not white\"; else \"Differs\" is null."
     )
 }

@@ -242,6 +242,24 @@ impl PromptContext {
         self
     }
 
+    /// Puts an instance in the place of a candidate or an anchor that it fits better than.
+    /// `instances` are those of the scene with it.
+    pub(crate) fn replace_candidate(
+        &mut self,
+        old: InstanceId,
+        new: InstanceId,
+        instances: &[Instance],
+    ) {
+        self.update_boxes(instances);
+        let Some(aabb) = self.boxes.get((new.0 as usize).wrapping_sub(1)).copied() else { return };
+        match self.candidates.iter_mut().find(|candidate| candidate.id == old) {
+            Some(candidate) => (candidate.id, candidate.aabb) = (new, aabb),
+            None => {
+                self.candidates.push(PromptCandidate { id: new, score: 0.0, belief: 0.0, aabb });
+            }
+        }
+    }
+
     /// Returns the context with these candidates and, if any are given, these anchors, as a model
     /// found them. Candidates and anchors that the geometry knew keep what it said.
     #[must_use]

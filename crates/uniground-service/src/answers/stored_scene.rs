@@ -63,6 +63,46 @@ impl StoredScene {
     pub fn folder(&self) -> Utf8PathBuf {
         self.scenes.blobs.parse(&self.parse.id)
     }
+
+    /// Looks an object up in the scan's photographs, with the masks of the parse. Returns `None`
+    /// without photographs.
+    fn look_up(
+        &self,
+        find: impl FnOnce(&PointedObjectFinder) -> Result<Option<Instance>, ParseError>,
+    ) -> Result<Option<Instance>, Error> {
+        let blobs = &self.scenes.blobs;
+        let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else {
+            return Ok(None);
+        };
+        // Pins the whole scan, because any of its frames may show the place.
+        let _scan = blobs.pin_folder(&self.parse.content)?;
+        let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
+        // Uses the masks of the parse: the same model, or the built-in ones.
+        let models = &self.scenes.models;
+        let segmenter = models
+            .segmenters
+            .first()
+            .filter(|_| models.label(Role::Masks).as_deref() == Some(&*self.parse.masks));
+        let pointing = PointedObjectFinder {
+            cloud: &render_scene.cloud,
+            frames: &frames,
+            segmenter: segmenter.map(|s| &**s),
+            settings: &settings,
+        };
+        match find(&pointing) {
+            Ok(found) => Ok(found),
+            // An answer does not need the scan's own pictures.
+            Err(ParseError::Frame(error)) => {
+                tracing::warn!(
+                    parse_id = self.parse.id,
+                    error = &error as &dyn std::error::Error,
+                    "photograph could not be segmented"
+                );
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
 }
 
 impl SceneSource for StoredScene {
@@ -179,38 +219,15 @@ impl SceneSource for StoredScene {
         place: PhotographPoint,
         is_not: &[InstanceId],
     ) -> Result<Option<Instance>, Error> {
-        let blobs = &self.scenes.blobs;
-        let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else {
-            return Ok(None);
-        };
-        // Pins the whole scan, because any of its frames may show the place.
-        let _scan = blobs.pin_folder(&self.parse.content)?;
-        let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
-        // Uses the masks of the parse: the same model, or the built-in ones.
-        let models = &self.scenes.models;
-        let segmenter = models
-            .segmenters
-            .first()
-            .filter(|_| models.label(Role::Masks).as_deref() == Some(&*self.parse.masks));
-        let pointing = PointedObjectFinder {
-            cloud: &render_scene.cloud,
-            frames: &frames,
-            segmenter: segmenter.map(|s| &**s),
-            settings: &settings,
-        };
-        match pointing.find_at(place, &self.parse.instances, is_not) {
-            Ok(found) => Ok(found),
-            // An answer does not need the scan's own pictures.
-            Err(ParseError::Frame(error)) => {
-                tracing::warn!(
-                    parse_id = self.parse.id,
-                    error = &error as &dyn std::error::Error,
-                    "photograph could not be segmented"
-                );
-                Ok(None)
-            }
-            Err(error) => Err(error.into()),
-        }
+        self.look_up(|finder| finder.find_at(place, &self.parse.instances, is_not))
+    }
+
+    fn find_better(
+        &self,
+        place: PhotographPoint,
+        taken: InstanceId,
+    ) -> Result<Option<Instance>, Error> {
+        self.look_up(|finder| finder.find_better(place, &self.parse.instances, taken))
     }
 
     async fn keep_found(
