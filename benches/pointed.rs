@@ -16,7 +16,6 @@ use comfy_table::{Table, presets};
 use std::time::Instant;
 use uniground::config::{AUTO, ModelsConfig};
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::models::neural::Segmenter;
 use uniground_core::parsing::checkpoints::Checkpoints;
 use uniground_core::parsing::masks::rgbd::RgbdMasks;
 use uniground_core::parsing::masks::{IdImage, MaskSource};
@@ -112,23 +111,24 @@ fn main() {
             let Some(place) = *place else { continue };
             missed += 1;
             let start = Instant::now();
-            let finder = |segmenter| PointedObjectFinder {
-                cloud: &parsed.cloud,
-                frames: &room.bundle.frames,
-                segmenter,
-                settings: &settings,
-            };
-            let find = |segmenter: Option<&Segmenter>, place: PhotographPoint| {
-                finder(segmenter).find_at(place, &parsed.instances, &[]).unwrap()
+            let (cloud, frames) = (&parsed.cloud, &room.bundle.frames[..]);
+            let built_in =
+                PointedObjectFinder { cloud, frames, segmenter: None, settings: &settings };
+            let by_segmenter = loaded
+                .segmenters
+                .first()
+                .map(|segmenter| PointedObjectFinder { segmenter: Some(segmenter), ..built_in });
+            let find = |finder: &PointedObjectFinder, place: PhotographPoint| {
+                finder.find_at(place, &parsed.instances, &[]).unwrap()
             };
             let iou = |found: &Option<Instance>| {
                 found.as_ref().map_or(0.0, |found| found.aabb.iou(&object.aabb))
             };
             let only_point = PhotographPoint { area: None, ..place };
-            let (ours, by_box) = (find(None, only_point), find(None, place));
-            let theirs = loaded.segmenters.first().map(|segmenter| {
-                [only_point, place].map(|place| iou(&find(Some(segmenter), place)))
-            });
+            let (ours, by_box) = (find(&built_in, only_point), find(&built_in, place));
+            let theirs = by_segmenter
+                .as_ref()
+                .map(|finder| [only_point, place].map(|place| iou(&find(finder, place))));
             let [by_point, of_box] = theirs.unwrap_or_default();
             let ious = [iou(&ours), iou(&by_box), by_point, of_box];
             for (found, iou) in found.iter_mut().zip(ious) {
@@ -144,12 +144,13 @@ fn main() {
             let covers = |i: &Instance| i.aabb.iou(&object.aabb);
             let taken = parsed.instances.iter().filter(may_be_taken);
             let taken = taken.max_by(|a, b| covers(a).total_cmp(&covers(b))).unwrap();
-            let after = |segmenter: Option<&Segmenter>| {
-                let better = finder(segmenter).find_better(place, &parsed.instances, taken.id);
+            let after = |finder: &PointedObjectFinder| {
+                let better = finder.find_better(place, &parsed.instances, taken.id);
                 better.unwrap().map_or(covers(taken), |better| covers(&better))
             };
-            let by_segmenter = loaded.segmenters.first().map(|segmenter| after(Some(segmenter)));
-            let after = [covers(taken), after(None), by_segmenter.unwrap_or_default()];
+            let replaced_by_segmenter = by_segmenter.as_ref().map(after);
+            let after =
+                [covers(taken), after(&built_in), replaced_by_segmenter.unwrap_or_default()];
             for (replaced, iou) in replaced.iter_mut().zip(after) {
                 replaced[0] += u32::from(iou >= COVERED);
                 replaced[1] += u32::from(iou >= 0.5);
@@ -164,7 +165,7 @@ fn main() {
                 theirs.map_or_else(|| "-".to_owned(), |_| format!("{:.2}", ious[3])),
                 known.to_owned(),
                 format!("{:.2}", after[1]),
-                by_segmenter.map_or_else(|| "-".to_owned(), |iou| format!("{iou:.2}")),
+                replaced_by_segmenter.map_or_else(|| "-".to_owned(), |iou| format!("{iou:.2}")),
                 format!("{:.1}", start.elapsed().as_secs_f32()),
             ]);
         }
