@@ -1,6 +1,7 @@
 //! Caches rendered pictures in memory, so that a question does not wait for the renderer.
 
 use crate::vlm::Photograph;
+use image::RgbImage;
 use std::sync::Arc;
 use uniground_geometry::lru_cache::LruCache;
 use uniground_models::chat::Picture;
@@ -14,8 +15,18 @@ pub struct PictureCache {
     pub(super) collages: LruCache<Picture>,
     /// Photographs whose things are numbered, by scene, frame and things.
     pub(super) marked: LruCache<Photograph>,
+    /// The same photographs with nothing drawn in, by scene and frame.
+    pub(super) plain: LruCache<Arc<PlainPhotograph>>,
     /// What the frames of a scene show.
     pub(super) contents: LruCache<Arc<FrameContents>>,
+}
+
+/// A decoded photograph.
+pub(super) struct PlainPhotograph {
+    /// Width and height of the frame's picture, pixels.
+    pub taken_px: (u32, u32),
+    /// The same picture, or a smaller copy.
+    pub picture: RgbImage,
 }
 
 /// Maximum size of each kind of pictures in memory, bytes.
@@ -41,6 +52,7 @@ impl Default for PictureCache {
             globals: LruCache::new(PICTURE_BYTES),
             collages: LruCache::new(PICTURE_BYTES),
             marked: LruCache::new(PICTURE_BYTES),
+            plain: LruCache::new(PICTURE_BYTES),
             contents: LruCache::new(CONTENT_BYTES),
         }
     }

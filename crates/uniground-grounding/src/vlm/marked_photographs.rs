@@ -3,10 +3,12 @@
 
 use super::prompt_context::PromptContext;
 use super::visual_evidence::{Photograph, encoded, shrink};
+use crate::picture_cache::PlainPhotograph;
 use crate::pipeline::QuestionError;
 use crate::scene_source::SceneSource;
 use rayon::prelude::*;
 use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
 use uniground_geometry::scene::{CellMask, FrameIndex, Instance, InstanceId, Level, Structure};
 use uniground_render::{
     FrameContent, FrameContents, Mark, VisibleInstance, draw_marks, middle_of_mask,
@@ -151,9 +153,8 @@ fn draw_marked<S: SceneSource>(
     frame: FrameIndex,
     shown: &[VisibleInstance],
 ) -> Option<Photograph> {
-    let photograph = source.photograph(frame)?;
-    let taken_px = photograph.dimensions();
-    let mut picture = shrink(photograph, MOST_PX);
+    let plain = plain_photograph(source, frame)?;
+    let (taken_px, mut picture) = (plain.taken_px, plain.picture.clone());
     let instance = |seen: &VisibleInstance| &source.instances()[seen.id.0 as usize - 1];
     let masks: Vec<_> = shown.iter().map(|seen| ViewedMask::of(instance(seen), frame)).collect();
     let mark = |(seen, mask): (&VisibleInstance, &Option<ViewedMask>)| {
@@ -164,6 +165,20 @@ fn draw_marked<S: SceneSource>(
     };
     draw_marks(&mut picture, &shown.iter().zip(&masks).map(mark).collect::<Vec<_>>());
     Some(Photograph { frame, taken_px, picture: encoded("marked".into(), &picture) })
+}
+
+/// Returns a frame's photograph, cached, because every question marks other things.
+fn plain_photograph<S: SceneSource>(source: &S, frame: FrameIndex) -> Option<Arc<PlainPhotograph>> {
+    let (cache, scene) = source.pictures();
+    let key = format!("{scene} {frame:?}");
+    if let Some(known) = cache.plain.get(&key) {
+        return Some(known);
+    }
+    let photograph = source.photograph(frame)?;
+    let taken_px = photograph.dimensions();
+    let plain = Arc::new(PlainPhotograph { taken_px, picture: shrink(photograph, MOST_PX) });
+    cache.plain.put(key, plain.clone(), plain.picture.len());
+    Some(plain)
 }
 
 /// An instance's mask in one of its views.
