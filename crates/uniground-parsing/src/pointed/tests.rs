@@ -1,8 +1,9 @@
 use super::*;
+use crate::visibility::PointVisibility;
 use camino::Utf8Path;
 use image::{ImageBuffer, Luma, Rgb, RgbImage};
 use uniground_geometry::Isometry3;
-use uniground_geometry::scene::{Camera, DepthImage, Optics};
+use uniground_geometry::scene::{Camera, DepthImage, Frame, Intrinsics, Optics};
 
 /// A look along +Z at a desk 1 m away and a wall 3 m away: a point for every tenth pixel of 200 x
 /// 100. The wall fills the right half. The first row of the desk is hidden.
