@@ -49,7 +49,7 @@ fn points_in_an_area_are_visible_and_as_far_away_as_its_middle() {
     assert!(looked.points_in_area(&beside).is_empty() && looked.fill(&[], &area) == 0.0);
 }
 
-/// Half the side of the red square, meters.
+/// Half the side of the red board, meters.
 const HALF_M: f32 = 0.4;
 
 /// A gray wall 2 m in front of the camera at the origin, which looks along +Z, with a red board of
