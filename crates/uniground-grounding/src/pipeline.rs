@@ -399,7 +399,10 @@ impl<S: SceneSource> Shown<S> {
         };
         match decision.outcome {
             Outcome::NotListed => self.resolve_unlisted(decision, seen, session).await,
-            Outcome::Chosen(chosen) => self.replace_chosen(decision, chosen, seen).await,
+            // The paper's prompt asks for no place.
+            Outcome::Chosen(chosen) if self.options.prompt == PromptVersion::Revised => {
+                self.replace_chosen(decision, chosen, seen).await
+            }
             _ => Ok(decision),
         }
     }
