@@ -19,7 +19,8 @@ use super::relations::{self, SeenBy};
 use super::room::{Faced, Room};
 use super::solid::Solid;
 use places::ranks_by_distance;
-use std::cell::OnceCell;
+use std::cell::{OnceCell, RefCell};
+use std::rc::Rc;
 use uniground_geometry::boxes::OrientedBox;
 use uniground_geometry::scene::{InstanceId, Structure, Support};
 use uniground_geometry::statistics::largest_indices;
@@ -91,6 +92,9 @@ pub struct Assessor<'a> {
     /// How a viewer faces each instance. Cached, because it needs all walls and is used with every
     /// other instance.
     faced: Vec<OnceCell<Faced>>,
+    /// Fits of nouns by [`Phrase::noun_alone`]. Cached, because the decision and the sentence assess
+    /// the same objects.
+    noun_fits: RefCell<Vec<(Phrase, Rc<[f32]>)>>,
 }
 
 impl<'a> Assessor<'a> {
@@ -105,7 +109,20 @@ impl<'a> Assessor<'a> {
             within: None,
             room: OnceCell::new(),
             faced: vec![OnceCell::new(); scene.instances.len()],
+            noun_fits: RefCell::default(),
         }
+    }
+
+    /// Returns the fit of every instance to a phrase's noun.
+    fn noun_fits(&self, phrase: &Phrase) -> Rc<[f32]> {
+        let noun = phrase.noun_alone();
+        let known = self.noun_fits.borrow().iter().find(|(of, _)| *of == noun).cloned();
+        if let Some((_, fits)) = known {
+            return fits;
+        }
+        let fits: Rc<[f32]> = noun_fits(self.scene, &noun).into();
+        self.noun_fits.borrow_mut().push((noun, fits.clone()));
+        fits
     }
 
     /// Returns the smallest rectangle around everything, and the walls.
@@ -190,7 +207,7 @@ impl<'a> Assessor<'a> {
     #[must_use]
     pub fn own_fits(&self, phrase: &Phrase) -> (Vec<f32>, Vec<f32>) {
         let instances = self.scene.instances;
-        let nouns = noun_fits(self.scene, phrase);
+        let nouns = self.noun_fits(phrase);
         let of_color = |(i, noun): (usize, &f32)| {
             if *noun > 0.0 {
                 noun * colors_fit(self.scene, phrase, i) * excluded_words_fit(self.scene, phrase, i)
@@ -205,19 +222,19 @@ impl<'a> Assessor<'a> {
             own.iter_mut().zip(fits).for_each(|(score, fit)| *score *= fit);
         }
         for head in &phrase.other_things {
-            let others = noun_fits(self.scene, &Phrase { head: head.clone(), ..Phrase::default() });
+            let others = self.noun_fits(&Phrase { head: head.clone(), ..Phrase::default() });
             // Where all instances that may be meant have the excluded name too ("the football, not
             // the basketball", and both are balls), names do not decide.
             let likely = most_plausible(&own, usize::MAX);
             let shared = likely.iter().map(|&(i, _)| others[i]).fold(1.0, f32::min);
             own.iter_mut()
-                .zip(others)
+                .zip(others.iter())
                 .for_each(|(score, other)| *score *= 1.0 - 0.95 * (other - shared).max(0.0));
         }
         for with in &phrase.with {
             self.apply_with(with, &mut own);
         }
-        (nouns, own)
+        (nouns.to_vec(), own)
     }
 
     /// Returns the index of the instance that a phrase most likely means.
@@ -377,12 +394,11 @@ impl<'a> Assessor<'a> {
     /// one of them. Without such instances, every instance counts as inside.
     fn match_zone(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<RelationMatch> {
         const REACH_M: f32 = 1.5;
-        let named = |noun: &&str| {
-            noun_fits(self.scene, &Phrase { head: (*noun).to_owned(), ..Phrase::default() })
-        };
+        let named =
+            |noun: &&str| self.noun_fits(&Phrase { head: (*noun).to_owned(), ..Phrase::default() });
         let mut made = vec![0.0_f32; fits.len()];
         for of_noun in nouns.iter().map(named) {
-            made.iter_mut().zip(of_noun).for_each(|(best, fit)| *best = best.max(fit));
+            made.iter_mut().zip(of_noun.iter()).for_each(|(best, fit)| *best = best.max(*fit));
         }
         let things = most_plausible(&made, MAX_ANCHORS);
         if things.iter().all(|(_, fit)| *fit < FOUND) {
@@ -416,9 +432,15 @@ impl<'a> Assessor<'a> {
         anchors: &[(usize, f32)],
     ) -> RelationMatch {
         let reach = Reach::in_words(&relation.text);
+        let solid = &self.solids[target];
         let score = |a: usize| {
             if let Some(reach) = reach {
-                return reach.fit(self.solids[target].gap(&self.solids[a]));
+                let anchor = &self.solids[a];
+                // Most of a large scene is far away, and its exact distance does not matter.
+                if solid.is_beyond(anchor, reach.limit_m()) {
+                    return 0.0;
+                }
+                return reach.fit(solid.gap(anchor));
             }
             self.geometry(relation.kind, target, &[a]).max(self.score_on_side(relation, target, a))
                 * self.hanging_factor(relation.kind, target, a)

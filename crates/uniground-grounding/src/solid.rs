@@ -118,6 +118,16 @@ impl Solid {
         self.horizontal_gap(other).hypot(self.vertical_gap(other).max(0.0))
     }
 
+    /// Returns whether the gap is certainly larger than a distance in meters. A quick test by the
+    /// centers: `false` does not mean that the gap is smaller.
+    #[must_use]
+    pub fn is_beyond(&self, other: &Self, distance_m: f32) -> bool {
+        // Half of the sum of the sides is at least half of the diagonal.
+        let halves = 0.5 * (self.size[0] + self.size[1] + other.size[0] + other.size[1]);
+        let limit = distance_m + halves;
+        (self.center - other.center).xy().norm_squared() > limit * limit
+    }
+
     /// Returns the vertical distance between the two, meters; negative by the depth of the overlap.
     #[must_use]
     pub fn vertical_gap(&self, other: &Self) -> f32 {
@@ -315,6 +325,14 @@ pub(super) mod tests {
             prop_assert!((a.gap(&b) - ta.gap(&tb)).abs() < 1e-3);
             prop_assert!((a.footprint_overlap(&b) - ta.footprint_overlap(&tb)).abs() < 2e-3);
             prop_assert!((a.gap(&b) - b.gap(&a)).abs() < 1e-4);
+        }
+
+        #[test]
+        fn boxes_beyond_a_distance_have_a_larger_gap(a in any_solid(), b in any_solid(), distance in 0.0_f32..5.0) {
+            prop_assert!(!a.is_beyond(&b, distance) || a.gap(&b) > distance - 1e-4);
+            let far = turned(&b, 0.4);
+            let far = Solid { center: far.center + Vector3::new(20.0, 0.0, 0.0), corners: far.corners.map(|p| Point2::new(p.x + 20.0, p.y)), ..far };
+            prop_assert!(a.is_beyond(&far, distance), "boxes 14 m apart are beyond {} m", distance);
         }
 
         /// Boxes along the axes have the distances of axis-aligned boxes.

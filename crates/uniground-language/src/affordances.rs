@@ -128,14 +128,17 @@ impl Wording {
         }
     }
 
-    /// Returns how well the words match this use: the number of required words and particles that
-    /// match, so that "drink from" counts like "drink water". Returns `None` if a required word is
-    /// missing.
+    /// Returns how well the words match this use: twice the number of required words and particles
+    /// that match, so that "drink from" counts like "drink water". One less if the use has particles
+    /// and none matches: "something to read" is a book rather than a lamp to read by. Returns `None`
+    /// if a required word is missing.
     fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
         cost::count();
         let said = !self.needed.is_empty() && self.needed.iter().all(|stem| stems.contains(stem));
         let particles = self.particles.iter().filter(|p| words.contains(p.as_str())).count();
-        (said && (particles > 0 || !self.is_light())).then(|| self.needed.len() + particles)
+        let is_other = !self.particles.is_empty() && particles == 0;
+        (said && (particles > 0 || !self.is_light()))
+            .then(|| 2 * (self.needed.len() + particles) - usize::from(is_other))
     }
 
     /// Returns whether its particle says more than its verb: "get out", but not "get some fruit".
@@ -382,6 +385,7 @@ mod tests {
             ("where can i wash my hands?", "wash hands", ","),
             ("something that tells me the time", "tell time", ""),
             ("something to read by next to the sofa", "read by", "next to the sofa"),
+            ("something to read next to the sofa", "read", "next to the sofa"),
             ("i want to lie down", "lie on", ""),
             ("something to sit on that is blue", "sit on", "that is blue"),
             ("could you find this for me: something to sit on", "sit on", ""),

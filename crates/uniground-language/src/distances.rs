@@ -76,6 +76,12 @@ impl Reach {
         })
     }
 
+    /// Returns the distance in meters beyond which nothing fits.
+    #[must_use]
+    pub fn limit_m(&self) -> f32 {
+        self.most + (TOLERANCE * self.most).max(LEAST_TOLERANCE_M)
+    }
+
     /// Returns how well a distance fits, `0..=1`: 1 within the range, 0 beyond the tolerance.
     #[must_use]
     pub fn fit(&self, distance_m: f32) -> f32 {

@@ -107,12 +107,34 @@ fn starts_with(words: &[String], run: &[&str]) -> bool {
     words.len() >= run.len() && words.iter().zip(run).all(|(word, said)| word == said)
 }
 
+/// Returns a phrase in words, with the objects that it carries: "the desk with the laptop".
+fn with_carried(phrase: &Phrase) -> String {
+    let carried = phrase.with.iter().filter(|with| !with.absent);
+    let carried: Vec<String> =
+        carried.map(|with| format!(" with the {}", with.phrase.text())).collect();
+    format!("the {}{}", phrase.text(), carried.concat())
+}
+
 /// Returns whether words are a whole question or command rather than the name of an object.
 fn is_question(words: &[String]) -> bool {
     words.first().is_some_and(|word| {
         matches!(
             word.as_str(),
-            "what" | "where" | "how" | "is" | "are" | "which" | "does" | "do" | "can" | "list"
+            "what"
+                | "what's"
+                | "whats"
+                | "where"
+                | "where's"
+                | "wheres"
+                | "how"
+                | "how's"
+                | "is"
+                | "are"
+                | "which"
+                | "does"
+                | "do"
+                | "can"
+                | "list"
         )
     })
 }
@@ -179,6 +201,8 @@ fn replace_pronouns(words: &mut Vec<String>, reference: &str, is_selected: bool)
             ("that", Some("is" | "are")) if i > 0 && !is_selected => 0,
             ("it" | "this", _) if ends => 1,
             ("that", _) if ends && (i + 1 == words.len() || is_selected) => 1,
+            // "how far is that from the stove"
+            ("that", _) if ends && i > 0 && matches!(words[i - 1].as_str(), "is" | "does") => 1,
             // "is it there", "where is it exactly"
             ("it", _) => 1,
             _ => 0,
@@ -352,11 +376,7 @@ fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
         Form::Holds(Claim { is_negated, .. }) => {
             let not = if *is_negated { "not " } else { "" };
             let claim = parsed.target.relations.first().map(|relation| {
-                let anchors: Vec<String> = relation
-                    .anchors
-                    .iter()
-                    .map(|anchor| format!("the {}", anchor.text()))
-                    .collect();
+                let anchors: Vec<String> = relation.anchors.iter().map(with_carried).collect();
                 format!("{} {}", relation.text, anchors.join(" and "))
             });
             let color = parsed.target.colors.first().map(|color| color.as_str().to_owned());
@@ -381,7 +401,7 @@ fn asked_again(earlier: &Earlier, object: &str) -> Option<String> {
             let second = second.unwrap_or_default();
             format!("does {object} fit {way} {}{second}", other(&passage.place))
         }
-        Form::Object | Form::Comparison(_) | Form::Choice(_) => return None,
+        Form::Object | Form::Comparison(_) | Form::Choice(_) | Form::Difference(_) => return None,
     })
 }
 
@@ -439,6 +459,11 @@ mod tests {
             ("the table with a lamp on it", "the table with a lamp on it"),
             ("the plant, it is green", "the plant, it is green"),
             ("is the lamp next to it?", "is the lamp next to #12"),
+            ("How far is that from the stove?", "how far is #12 from the stove"),
+            (
+                "And what's on the green cabinet beside it?",
+                "what's on the green cabinet beside #12",
+            ),
         ] {
             assert_eq!(resolve(query, Some(&earlier("the red mug")), None), resolved);
         }
@@ -480,6 +505,11 @@ mod tests {
             ),
             ("what is on the desk?", "what about the shelf", "what is on the shelf"),
             ("where is the mug", "and the remote?", "where is the remote"),
+            (
+                "is the mug on the desk with the laptop?",
+                "what about the stapler?",
+                "is the stapler on the desk with the laptop",
+            ),
             ("how many chairs are there", "and tables?", "how many tables"),
             ("is there a piano?", "and a clock?", "is there a clock"),
             ("what is on the desk?", "and under the table?", "what is under the table"),

@@ -10,6 +10,7 @@ mod limits;
 mod lists;
 mod measures;
 mod patterns;
+mod restated;
 pub(super) mod words;
 
 use super::distances::LengthUnit;
@@ -45,6 +46,9 @@ pub enum Form {
     Comparison(Comparison),
     /// Which of the two is larger, closer and so on: "which is taller, the lamp or the shelf".
     Choice(Comparison),
+    /// How much larger, closer and so on it is than another: "how much taller is the shelf than the
+    /// desk".
+    Difference(Comparison),
     /// Whether it fits: "does the chair fit under the desk".
     Fit(Passage),
     /// What it is and looks like: "what is the thing on the shelf".
@@ -61,7 +65,9 @@ impl Form {
             Self::Holds(claim) => vec![&*claim.subject],
             Self::Limit(limit) => limit.by.phrase().into_iter().collect(),
             Self::Distance(reference) => reference.phrase().into_iter().collect(),
-            Self::Comparison(comparison) | Self::Choice(comparison) => {
+            Self::Comparison(comparison)
+            | Self::Choice(comparison)
+            | Self::Difference(comparison) => {
                 std::iter::once(&*comparison.other).chain(comparison.by.phrase()).collect()
             }
             Self::Fit(passage) => {
@@ -247,6 +253,11 @@ pub(super) fn recognize(mut tokens: Vec<String>, read: ReadObject) -> Request {
     remove_wish_for_a_box(&mut tokens);
     remove_choice_of_colors(&mut tokens);
     remove_what_to_ignore(&mut tokens);
+    restated::rewrite_same_as(&mut tokens);
+    restated::count_pieces(&mut tokens);
+    restated::measure_from_objects(&mut tokens);
+    restated::use_purpose_before(&mut tokens);
+    restated::refer_to_named_object(&mut tokens);
     refer_to_the_sentence_before(&mut tokens);
     use_given_size(&mut tokens);
     let (tokens, except) = words::split_exceptions(&tokens);

@@ -243,6 +243,20 @@ impl Phrase {
         }
     }
 
+    /// Returns the phrase with only what its noun means: without colors, relations and the like.
+    #[must_use]
+    pub fn noun_alone(&self) -> Self {
+        Self {
+            head: self.head.clone(),
+            uses: self.uses.clone(),
+            could_be: self.could_be.clone(),
+            purpose: self.purpose.clone(),
+            among: self.among.clone(),
+            unchecked: self.unchecked.clone(),
+            ..Self::default()
+        }
+    }
+
     /// Returns the phrase in words: "small red chair".
     #[must_use]
     pub fn text(&self) -> String {

@@ -16,7 +16,7 @@ use uniground_geometry::scene::InstanceId;
 use uniground_models::chat::{ChatRequest, Part};
 
 /// Version of the prompt. Raise it when the prompt or the schema changes.
-pub(super) const PROMPT_VERSION: u32 = 4;
+pub(super) const PROMPT_VERSION: u32 = 5;
 
 /// Maximum nesting; no sentence is deeper.
 const MAX_DEPTH: u32 = 5;
@@ -41,15 +41,15 @@ const SYSTEM: &str = "You turn a question about an object in a room into JSON. A
     distance to other, or to the person who asks where other is missing; exists (\"is there a piano\"); holds (\"is the mug on the \
     table\": target is the mug, other is the mug on the table; negated for \"is it not on the table\", of_all where it has to hold of all \
     of them, as in \"are all mugs on the table\"); within, whether a measure of it is above, below or about size_m (\"is the door wider \
-    than 90 cm\": compare says by what measure, and for a distance from what; bound is above); compare (is it taller than other) and choose (which of target and \
-    other is taller), with compare saying by what measure, whether more of it, and for a distance from what; fit, whether it fits way \
+    than 90 cm\": compare says by what measure, and for a distance from what; bound is above); compare (is it taller than other), choose (which of target and \
+    other is taller) and difference (how much taller it is than other), with compare saying by what measure, whether more of it, and for a distance from what; fit, whether it fits way \
     other (size_m is its size in meters where it is not in the room, as a robot 60 cm wide; between has other and second); description (what is it); color; place (where is it). except are objects that a list must \
     not have; unit is the unit that the answer has to use, where the question names one; among are ids of instances that the target has to be \
     one of (\"which of the mugs #3 and #4\": noun mug, among [3, 4]), and a noun may be an id (\"#12\"); not_words are materials and other \
     words that must not describe a thing (\"not wooden\": wooden). List words you could not use in not_understood.";
 
 /// What a question may ask, in the reply.
-const ASKS: [&str; 19] = [
+const ASKS: [&str; 20] = [
     "object",
     "list",
     "count",
@@ -65,6 +65,7 @@ const ASKS: [&str; 19] = [
     "within",
     "compare",
     "choose",
+    "difference",
     "fit",
     "description",
     "color",
@@ -356,14 +357,18 @@ fn form(
             other.map_or(Reference::Observer, |other| Reference::Object(Box::new(other))),
         ),
         "exists" => Form::Exists,
-        "compare" | "choose" => {
+        "compare" | "choose" | "difference" => {
             let other = Box::new(other.ok_or_else(|| missing("other"))?);
             let CompareJson { measure, more, word, .. } =
                 compare.ok_or_else(|| missing("compare"))?;
             let by = compared_by(&measure, from)?;
             let word = if word.is_empty() { measure } else { word };
             let comparison = Comparison { by, more, word, other };
-            if asks == "compare" { Form::Comparison(comparison) } else { Form::Choice(comparison) }
+            match asks {
+                "compare" => Form::Comparison(comparison),
+                "choose" => Form::Choice(comparison),
+                _ => Form::Difference(comparison),
+            }
         }
         "description" => Form::Description(Aspect::All),
         "color" => Form::Description(Aspect::Color),

@@ -1,6 +1,6 @@
 //! Yes-or-no questions about objects, and choices between two.
 
-use super::measures::{length_error, measure};
+use super::measures::{length_error, measure, rounded};
 use super::sentences::{be, capitalized, joined, spoken as spoken_phrase, with_article};
 use super::{
     Anchors, AnswerValue, Grounding, MissingAnchor, NoMatchReason, Status, Writer, builtin,
@@ -357,6 +357,30 @@ impl Writer<'_> {
         };
     }
 
+    /// "How much taller is the shelf than the desk"
+    pub(super) fn difference(&mut self, comparison: &Comparison, grounding: &mut Grounding) {
+        let Some(compared) = self.compare(comparison, grounding) else { return };
+        let Compared { names: [first, second], measured: [a, b], difference, first_wins, .. } =
+            compared;
+        let unit = difference.unit.unwrap_or(Unit::Meters);
+        let by = self.spoken(difference.number.unwrap_or_default(), unit);
+        let error = self.spoken(difference.error.unwrap_or_default(), unit);
+        let word = &comparison.word;
+        let measures = match &comparison.by {
+            ComparedBy::Distance(_) => format!("{a} away, {second} {b}"),
+            ComparedBy::Dimension(_) => format!("{a} against {b}"),
+        };
+        grounding.text = if first_wins {
+            format!("{} is {by} ± {error} {word} than {second}: {measures}.", capitalized(&first))
+        } else {
+            format!(
+                "{} is not {word} than {second}: {measures}, a difference of {by} ± {error}.",
+                capitalized(&first)
+            )
+        };
+        grounding.value = Some(difference);
+    }
+
     /// "Which is taller, the lamp or the shelf"
     pub(super) fn choice(&mut self, comparison: &Comparison, grounding: &mut Grounding) {
         let Some(compared) = self.compare(comparison, grounding) else { return };
@@ -468,6 +492,12 @@ impl Writer<'_> {
             ids,
             names,
             measured: [self.spoken(x, unit), self.spoken(y, unit)],
+            difference: AnswerValue {
+                number: Some(rounded((x - y).abs())),
+                unit: Some(unit),
+                error: Some(rounded(error)),
+                ..value_of(&ids)
+            },
             first_wins,
         })
     }
@@ -506,5 +536,7 @@ struct Compared {
     ids: [uniground_geometry::scene::InstanceId; 2],
     names: [String; 2],
     measured: [String; 2],
+    /// The difference of the measures, its unit and expected error.
+    difference: AnswerValue,
     first_wins: bool,
 }

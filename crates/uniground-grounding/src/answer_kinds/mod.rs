@@ -92,7 +92,7 @@ fn kind_of(form: &Form) -> AnswerKind {
         Form::Object | Form::Choice(_) => AnswerKind::Box,
         Form::List => AnswerKind::List,
         Form::Count => AnswerKind::Count,
-        Form::Size(_) | Form::Distance(_) => AnswerKind::Measure,
+        Form::Size(_) | Form::Distance(_) | Form::Difference(_) => AnswerKind::Measure,
         Form::Exists
         | Form::Number(_)
         | Form::Holds(_)
@@ -109,9 +109,12 @@ fn kind_of(form: &Form) -> AnswerKind {
 #[must_use]
 pub(super) fn may_be_reviewed(parsed: &ParsedQuery) -> bool {
     match &parsed.form {
-        Form::Holds(_) | Form::Limit(_) | Form::Comparison(_) | Form::Choice(_) | Form::Fit(_) => {
-            false
-        }
+        Form::Holds(_)
+        | Form::Limit(_)
+        | Form::Comparison(_)
+        | Form::Choice(_)
+        | Form::Difference(_)
+        | Form::Fit(_) => false,
         Form::List | Form::Count | Form::Number(_) | Form::Exists => {
             !is_about_anything(&parsed.target)
         }
@@ -193,6 +196,7 @@ impl<'a> Writer<'a> {
             Form::Distance(reference) => self.distance(reference, grounding),
             Form::Comparison(comparison) => self.comparison(comparison, grounding),
             Form::Choice(comparison) => self.choice(comparison, grounding),
+            Form::Difference(comparison) => self.difference(comparison, grounding),
             Form::Fit(passage) => self.fit(passage, grounding),
             Form::Description(aspect) => {
                 if let Some(index) =

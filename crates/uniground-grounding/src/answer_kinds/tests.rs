@@ -450,6 +450,23 @@ fn choices_return_the_winner() {
 }
 
 #[test]
+fn differences_are_measured() {
+    let answer = ask("how much taller is the floor lamp than the sofa?");
+    let value = answer.value.as_ref().unwrap();
+    assert_eq!((answer.kind, value.unit), (AnswerKind::Measure, Some(Unit::Meters)));
+    assert_eq!(value.instances, [InstanceId(7), InstanceId(5)]);
+    let height = |id: usize| room()[id - 1].aabb.size.z;
+    assert!((value.number.unwrap() - (height(7) - height(5))).abs() < 1e-3, "{}", answer.text);
+    assert!(value.error.unwrap() > 0.0 && answer.text.contains("taller than"), "{}", answer.text);
+    // The other way round, the difference is the same.
+    let other = ask("how much taller is the sofa than the floor lamp?");
+    assert_eq!(other.value.as_ref().unwrap().number, value.number);
+    assert!(other.text.contains("is not taller than"), "{}", other.text);
+    let missing = ask("how much taller is the piano than the sofa?");
+    assert_eq!((missing.status, missing.value), (Status::NoMatch, None), "{}", missing.text);
+}
+
+#[test]
 fn places_and_descriptions_are_sentences() {
     let answer = ask("where is the laptop?");
     assert_eq!(answer.kind, AnswerKind::Relation);

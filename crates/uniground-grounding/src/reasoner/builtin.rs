@@ -166,7 +166,8 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let is_checked = parsed.target.excluded.iter().all(|word| can_check_word(assessor.scene, word));
     let is_understood = parsed.not_understood.is_empty() && is_checked;
     let understood = if is_understood { 1.0 } else { NOT_ALL_UNDERSTOOD };
-    let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
+    let meaning = parsed.target.meaning();
+    let named = if meaning == Meaning::Anything { NO_NOUN } else { 1.0 };
     for (i, belief) in beliefs.iter_mut().enumerate() {
         let called = if assessor.scene.names.get(i).is_some() && assessment.nouns[i] <= BROADER_NAME
         {
@@ -183,7 +184,7 @@ fn decide_english(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
             * colored
             * understood
             * named
-            * share_right(*belief, NamesFrom::of(assessor.scene, &parsed.target, i));
+            * share_right(*belief, NamesFrom::of_meaning(assessor.scene, &meaning, i));
     }
     Verdict {
         status,

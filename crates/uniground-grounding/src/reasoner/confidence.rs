@@ -24,9 +24,14 @@ pub(crate) enum NamesFrom {
 impl NamesFrom {
     /// Returns the source of what a target's noun is compared with, for the instance at an index.
     pub fn of(scene: SceneView, target: &Phrase, index: usize) -> Self {
-        let is_asked_structure = match target.meaning() {
-            Meaning::Structure(structure) => scene.instances[index].structure == Some(structure),
-            Meaning::Instance(id) => scene.instances[index].id == id,
+        Self::of_meaning(scene, &target.meaning(), index)
+    }
+
+    /// Returns the same for the meaning of the target.
+    pub fn of_meaning(scene: SceneView, meaning: &Meaning, index: usize) -> Self {
+        let is_asked_structure = match meaning {
+            Meaning::Structure(structure) => scene.instances[index].structure == Some(*structure),
+            Meaning::Instance(id) => scene.instances[index].id == *id,
             _ => false,
         };
         match scene.names.get(index) {

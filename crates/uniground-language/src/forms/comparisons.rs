@@ -31,6 +31,18 @@ pub(super) const COMPARATIVES: [(&str, Dimension, bool); 20] = [
     ("widest", Dimension::Width, true),
 ];
 
+/// What takes up floor, and whether more of it is meant.
+const FLOOR_TAKEN: [(&str, bool); 8] = [
+    ("more floor space", true),
+    ("more floor area", true),
+    ("more floor", true),
+    ("more space", true),
+    ("more room", true),
+    ("less floor space", false),
+    ("less space", false),
+    ("less room", false),
+];
+
 /// Index of the first superlative in [`COMPARATIVES`].
 pub(super) const FIRST_SUPERLATIVE: usize = 15;
 
@@ -44,8 +56,11 @@ impl PatternReader<'_> {
             {
                 return Some((&rest[..1], compared));
             }
-            let be = rest.iter().position(|word| matches!(*word, "is" | "stands" | "sits"))?;
-            (be <= 5).then(|| (&rest[..be], &rest[be + 1..]))
+            const VERBS: [&str; 6] = ["is", "stands", "sits", "takes", "needs", "occupies"];
+            let verb = rest.iter().position(|word| VERBS.contains(word))?;
+            let compared = &rest[verb + 1..];
+            let compared = compared.strip_prefix(&["up"]).unwrap_or(compared);
+            (verb <= 5).then(|| (&rest[..verb], compared))
         });
         if let Some((kind, rest)) = which {
             let rest = after(rest, &["the"]).unwrap_or(rest);
@@ -107,6 +122,18 @@ impl PatternReader<'_> {
         Some((Form::Choice(Comparison { by, more, word, other }), owned(target)))
     }
 
+    /// "how much taller is the shelf than the desk"
+    pub(super) fn difference(&mut self, words: &[&str]) -> Found {
+        let rest = after(words, &["how much", "by how much"])?;
+        let (by, more, word, rest) = self.comparative(rest, &["is", "are"])?;
+        let rest = after(&rest, &["is", "are"])?;
+        let than = rest.iter().position(|word| *word == "than")?;
+        let (target, other) = pair_with_nouns(&rest[..than], &rest[than + 1..]);
+        let other = Box::new(self.object(&other));
+        let comparison = Comparison { by, more, word, other };
+        Some((Form::Difference(comparison), owned(&target)))
+    }
+
     /// Reads a comparative at the beginning: what it compares, whether more of it, its word, and
     /// the words after it. What "closer to" refers to ends at one of `ends`.
     fn comparative<'b>(
@@ -117,6 +144,13 @@ impl PatternReader<'_> {
         for (word, dimension, more) in COMPARATIVES {
             if let Some(rest) = after(words, &[word]) {
                 let by = ComparedBy::Dimension(dimension);
+                return Some((by, more, word.to_owned(), rest.to_vec()));
+            }
+        }
+        for (run, more) in FLOOR_TAKEN {
+            if let Some(rest) = after(words, &[run]) {
+                let by = ComparedBy::Dimension(Dimension::Area);
+                let word = if more { "larger" } else { "smaller" };
                 return Some((by, more, word.to_owned(), rest.to_vec()));
             }
         }

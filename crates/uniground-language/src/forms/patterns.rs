@@ -53,7 +53,8 @@ impl PatternReader<'_> {
         let unit = distances::take_unit(&mut words);
         let words = &words[..];
         let found = self
-            .distance(words)
+            .difference(words)
+            .or_else(|| self.distance(words))
             .or_else(|| how(words))
             .or_else(|| self.fit(words))
             .or_else(|| self.limit(words))

@@ -426,3 +426,48 @@ fn spoken_variants_have_the_same_form() {
     let parsed = parse("How many refrigerators are there, and where do they stand?");
     assert_eq!((parsed.form, parsed.target.head.as_str()), (Form::Count, "refrigerators"));
 }
+
+#[test]
+fn differences_compare_two_objects() {
+    for (query, target, other, word, more) in [
+        (
+            "how much higher is the bar table than the dining table?",
+            "bar table",
+            "dining table",
+            "higher",
+            true,
+        ),
+        ("How much shorter is the red sofa than the blue one?", "sofa", "sofa", "shorter", false),
+        ("how much closer to the door is the lamp than the desk", "lamp", "desk", "closer", false),
+    ] {
+        let parsed = parse(query);
+        let Form::Difference(comparison) = &parsed.form else { panic!("{query}: {parsed:?}") };
+        assert_eq!((parsed.target.head.as_str(), comparison.other.head.as_str()), (target, other));
+        assert_eq!((comparison.word.as_str(), comparison.more), (word, more), "{query}");
+    }
+}
+
+#[test]
+fn floor_that_is_taken_up_is_an_area() {
+    for (query, more) in [
+        ("which takes up more floor, the round rug or the square one?", true),
+        ("which rug needs less space, the round one or the square one?", false),
+    ] {
+        let Form::Choice(comparison) = form(query) else { panic!("{query}") };
+        assert_eq!(comparison.by, ComparedBy::Dimension(Dimension::Area), "{query}");
+        assert_eq!((comparison.more, comparison.other.head.as_str()), (more, "rug"), "{query}");
+    }
+}
+
+#[test]
+fn exceptions_may_come_first() {
+    for query in [
+        "apart from the doormat, which rugs are there?",
+        "Except for the doormat, what is on the floor?",
+    ] {
+        let parsed = parse(query);
+        assert_eq!(parsed.form, Form::List, "{query}");
+        assert_eq!(parsed.except.len(), 1, "{query}");
+        assert_eq!(parsed.except[0].head, "doormat", "{query}");
+    }
+}

@@ -365,6 +365,15 @@ pub(super) fn split_exceptions(tokens: &[String]) -> (Vec<String>, Option<Vec<St
         &["without", "counting"],
     ];
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
+    // "apart from the doormat, which rugs are there"
+    let leads = WORDS.iter().find(|run| words.starts_with(run)).map(|run| run.len());
+    let pause = words.iter().position(|word| *word == BREAK);
+    if let (Some(start), Some(pause)) = (leads, pause)
+        && start < pause
+        && pause + 1 < words.len()
+    {
+        return (owned(&words[pause + 1..]), Some(owned(&words[start..pause])));
+    }
     let found = (1..words.len()).find_map(|i| {
         let run = WORDS.iter().find(|run| words[i..].starts_with(run))?;
         Some((i, run.len()))
