@@ -1,7 +1,7 @@
 //! Sentences about an object that is not quite as the question says: "the white bicycle" where it
 //! is black. A vision-language model says what differs.
 
-use super::sentences::{capitalized, spoken, with_article};
+use super::sentences::{capitalized, none_of, spoken, with_article};
 use super::{AnswerValue, Grounding, NoMatchReason, Target, Writer, value_of};
 use crate::answer::{NOTHING_CLEARLY, to_alternative};
 use crate::reasoner::relation_words;
@@ -32,7 +32,7 @@ impl Writer<'_> {
             (to_alternative(&self.instances()[index], name.clone(), grounding.confidence), name)
         });
         Self::choose_nothing(NoMatchReason::NoneSeen, grounding.confidence, grounding);
-        let nothing = format!("I found no {}.", described(&self.parsed.target));
+        let nothing = format!("I found {}.", none_of(&described(&self.parsed.target)));
         grounding.text = match closest {
             Some((closest, name)) => {
                 grounding.alternatives = vec![closest];

@@ -386,7 +386,8 @@ impl<'a> Writer<'a> {
     /// Returns the sentence for an object that was not found.
     fn nothing(phrase: &Phrase, reason: Option<NoMatchReason>) -> String {
         let name = sentences::spoken(phrase);
-        let name = if is_about_anything(phrase) { "nothing".into() } else { format!("no {name}") };
+        let name =
+            if is_about_anything(phrase) { "nothing".into() } else { sentences::none_of(&name) };
         match reason {
             Some(NoMatchReason::NotRecognised) => {
                 format!("I do not know what \"{}\" looks like.", phrase.head)

@@ -250,8 +250,26 @@ pub(super) fn be(name: &str) -> &'static str {
     if is_plural(name) { "are" } else { "is" }
 }
 
-/// "a mug", "an orange mug", "red shoes"
+/// Returns the two parts of what is named by its purpose: "red " and "to sit on" of "red something
+/// to sit on".
+fn purpose(name: &str) -> Option<(&str, &str)> {
+    let (described, purpose) = name.split_once("something ")?;
+    purpose.starts_with("to ").then_some((described, purpose))
+}
+
+/// "no mug", "nothing red to sit on"
+pub(super) fn none_of(name: &str) -> String {
+    match purpose(name) {
+        Some((described, purpose)) => format!("nothing {described}{purpose}"),
+        None => format!("no {name}"),
+    }
+}
+
+/// "a mug", "an orange mug", "red shoes", "something red to sit on"
 pub(super) fn with_article(name: &str) -> String {
+    if let Some((described, purpose)) = purpose(name) {
+        return format!("something {described}{purpose}");
+    }
     if is_plural(name) {
         return name.to_owned();
     }

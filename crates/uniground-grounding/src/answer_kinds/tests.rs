@@ -450,6 +450,18 @@ fn choices_return_the_winner() {
 }
 
 #[test]
+fn purposes_have_no_article() {
+    use super::sentences::{none_of, with_article};
+    for (name, one, none) in [
+        ("mug", "a mug", "no mug"),
+        ("something to sit on", "something to sit on", "nothing to sit on"),
+        ("red something to sit on", "something red to sit on", "nothing red to sit on"),
+    ] {
+        assert_eq!((with_article(name), none_of(name)), (one.to_owned(), none.to_owned()));
+    }
+}
+
+#[test]
 fn differences_are_measured() {
     let answer = ask("how much taller is the floor lamp than the sofa?");
     let value = answer.value.as_ref().unwrap();
