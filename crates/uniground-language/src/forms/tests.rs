@@ -470,4 +470,6 @@ fn exceptions_may_come_first() {
         assert_eq!(parsed.except.len(), 1, "{query}");
         assert_eq!(parsed.except[0].head, "doormat", "{query}");
     }
+    // "Besides" is often meant as "beside".
+    assert_eq!(parse("besides the sofa, the lamp").except, []);
 }

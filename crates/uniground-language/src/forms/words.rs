@@ -370,7 +370,7 @@ pub(super) fn split_exceptions(tokens: &[String]) -> (Vec<String>, Option<Vec<St
     let pause = words.iter().position(|word| *word == BREAK);
     if let (Some(start), Some(pause)) = (leads, pause)
         && start < pause
-        && pause + 1 < words.len()
+        && asks_for_several(&words[pause + 1..])
     {
         return (owned(&words[pause + 1..]), Some(owned(&words[start..pause])));
     }
@@ -378,19 +378,23 @@ pub(super) fn split_exceptions(tokens: &[String]) -> (Vec<String>, Option<Vec<St
         let run = WORDS.iter().find(|run| words[i..].starts_with(run))?;
         Some((i, run.len()))
     });
-    let lists = words.first().is_some_and(|first| {
-        matches!(
-            *first,
-            "everything" | "all" | "list" | "what" | "which" | "show" | "how" | "name" | "anything"
-        ) || *first == "is" && words.iter().any(|word| matches!(*word, "anything" | "something"))
-    });
-    match found.filter(|&(at, length)| lists && at + length < words.len()) {
+    match found.filter(|&(at, length)| asks_for_several(&words) && at + length < words.len()) {
         Some((at, length)) => {
             let before = words[..at].strip_suffix(&[BREAK]).unwrap_or(&words[..at]);
             (owned(before), Some(owned(&words[at + length..])))
         }
         None => (tokens.to_vec(), None),
     }
+}
+
+/// Returns whether words ask for several objects, of which some may be left out.
+fn asks_for_several(words: &[&str]) -> bool {
+    words.first().is_some_and(|first| {
+        matches!(
+            *first,
+            "everything" | "all" | "list" | "what" | "which" | "show" | "how" | "name" | "anything"
+        ) || *first == "is" && words.iter().any(|word| matches!(*word, "anything" | "something"))
+    })
 }
 
 pub(super) fn skip_trailing_placed<'a, 'b>(mut words: &'a [&'b str]) -> &'a [&'b str] {
