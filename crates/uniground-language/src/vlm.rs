@@ -512,6 +512,10 @@ mod tests {
                 "is the mug on the desk",
             ),
             (
+                r#"{"target": {"noun": "shelf"}, "asks": "difference", "other": {"noun": "desk"}, "compare": {"measure": "height", "more": true, "word": "taller"}}"#,
+                "how much taller is the shelf than the desk",
+            ),
+            (
                 r#"{"target": {"noun": "lamp"}, "asks": "choose", "other": {"noun": "shelf"}, "compare": {"measure": "height", "more": true, "word": "taller"}}"#,
                 "which is taller, the lamp or the shelf",
             ),

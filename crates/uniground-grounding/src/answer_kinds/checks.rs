@@ -1,4 +1,4 @@
-//! Yes-or-no questions about objects, and choices between two.
+//! Yes-or-no questions about objects, and comparisons of two.
 
 use super::measures::{length_error, measure, rounded};
 use super::sentences::{be, capitalized, joined, spoken as spoken_phrase, with_article};
@@ -363,7 +363,7 @@ impl Writer<'_> {
         let Compared { names: [first, second], measured: [a, b], difference, first_wins, .. } =
             compared;
         let unit = difference.unit.unwrap_or(Unit::Meters);
-        let by = self.spoken(difference.number.unwrap_or_default(), unit);
+        let by = self.spoken(difference.number.unwrap_or_default().abs(), unit);
         let error = self.spoken(difference.error.unwrap_or_default(), unit);
         let word = &comparison.word;
         let measures = match &comparison.by {
@@ -487,18 +487,18 @@ impl Writer<'_> {
         let ids = [self.instances()[a].id, self.instances()[b].id];
         self.choose(a, &target, confidence * (0.5 + 0.5 * sure), grounding);
         grounding.answer.anchor_id = grounding.answer.anchor_id.or(Some(ids[1]));
-        let first_wins = if comparison.more { x > y } else { x < y };
+        let ahead = if comparison.more { x - y } else { y - x };
         Some(Compared {
             ids,
             names,
             measured: [self.spoken(x, unit), self.spoken(y, unit)],
             difference: AnswerValue {
-                number: Some(rounded((x - y).abs())),
+                number: Some(rounded(ahead)),
                 unit: Some(unit),
                 error: Some(rounded(error)),
                 ..value_of(&ids)
             },
-            first_wins,
+            first_wins: ahead > 0.0,
         })
     }
 }
@@ -536,7 +536,8 @@ struct Compared {
     ids: [uniground_geometry::scene::InstanceId; 2],
     names: [String; 2],
     measured: [String; 2],
-    /// The difference of the measures, its unit and expected error.
+    /// How much more the first object has of what is asked for, negative if less; with unit and
+    /// expected error.
     difference: AnswerValue,
     first_wins: bool,
 }
